@@ -12,7 +12,7 @@ import pytest
 import trio.testing
 from hypothesis import example, given, strategies
 
-from fibaction._runtime.budget import ByteBudget
+from fibaction._runtime.budget import ByteBudget, CountedBytes
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_log import FeedbackLog
@@ -1116,3 +1116,37 @@ def test_a_payload_that_is_not_kept_any_longer_is_not_told_or_counted() -> None:
     goal.outcome = OUTCOME
     log.finish()
     assert (log.follow().goal, budget.used) == (None, 0)
+
+
+# Feedback that followers may not have
+
+
+@pytest.mark.asyncio
+async def test_hidden_feedback_comes_when_it_is_revealed() -> None:
+    log = new_log()
+    log.is_hidden = True
+    stream = log.follow(after=0)
+    append(log, 1)
+    assert stream.take() == ()
+    await while_waiting(stream.receive, log.reveal)
+    assert stream.cursor == 1
+
+
+def test_feedback_after_the_end_of_a_goal_is_discarded_and_holds_no_bytes() -> None:
+    budget = ByteBudget(1000)
+    goal = GoalFacts(GOAL_ID, 7)
+    goal.held = CountedBytes(budget, 100)
+    log = FeedbackLog(goal, budget=budget)
+    append(log, 1)
+    log = log.discarding()
+    goal.held = None
+    assert budget.used == 0
+    stream = log.follow(after=0)
+    log.append(b"too late")
+    assert (stream.take(), log.count, budget.used, log.is_full) == ((), 1, 0, False)
+
+
+def test_a_stream_of_the_end_that_is_asked_for_after_the_end_has_it_at_once() -> None:
+    log = new_log()
+    end(log)
+    assert log.follow(feedback=False).take() == (OUTCOME,)
