@@ -17,7 +17,6 @@ from fibaction import (
     ClientConnection,
     GoalAborted,
     GoalHandle,
-    GoalID,
     GoalInfo,
     Outcome,
     ServerNotFound,
@@ -26,9 +25,9 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.abc import Connection, ForwardingEndpoint, GoalStream, Meta
+from fibaction.border.abc import Connection, ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.border.goal_store import GoalStore
-from fibaction.words.goals import UNKNOWN_SENDER, Sender
+from fibaction.words.goals import Sender
 from fibaction_transports.inprocess import InProcessTransport
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -379,20 +378,9 @@ class Audited(ForwardingEndpoint):
         super().__init__(inner)
         self.senders: list[Sender] = []
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> GoalStream:
-        self.senders.append(sender)
-        return await super().send_goal(
-            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
-        )
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        self.senders.append(request.sender)
+        return await super().offer_goal(request)
 
 
 async def test_a_server_that_is_wrapped_is_started_served_and_stopped() -> None:

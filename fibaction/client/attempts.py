@@ -26,12 +26,13 @@ from collections.abc import Awaitable, Callable
 from typing import NoReturn, TypeVar
 
 import anyio
+import msgspec
 from anyio import CancelScope, current_time, get_cancelled_exc_class
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt
-from fibaction.border.abc import Endpoint, GoalStream, Meta
+from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.retry import Retry
 from fibaction.words.errors import ActionError, ConnectionLost, GoalTimeout, copy_of
 from fibaction.words.goals import GoalID
@@ -119,15 +120,17 @@ class Attempts:
 
     # Waits
 
-    async def send(self, goal: bytes, *, feedback: bool, meta: Meta | None = None) -> GoalStream:
-        """Send the goal until the server has accepted it, and return its stream.
+    async def send(self, request: GoalRequest) -> GoalStream:
+        """Send the goal until the server has accepted it, and return its stream; its deadline is
+        set here.
 
         Raises:
             GoalTimeout: The time is over.
             ActionError: The error of the last attempt.
         """
         self._deadline = current_time() + self._timeout
-        return await self._reach(lambda: self._send(goal, feedback, meta), None)
+        request = msgspec.structs.replace(request, deadline=self._deadline)
+        return await self._reach(lambda: self._send(request), None)
 
     async def wait(self, stream: GoalStream, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
         """Wait for something of the stream.
@@ -184,13 +187,11 @@ class Attempts:
             finally:
                 del error  # its traceback references this frame
 
-    async def _send(self, goal: bytes, feedback: bool, meta: Meta | None) -> GoalStream:
+    async def _send(self, request: GoalRequest) -> GoalStream:
         before, self._may_run = self._may_run, True
-        timeout = None if self._deadline == math.inf else self._deadline - current_time()
         try:
-            return await self._endpoint.send_goal(
-                self._goal_id, goal, feedback=feedback, timeout=timeout, meta=meta
-            )
+            offered = self._endpoint.offer_goal(request)
+            return offered if isinstance(offered, GoalStream) else await offered
         except get_cancelled_exc_class():
             await self.give_up()
             raise

@@ -22,7 +22,7 @@ import anyio
 from anyio import get_cancelled_exc_class
 
 from fibaction._runtime.own_thread import OwnThread
-from fibaction.border.abc import Endpoint
+from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.border.goal_span import NO_SPAN
 from fibaction.client.attempts import Attempts, cancel_left, check_timeout
 from fibaction.client.events import Events, events_of
@@ -274,13 +274,13 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         span = NO_SPAN
         if self._tracing is not None:
             span = self._tracing.sending(self.action.name, goal_id)
+        request = GoalRequest(goal_id, payload, feedback, meta=span.meta)
         try:
             if attempts is not None:
-                stream = await attempts.send(payload, feedback=feedback, meta=span.meta)
+                stream = await attempts.send(request)
             else:
-                stream = await self.endpoint.send_goal(
-                    goal_id, payload, feedback=feedback, meta=span.meta
-                )
+                offered = self.endpoint.offer_goal(request)
+                stream = offered if isinstance(offered, GoalStream) else await offered
         except BaseException as exc:
             span.failed(exc)
             if attempts is None and isinstance(exc, get_cancelled_exc_class()):

@@ -15,17 +15,18 @@ from types import TracebackType
 from typing import Any, Generic, Literal, Self
 
 import anyio
-from anyio import CancelScope, create_task_group, current_time
+import msgspec
+from anyio import CancelScope, create_task_group
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
-from fibaction.border.abc import Endpoint
+from fibaction.border.abc import Endpoint, GoalRequest
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
+from fibaction.server.admission.admission import Admission
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
-from fibaction.server.admission.admission import Admission, Offer
 from fibaction.server.admission.argument_checks import (
     check_is_executor,
     check_is_schedule,
@@ -51,8 +52,8 @@ from fibaction.server.shutdown import Shutdown
 from fibaction.server.watcher_group import WatcherGroup
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
-from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
-from fibaction.words.meta import Meta, checked_meta
+from fibaction.words.goals import CancelAnswer, GoalID
+from fibaction.words.meta import checked_meta
 
 SERVER_STOPPED = "server stopped"
 STORE_PATIENCE = 5.0
@@ -456,37 +457,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             await self._started.wait()
         self._check_running()
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> FeedbackCursor:
-        """See `Endpoint.send_goal`."""
-        offered = self.offer_goal(
-            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
-        )
-        return offered if isinstance(offered, FeedbackCursor) else await offered
-
     def offer_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
+        self, request: GoalRequest
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """See `Endpoint.offer_goal`; only an async `on_goal` makes it return a coroutine."""
         self._check_running()
-        deadline = math.inf if timeout is None else current_time() + timeout
-        carried = checked_meta(meta)
-        return self._admission.offer(Offer(goal_id, goal, feedback, sender, deadline, carried))
+        if request.meta is not None:  # the caller may change its own later
+            request = msgspec.structs.replace(request, meta=checked_meta(request.meta))
+        return self._admission.offer(request)
 
     async def feedback(
         self,

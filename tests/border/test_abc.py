@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 
 from fibaction import ActionClient, ActionServer, CancelCode
@@ -16,9 +18,9 @@ from fibaction.border.abc import (
     Endpoint,
     FeedbackItem,
     ForwardingEndpoint,
+    GoalRequest,
     GoalStream,
     GoalUpdate,
-    Meta,
     Startable,
     StatusStream,
     Transport,
@@ -99,25 +101,14 @@ class OneGoal(Endpoint):
 
     def __init__(self, stream: OneEnd) -> None:
         self.stream = stream
-        self.sent: list[tuple[GoalID, bytes, bool]] = []
-        self.more: tuple[Sender, float | None, Meta | None] | None = None
+        self.sent: list[GoalRequest] = []
 
     @property
     def info(self) -> ActionInfo:
         return ActionInfo("one")
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> GoalStream:
-        self.sent.append((goal_id, goal, feedback))
-        self.more = (sender, timeout, meta)
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        self.sent.append(request)
         return self.stream
 
     async def feedback(
@@ -138,6 +129,14 @@ class OneGoal(Endpoint):
 
     async def wait_for_server(self) -> None:
         raise NotImplementedError
+
+
+class AtOnce(OneGoal):
+    """An endpoint that decides on goals at once."""
+
+    def offer_goal(self, request: GoalRequest) -> Any:
+        self.sent.append(request)
+        return self.stream
 
 
 @pytest.mark.asyncio
@@ -307,27 +306,34 @@ async def test_a_lost_connection_is_told_to_a_wait_for_the_outcome() -> None:
 
 @pytest.mark.asyncio
 @pytest.mark.parametrize("feedback", [True, False])
-async def test_a_goal_is_offered_by_sending_it_unless_an_endpoint_knows_better(
-    feedback: bool,
-) -> None:
-    stream = OneEnd()
-    endpoint = OneGoal(stream)
-    offered = endpoint.offer_goal(KNOWN, b"goal", feedback=feedback)
-    assert not isinstance(offered, GoalStream)
-    assert endpoint.sent == []
-    with anyio.fail_after(5):
-        assert await offered is stream
-    assert endpoint.sent == [(KNOWN, b"goal", feedback)]
+async def test_a_goal_is_sent_by_offering_a_request_of_the_keywords(feedback: bool) -> None:
+    stream, ann, meta = OneEnd(), Sender("ann"), {"traceparent": "00-1"}
+    for endpoint in (OneGoal(stream), AtOnce(stream)):
+        with anyio.fail_after(5):
+            sent = await endpoint.send_goal(KNOWN, b"goal", feedback=feedback)
+            assert sent is stream
+            await endpoint.send_goal(KNOWN, b"goal", sender=ann, timeout=5, meta=meta)
+        first, second = endpoint.sent
+        assert first == GoalRequest(KNOWN, b"goal", feedback)
+        assert (first.sender, first.deadline, first.meta) == (UNKNOWN_SENDER, math.inf, None)
+        assert (second.feedback, second.sender, second.meta) == (True, ann, meta)
+        assert second.deadline == pytest.approx(anyio.current_time() + 5, abs=1)
 
 
-@pytest.mark.asyncio
-async def test_the_sender_of_a_goal_is_not_told_to_an_endpoint_that_does_not_ask() -> None:
-    endpoint = OneGoal(OneEnd())
-    offered = endpoint.offer_goal(KNOWN, b"goal", sender=Sender("the arm"))
-    assert not isinstance(offered, GoalStream)
-    with anyio.fail_after(5):
-        await offered
-    assert endpoint.sent == [(KNOWN, b"goal", True)]
+def test_an_endpoint_that_is_written_as_it_was_before_says_what_to_write() -> None:
+    for base in (Endpoint, ForwardingEndpoint, OneGoal):
+        with pytest.raises(
+            TypeError, match=r"Old overrides send_goal.* write offer_goal\(self, req"
+        ):
+            type("Old", (base,), {"send_goal": lambda self, goal_id, goal: None})
+
+
+def test_a_request_cannot_be_changed() -> None:
+    request = GoalRequest(KNOWN, b"goal")
+    with pytest.raises(AttributeError):
+        request.goal = b""  # type: ignore[misc]
+    changed = msgspec.structs.replace(request, sender=Sender("ann"))
+    assert changed == GoalRequest(KNOWN, b"goal", sender=Sender("ann")) != request
 
 
 class Nowhere(Connection):
@@ -374,7 +380,7 @@ def test_feedback_has_a_number_and_a_payload() -> None:
         (StatusStream, {"dropped", "receive", "close", "fail"}),
         (
             Endpoint,
-            {"info", "send_goal", "feedback", "cancel_goals", "status", "wait_for_server"},
+            {"info", "offer_goal", "feedback", "cancel_goals", "status", "wait_for_server"},
         ),
         (Connection, {"endpoint", "actions"}),
         (Transport, {"from_url", "serve", "connect"}),
@@ -390,11 +396,9 @@ def test_the_author_of_a_transport_writes_these_methods_and_no_others(
 
 def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> None:
     interfaces = [
-        value
-        for name, value in vars(abc).items()
-        if inspect.isclass(value) and value.__module__ == abc.__name__ and name[0] != "_"
+        value for name, value in vars(abc).items() if inspect.isclass(value) and name in abc.__all__
     ]
-    assert len(interfaces) == 5
+    assert len(interfaces) == 10
     for interface in interfaces:
         assert inspect.getdoc(interface)
         for name, member in vars(interface).items():
@@ -466,13 +470,11 @@ async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
 async def test_a_forwarding_endpoint_passes_on_all_that_goes_with_a_goal() -> None:
     inner, ann, meta = OneGoal(OneEnd()), Sender("ann"), {"traceparent": "00-1"}
     wrapper = ForwardingEndpoint(inner)
-    await wrapper.send_goal(KNOWN, b"1", sender=ann, timeout=5, meta=meta)
-    assert inner.more == (ann, 5, meta)
-    offered = wrapper.offer_goal(KNOWN, b"2", feedback=False, timeout=6, meta=meta)
-    assert not isinstance(offered, GoalStream)
-    await offered
-    assert inner.more == (UNKNOWN_SENDER, 6, meta)
-    assert inner.sent == [(KNOWN, b"1", True), (KNOWN, b"2", False)]
+    first = GoalRequest(KNOWN, b"1", False, ann, 7.5, meta)
+    await wrapper.offer_goal(first)
+    assert inner.sent == [first]
+    await ForwardingEndpoint(AtOnce(inner.stream)).offer_goal(first)
+    assert inner.sent == [first]
 
 
 @pytest.mark.asyncio

@@ -27,7 +27,7 @@ from fibaction import (
     Retry,
     ServerNotFound,
 )
-from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.client.attempts import check_timeout
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_cursor import FeedbackCursor
@@ -65,7 +65,7 @@ class Scripted(ForwardingEndpoint):
         super().__init__(server)
         self.steps = {"send": [*sends], "follow": [*follows], "cancel": [*cancels]}
         self.calls: list[str] = []
-        self.timeouts: list[float | None] = []
+        self.timeouts: list[float] = []
         self.streams: list[GoalStream] = []
 
     async def _step(self, name: str) -> None:
@@ -82,10 +82,10 @@ class Scripted(ForwardingEndpoint):
             finally:
                 del step  # its traceback references this frame
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, **options: Any) -> GoalStream:
-        self.timeouts.append(options["timeout"])
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        self.timeouts.append(request.deadline - current_time())
         await self._step("send")
-        self.streams.append(await super().send_goal(goal_id, goal, **options))
+        self.streams.append(await super().offer_goal(request))
         return self.streams[-1]
 
     async def feedback(self, goal_id: GoalID, **options: Any) -> GoalStream:
@@ -290,7 +290,7 @@ async def test_without_a_timeout_none_is_sent() -> None:
         endpoint = Scripted(server)
         await endpoint.client.call(Goal(0), retry=Retry())
         await endpoint.client.call(Goal(0), timeout=math.inf)
-    assert endpoint.timeouts == [None, None]
+    assert endpoint.timeouts == [math.inf, math.inf]
 
 
 async def test_a_pause_ends_at_the_deadline_and_the_last_error_is_the_cause() -> None:
@@ -308,8 +308,8 @@ async def test_an_attempt_that_ends_after_the_deadline_is_the_last() -> None:
     watch = Watch()
 
     class Late(Scripted):
-        async def send_goal(self, *args: Any, **options: Any) -> GoalStream:
-            await super().send_goal(*args, **options)
+        async def offer_goal(self, request: GoalRequest) -> GoalStream:
+            await super().offer_goal(request)
             raise ConnectionLost("the line broke")
 
     async with ActionServer(FIBONACCI, slow) as server:

@@ -37,9 +37,8 @@ from fibaction import (
     serve,
 )
 from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate, Meta, StatusStream
+from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpdate, StatusStream
 from fibaction.testing import ScriptedServer
-from fibaction.words.goals import UNKNOWN_SENDER, Sender
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.spans import Spans
 
@@ -101,16 +100,7 @@ class Broken(Endpoint):
     def info(self) -> ActionInfo:
         return FIBONACCI.info
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> GoalStream:
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
         if self.sending is not None:
             self.sending.set()
             await anyio.sleep_forever()

@@ -29,7 +29,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
 from tests.contract.conftest import Reach
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -244,12 +244,12 @@ class Troubled(ForwardingEndpoint):
         self.failed = anyio.Event()
         self._after = after
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, **options: Any) -> GoalStream:
-        self.sent.append(goal_id)
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        self.sent.append(request.goal_id)
         if self.errors and not self._after:
             self.failed.set()
             raise self.errors.pop(0)
-        stream = await super().send_goal(goal_id, goal, **options)
+        stream = await super().offer_goal(request)
         if self.errors:
             self.failed.set()
             raise self.errors.pop(0)
@@ -382,9 +382,9 @@ class Breaking(ForwardingEndpoint):
         self.streams: list[GoalStream] = []
         self.news = Notifier()
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, **options: Any) -> GoalStream:
-        self.sent.append(goal_id)
-        return self._opened(await super().send_goal(goal_id, goal, **options))
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        self.sent.append(request.goal_id)
+        return self._opened(await super().offer_goal(request))
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1

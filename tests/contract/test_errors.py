@@ -24,7 +24,7 @@ from fibaction import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.border.abc import GoalStream, StatusStream
+from fibaction.border.abc import GoalRequest, GoalStream, StatusStream
 from fibaction.types.action import ActionInfo
 from fibaction.wire.errors import NUMBERS
 from tests.contract.conftest import Reach
@@ -71,7 +71,7 @@ class Failing(Endpoint):
     def info(self) -> ActionInfo:
         return FIBONACCI.info
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, **_: Any) -> GoalStream:
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
         raise self._error
 
     async def feedback(

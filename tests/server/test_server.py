@@ -34,7 +34,7 @@ from fibaction import (
 )
 from fibaction._runtime import slices
 from fibaction._runtime.budget import ByteBudget
-from fibaction.border.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusStream
 from fibaction.server import goal_logs, shutdown
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.turns import Turns
@@ -506,7 +506,7 @@ async def agree_later(goal: Goal) -> None:
 async def test_a_goal_that_needs_no_wait_is_accepted_at_once(on_goal: Any) -> None:
     async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
         goal_id = GoalID.random()
-        stream = at_once(server.offer_goal(goal_id, packed(2)))
+        stream = at_once(server.offer_goal(GoalRequest(goal_id, packed(2))))
         assert (stream.goal_id, stream.status) == (goal_id, GoalStatus.ACCEPTED)
         item = await stream.receive()
         assert item is not None
@@ -518,8 +518,8 @@ async def test_a_goal_that_needs_no_wait_is_accepted_at_once(on_goal: Any) -> No
 async def test_a_goal_is_offered_with_or_without_its_feedback() -> None:
     async with ActionServer(FIBONACCI, fibonacci, on_goal=agree) as server:
         goal_id = GoalID.random()
-        without = at_once(server.offer_goal(goal_id, packed(2), feedback=False))
-        again = at_once(server.offer_goal(goal_id, packed(2), feedback=False))
+        without = at_once(server.offer_goal(GoalRequest(goal_id, packed(2), feedback=False)))
+        again = at_once(server.offer_goal(GoalRequest(goal_id, packed(2), feedback=False)))
         outcome = await without.outcome()
         assert outcome.status is GoalStatus.SUCCEEDED
         assert without.take() == again.take() == (outcome,)
@@ -531,7 +531,7 @@ async def test_a_goal_is_offered_with_or_without_its_feedback() -> None:
 async def test_only_a_callback_that_takes_its_time_is_waited_for(on_goal: Any) -> None:
     async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
         goal_id = GoalID.random()
-        asking = waited_for(server.offer_goal(goal_id, packed(2)))
+        asking = waited_for(server.offer_goal(GoalRequest(goal_id, packed(2))))
         assert repr(server).endswith("goals=0>")
         stream = await asking
         assert stream.goal_id == goal_id
@@ -547,10 +547,10 @@ async def test_a_goal_that_cannot_be_is_rejected_at_once_and_again() -> None:
             goal_id = GoalID.random()
             for _ in range(2):
                 with pytest.raises(GoalRejected, match=reason) as caught:
-                    server.offer_goal(goal_id, payload)
+                    server.offer_goal(GoalRequest(goal_id, payload))
                 assert caught.value.goal_id == goal_id
     with pytest.raises(ServerNotFound, match="'fibonacci' is not running"):
-        server.offer_goal(GoalID.random(), packed(1))
+        server.offer_goal(GoalRequest(GoalID.random(), packed(1)))
 
 
 async def test_a_goal_that_is_rejected_after_a_while_is_rejected_by_what_was_waited_for() -> None:
@@ -560,23 +560,23 @@ async def test_a_goal_that_is_rejected_after_a_while_is_rejected_by_what_was_wai
 
     async with ActionServer(FIBONACCI, fibonacci, on_goal=refuse) as server:
         goal_id = GoalID.random()
-        asking = waited_for(server.offer_goal(goal_id, packed(1)))
+        asking = waited_for(server.offer_goal(GoalRequest(goal_id, packed(1))))
         with pytest.raises(GoalRejected, match="not today") as caught:
             await asking
         assert caught.value.goal_id == goal_id
         # It is remembered, so that the next one need not wait.
         with pytest.raises(GoalRejected, match="not today"):
-            server.offer_goal(goal_id, packed(1))
+            server.offer_goal(GoalRequest(goal_id, packed(1)))
 
 
 async def test_a_goal_that_is_offered_again_is_there_at_once_with_its_first_feedback() -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server:
         goal_id = GoalID.random()
-        first = at_once(server.offer_goal(goal_id, packed(4)))
-        again = at_once(server.offer_goal(goal_id, packed(4)))
+        first = at_once(server.offer_goal(GoalRequest(goal_id, packed(4))))
+        again = at_once(server.offer_goal(GoalRequest(goal_id, packed(4))))
         assert again.stamp == first.stamp
         await first.outcome()
-        late = at_once(server.offer_goal(goal_id, packed(4)))
+        late = at_once(server.offer_goal(GoalRequest(goal_id, packed(4))))
         for stream in (again, late):
             numbers = []
             while (item := await stream.receive()) is not None:
@@ -608,9 +608,11 @@ async def test_a_goal_that_is_being_decided_waits_for_that_decision(late: bool) 
 
         with anyio.fail_after(5):
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(wait, waited_for(server.offer_goal(goal_id, packed(2))))
+                tasks.start_soon(
+                    wait, waited_for(server.offer_goal(GoalRequest(goal_id, packed(2))))
+                )
                 await anyio.wait_all_tasks_blocked()
-                again = waited_for(server.offer_goal(goal_id, packed(2)))
+                again = waited_for(server.offer_goal(GoalRequest(goal_id, packed(2))))
                 if late:  # the decision is there before anybody waits for it
                     gate.open.set()
                     await anyio.wait_all_tasks_blocked()
@@ -627,7 +629,7 @@ async def test_a_goal_that_is_canceled_while_it_waits_can_be_sent_anew() -> None
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
         goal_id = GoalID.random()
-        asking = waited_for(server.offer_goal(goal_id, packed(2)))
+        asking = waited_for(server.offer_goal(GoalRequest(goal_id, packed(2))))
 
         async def wait() -> None:
             await asking
@@ -640,14 +642,14 @@ async def test_a_goal_that_is_canceled_while_it_waits_can_be_sent_anew() -> None
             assert (await server.cancel_goals(goal_id)).return_code is CancelCode.UNKNOWN_GOAL_ID
             gate.open.set()
             # Another goal even, with the same ID: nothing is left of the first.
-            stream = await waited_for(server.offer_goal(goal_id, packed(3)))
+            stream = await waited_for(server.offer_goal(GoalRequest(goal_id, packed(3))))
             assert (await stream.outcome()).result == result([0, 1, 1, 2])
     assert gate.asked == [Goal(2), Goal(3)]
 
 
 async def test_a_goal_whose_decision_is_not_awaited_yet_is_rejected_by_the_stop() -> None:
     async with ActionServer(FIBONACCI, fibonacci, on_goal=Gate()) as server:
-        asking = waited_for(server.offer_goal(GoalID.random(), packed(2)))
+        asking = waited_for(server.offer_goal(GoalRequest(GoalID.random(), packed(2))))
         await server.stop()
     with anyio.fail_after(5):
         with pytest.raises(GoalRejected, match="the server is stopping"):
@@ -664,9 +666,11 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
             assert statuses.known == 0
             goal_id = GoalID.random()
             gate.open.set()
-            stream = await waited_for(server.offer_goal(goal_id, packed(2), sender=ARM))
+            stream = await waited_for(
+                server.offer_goal(GoalRequest(goal_id, packed(2), sender=ARM))
+            )
             # A client that sends it again is not its sender.
-            again = at_once(server.offer_goal(goal_id, packed(2), sender=LEG))
+            again = at_once(server.offer_goal(GoalRequest(goal_id, packed(2), sender=LEG)))
             assert again.stamp == stream.stamp
             await stream.outcome()
             told = [await statuses.receive() for _ in range(3)]
@@ -687,7 +691,9 @@ async def test_on_goal_and_the_executor_get_the_sender_of_a_goal() -> None:
 
     async with ActionServer(FIBONACCI, execute, on_goal=on_goal) as server:
         for sender in (ARM, LEG):
-            stream = at_once(server.offer_goal(GoalID.random(), packed(2), sender=sender))
+            stream = at_once(
+                server.offer_goal(GoalRequest(GoalID.random(), packed(2), sender=sender))
+            )
             await stream.outcome()
     assert seen == [ARM, ARM, LEG, LEG]
 
@@ -720,7 +726,9 @@ async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_
 
         def offer(owner: bytes, feedback: bool = True) -> Any:
             sender = Sender("the arm", owner)
-            return at_once(server.offer_goal(goal_id, packed(2), feedback=feedback, sender=sender))
+            return at_once(
+                server.offer_goal(GoalRequest(goal_id, packed(2), feedback=feedback, sender=sender))
+            )
 
         goal_id = GoalID.random()
         streams = [offer(b"arm"), offer(b"arm"), offer(b"arm", False), offer(b"leg"), offer(b"")]
@@ -739,7 +747,7 @@ async def test_a_caller_that_waited_for_the_decision_and_then_decides_is_the_sen
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
         goal_id = GoalID.random()
-        first = waited_for(server.offer_goal(goal_id, packed(2), sender=ARM))
+        first = waited_for(server.offer_goal(GoalRequest(goal_id, packed(2), sender=ARM)))
         scope = anyio.CancelScope()
         streams: list[GoalStream] = []
 
@@ -754,7 +762,9 @@ async def test_a_caller_that_waited_for_the_decision_and_then_decides_is_the_sen
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(give_up)
                 await anyio.wait_all_tasks_blocked()
-                again = server.offer_goal(goal_id, packed(2), feedback=False, sender=LEG)
+                again = server.offer_goal(
+                    GoalRequest(goal_id, packed(2), feedback=False, sender=LEG)
+                )
                 tasks.start_soon(wait, waited_for(again))
                 await anyio.wait_all_tasks_blocked()
                 scope.cancel()
@@ -772,7 +782,9 @@ async def test_a_follower_that_comes_after_the_end_gets_the_feedback_that_anothe
     followed: bool,
 ) -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server:
-        stream = at_once(server.offer_goal(GoalID.random(), packed(4), feedback=followed))
+        stream = at_once(
+            server.offer_goal(GoalRequest(GoalID.random(), packed(4), feedback=followed))
+        )
         await stream.outcome()
         late = await server.feedback(stream.goal_id, after=0)
         numbers = []
@@ -1189,9 +1201,9 @@ async def test_a_goal_too_many_is_rejected_until_another_one_has_ended() -> None
 async def test_goals_that_are_being_decided_count() -> None:
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate, max_goals=1) as server:
-        asking = waited_for(server.offer_goal(GoalID.random(), packed(2)))
+        asking = waited_for(server.offer_goal(GoalRequest(GoalID.random(), packed(2))))
         with pytest.raises(GoalRejected, match="busy: 1 goals are active, the limit is 1"):
-            server.offer_goal(GoalID.random(), packed(2))
+            server.offer_goal(GoalRequest(GoalID.random(), packed(2)))
         gate.open.set()
         assert gate.asked == []
         assert (await (await asking).outcome()).status is GoalStatus.SUCCEEDED

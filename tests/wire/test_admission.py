@@ -9,6 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction.border.abc import GoalRequest
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.codec import encode
@@ -84,9 +85,9 @@ async def test_each_client_is_told_from_the_others_by_its_owner() -> None:
     senders: list[Sender] = []
 
     class Noting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
-        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
-            senders.append(kwargs["sender"])
-            return super().offer_goal(*args, **kwargs)
+        def offer_goal(self, request: GoalRequest) -> Any:
+            senders.append(request.sender)
+            return super().offer_goal(request)
 
     access = AccessPolicy({"sesame": "ann", "open": "bob"})
     async with serving(Noting(FIBONACCI, [anyio.Event()]), access=access) as served:

@@ -12,7 +12,7 @@ import anyio
 import msgspec
 import pytest
 
-from fibaction.border.abc import Connection, FeedbackItem
+from fibaction.border.abc import Connection, FeedbackItem, GoalRequest
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.client.open_calls import BURST, OpenCalls
 from fibaction.wire.frames import MAX_FRAME
@@ -893,14 +893,11 @@ async def test_of_many_goals_the_first_are_written_before_the_last_is_sent() -> 
         def post(self, frame: bytes) -> None:
             raise AssertionError(frame)
 
-    def opening(call_id: int, credit: int) -> SendGoal:
-        return SendGoal(call_id, "fibonacci", bytes(GOAL_ID), GOAL, credit)
-
     calls = OpenCalls(WINDOW, 1, check=lambda: None)
     calls.reopen(cast("Any", Link()), MAX_FRAME)
     async with anyio.create_task_group() as tasks:
         for _ in range(100):
-            tasks.start_soon(calls.follow, GOAL_ID, opening)
+            tasks.start_soon(calls.send, "fibonacci", GoalRequest(GOAL_ID, GOAL))
         await anyio.wait_all_tasks_blocked()
         calls.detach()
         tasks.cancel_scope.cancel()

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from fibaction._runtime.budget import ByteBudget
+from fibaction.border.abc import GoalRequest
 from fibaction.feeds import hold_time
 from fibaction.server import ActionServer, GoalHandle
 from fibaction.testing import ScriptedServer
@@ -238,7 +239,7 @@ async def test_an_error_is_cut_to_the_clients_limit_between_two_letters(
     error: Callable[[str], Exception], limit: int
 ) -> None:
     class Failing(ActionServer[fib.Goal, fib.Feedback, fib.Result]):
-        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+        def offer_goal(self, request: GoalRequest) -> Any:
             raise error(LONG_TEXT)
 
     async with serving(Failing(FIBONACCI, fib.fibonacci)) as served:

@@ -11,6 +11,7 @@ import anyio
 import pytest
 
 from fibaction._runtime.tasks import Background
+from fibaction.border.abc import GoalRequest
 from fibaction.wire.client.connection import RemoteConnection, new_session
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import (
@@ -77,13 +78,8 @@ class Client:
         """A goal that the first server has accepted."""
 
         async def send() -> RemoteGoal:
-            return await self.one.calls.follow(
-                GOAL_ID,
-                lambda call_id, window: SendGoal(
-                    call_id, "fibonacci", A, b"goal", window if credit else None
-                ),
-                on_lost=self.lose,
-            )
+            request = GoalRequest(GOAL_ID, b"goal", feedback=credit)
+            return await self.one.calls.send("fibonacci", request, on_lost=self.lose)
 
         async with Running(send) as sending:
             await server.say(following(await server.hear(SendGoal)))
@@ -213,11 +209,8 @@ async def test_a_goal_that_was_not_answered_is_not_lost_but_fails() -> None:
     async with two_servers() as (client, one, _):
 
         async def send() -> RemoteGoal:
-            return await client.one.calls.follow(
-                GOAL_ID,
-                lambda call_id, window: SendGoal(call_id, "fibonacci", A, b"goal", window),
-                on_lost=client.lose,
-            )
+            request = GoalRequest(GOAL_ID, b"goal")
+            return await client.one.calls.send("fibonacci", request, on_lost=client.lose)
 
         async with Running(send) as sending:
             await one.hear(SendGoal)

@@ -12,9 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from fibaction.border.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalStream, Meta
-from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.border.abc import Endpoint
+from fibaction.border.abc import FeedbackItem
+from fibaction.border.abc import ForwardingEndpoint
+from fibaction.border.abc import GoalRequest
+from fibaction.border.abc import GoalStream
 from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.client.connection import open_connection
@@ -36,7 +40,11 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.words.errors import GoalKept, GoalRejected, UnknownGoal
-from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, Sender, digest_of
+from fibaction.words.goals import UNKNOWN_SENDER
+from fibaction.words.goals import CancelAnswer
+from fibaction.words.goals import GoalID
+from fibaction.words.goals import Outcome
+from fibaction.words.goals import digest_of
 from fibaction.words.statuses import GoalStatus
 from tests.wire import memory
 from tests.wire.ends import (
@@ -303,24 +311,15 @@ class Kept(ForwardingEndpoint):
         self.goal.status, self.goal.outcome = SUCCEEDED, Outcome(SUCCEEDED, b"result")
         self.log.finish()
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> GoalStream:
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
         if self.error is not None:
             raise self.error
-        if digest_of(goal) != self.goal.digest:
-            raise GoalRejected("another goal", goal_id=goal_id)
+        if digest_of(request.goal) != self.goal.digest:
+            raise GoalRejected("another goal", goal_id=request.goal_id)
         if not self.goal.sender.owner:
-            self.goal.sender = sender
-        own = sender.owner == self.goal.sender.owner
-        return self.log.follow(feedback=feedback, own=own, after=0)
+            self.goal.sender = request.sender
+        own = request.sender.owner == self.goal.sender.owner
+        return self.log.follow(feedback=request.feedback, own=own, after=0)
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import anyio
 import pytest
 
-from fibaction.border.abc import Connection
+from fibaction.border.abc import Connection, GoalRequest
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.codec import encode
@@ -434,11 +434,11 @@ async def test_a_goal_that_is_accepted_while_the_connection_ends_waits_for_its_c
     go = anyio.Event()
 
     class Slow(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
-        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+        def offer_goal(self, request: GoalRequest) -> Any:
             async def answer() -> Any:
                 with anyio.CancelScope(shield=True):
                     await go.wait()
-                return ScriptedServer.offer_goal(self, *args, **kwargs)
+                return ScriptedServer.offer_goal(self, request)
 
             return answer()
 

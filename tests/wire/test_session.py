@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 import anyio
 import pytest
 
+from fibaction.border.abc import GoalRequest
 from fibaction.server import ActionServer
 from fibaction.testing import ScriptedServer
 from fibaction.types.action import Action
@@ -619,12 +621,12 @@ async def test_a_request_that_is_allowed_is_granted() -> None:
 @in_virtual_time()
 @pytest.mark.parametrize("waits", [False, True], ids=["at once", "later"])
 async def test_the_timeout_of_a_goal_begins_when_the_goal_arrives(waits: bool) -> None:
-    timeouts: list[float | None] = []
+    timeouts: list[float] = []
 
     class Noting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
-        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
-            timeouts.append(kwargs["timeout"])
-            return super().offer_goal(*args, **kwargs)
+        def offer_goal(self, request: GoalRequest) -> Any:
+            timeouts.append(request.deadline - anyio.current_time())
+            return super().offer_goal(request)
 
     async def authorize(peer: Peer, action: str, verb: Permission) -> bool:
         await anyio.sleep(2)
@@ -636,7 +638,7 @@ async def test_the_timeout_of_a_goal_begins_when_the_goal_arrives(waits: bool) -
         for number, timeout in enumerate((5.0, None), 1):
             goal = SendGoal(number, "fibonacci", bytes([number] * 16), GOAL, None, timeout)
             await client.ask(goal, Following)
-    assert timeouts == [pytest.approx(3 if waits else 5), None]
+    assert timeouts == [pytest.approx(3 if waits else 5), math.inf]
 
 
 # Errors behind the session
@@ -724,8 +726,8 @@ async def test_a_stream_that_fails_is_told_and_the_session_goes_on(
 
         fails = False
 
-        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
-            stream: Any = super().offer_goal(*args, **kwargs)
+        def offer_goal(self, request: GoalRequest) -> Any:
+            stream: Any = super().offer_goal(request)
             take = type(stream).take
 
             def failing(stream: Any, limit: int = 1) -> Any:
@@ -791,10 +793,10 @@ class Slow(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
         if self._error is not None:
             raise self._error
 
-    def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+    def offer_goal(self, request: GoalRequest) -> Any:
         async def answer() -> Any:
             await self.pause()
-            return ScriptedServer.offer_goal(self, *args, **kwargs)
+            return ScriptedServer.offer_goal(self, request)
 
         return answer()
 

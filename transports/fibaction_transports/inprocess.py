@@ -9,20 +9,19 @@ from __future__ import annotations
 import os
 import re
 import uuid
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import Any, TypeVar
 from weakref import WeakSet, WeakValueDictionary
 
-from fibaction.border.abc import (
-    Connection,
-    Endpoint,
-    GoalStream,
-    Meta,
-    Notifier,
-    StatusStream,
-    Transport,
-)
+import msgspec
+from fibaction.border.abc import Connection
+from fibaction.border.abc import Endpoint
+from fibaction.border.abc import GoalRequest
+from fibaction.border.abc import GoalStream
+from fibaction.border.abc import StatusStream
+from fibaction.border.abc import Transport
+from fibaction.border.abc import Notifier
 from fibaction.border.urls import check_settings
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (
@@ -164,22 +163,16 @@ class _NamedEndpoint(Endpoint):
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> GoalStream:
-        if sender == UNKNOWN_SENDER:
-            sender = self._connection.sender
-        stream = await self._server.send_goal(
-            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
-        )
-        return self._connection.opened(stream)
+    def offer_goal(self, request: GoalRequest) -> GoalStream | Coroutine[Any, Any, GoalStream]:
+        if request.sender == UNKNOWN_SENDER:
+            request = msgspec.structs.replace(request, sender=self._connection.sender)
+        offered = self._server.offer_goal(request)
+        if isinstance(offered, GoalStream):
+            return self._connection.opened(offered)
+        return self._opened(offered)
+
+    async def _opened(self, offered: Coroutine[Any, Any, GoalStream]) -> GoalStream:
+        return self._connection.opened(await offered)
 
     async def feedback(
         self,

@@ -27,13 +27,14 @@ from __future__ import annotations
 import time
 from collections.abc import Awaitable, Callable, Coroutine
 from contextvars import Context, copy_context
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic
 
 from anyio import current_time
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt, shortened
+from fibaction.border.abc import GoalRequest
 from fibaction.border.goal_store import RecordTooLarge
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server.admission.callbacks import SERVER_STOPPING, Callbacks
@@ -60,17 +61,6 @@ DRAINING = "busy: the server drains"
 WITHDRAWN = "the call was canceled before the decision"
 
 logger = clean_logger("fibaction.server")
-
-
-class Offer(NamedTuple):
-    """A goal that a client has sent."""
-
-    goal_id: GoalID
-    goal: bytes
-    feedback: bool
-    sender: Sender
-    deadline: float
-    meta: dict[str, str] | None
 
 
 class _AcceptanceInWriting:
@@ -138,7 +128,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     # Goals
 
-    def offer(self, offer: Offer) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+    def offer(self, offer: GoalRequest) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Decide on a goal: return its stream, or a coroutine that waits for the decision.
 
         Raises:
@@ -172,7 +162,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             self._withdraw_offer(goal_id)
             raise
 
-    def _watched(self, watchers: WatcherGroup, offer: Offer) -> Context:
+    def _watched(self, watchers: WatcherGroup, offer: GoalRequest) -> Context:
         """Tell the offer to the watchers, and return the context for the goal's executor."""
         context = copy_context()
         context.run(
@@ -183,7 +173,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def _ask(
         self,
         on_goal: Callable[[GoalT, Sender], Awaitable[None] | None],
-        offer: Offer,
+        offer: GoalRequest,
         request: GoalT,
         context: Context | None,
     ) -> Coroutine[Any, Any, None] | None:
@@ -205,14 +195,14 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if busy:
             raise self._reject_for_now(goal_id, busy)
 
-    async def _offer_again(self, offer: Offer) -> FeedbackCursor:
+    async def _offer_again(self, offer: GoalRequest) -> FeedbackCursor:
         await self.decided(offer.goal_id)
         offered = self.offer(offer)
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
     async def _accept_later(
         self,
-        offer: Offer,
+        offer: GoalRequest,
         request: GoalT,
         asking: Awaitable[None],
         context: Context | None,
@@ -236,7 +226,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise GoalRejected(str(exc)) from exc
 
     def _accept(
-        self, offer: Offer, request: GoalT, context: Context | None
+        self, offer: GoalRequest, request: GoalT, context: Context | None
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
         if self._is_closed:
@@ -267,7 +257,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def _write_acceptance(
         self,
         keeper: GoalKeeper,
-        offer: Offer,
+        offer: GoalRequest,
         request: GoalT,
         goal: GoalRecord,
         context: Context | None,
@@ -296,13 +286,14 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
                 self._dispatcher.withdraw(goal.goal_id)
 
         self._writing[goal.goal_id] = goal
+        meta = None if offer.meta is None else dict(offer.meta)
         write = keeper.accept(
-            goal, offer.goal, offer.meta, is_running=is_running, then=accept, too_large=reject
+            goal, offer.goal, meta, is_running=is_running, then=accept, too_large=reject
         )
         return self._await_acceptance(keeper, offer, write, acceptance)
 
     async def _await_acceptance(
-        self, keeper: GoalKeeper, offer: Offer, write: int, acceptance: _AcceptanceInWriting
+        self, keeper: GoalKeeper, offer: GoalRequest, write: int, acceptance: _AcceptanceInWriting
     ) -> FeedbackCursor:
         try:
             await keeper.kept(write)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 from weakref import WeakValueDictionary
 
+from fibaction.border.abc import GoalRequest
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.calls import Call, PendingRequest
-from fibaction.wire.client.remote_goal import RemoteGoal
+from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch
 from fibaction.wire.codec import FromClient, encode
 from fibaction.wire.frames import MAX_FRAME
@@ -20,6 +20,7 @@ from fibaction.wire.link import Link
 from fibaction.wire.messages import AskPlaces, AwaitServer, Done, Follow, Places, SendGoal
 from fibaction.words.errors import ActionError, InvalidMessage
 from fibaction.words.goals import GoalID
+from fibaction.words.meta import checked_meta
 
 BURST = 32
 """Calls that are written at once, in the middle of a turn of the event loop: both ends then work at
@@ -68,24 +69,39 @@ class OpenCalls:
         await self._open(pending)
         return pending.answer(kind)
 
+    async def send(
+        self, action: str, request: GoalRequest, *, on_lost: OnLost | None = None
+    ) -> RemoteGoal:
+        """Send a goal. `on_lost` gets it if it has to go on somewhere else: see `RemoteGoal`.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        credit = self._goal_window if request.feedback else None
+        meta = checked_meta(request.meta) if request.meta else None
+        opening = SendGoal(
+            next(self._ids), action, request.goal_id, request.goal, credit, meta=meta
+        )
+        goal = RemoteGoal(request.goal_id, opening, self._goal_window, self.post, request.deadline)
+        goal.on_lost = on_lost
+        await self._open(goal)
+        return goal
+
     async def follow(
         self,
         goal_id: GoalID,
-        request: Callable[[int, int], SendGoal | Follow],
+        request: Callable[[int, int], Follow],
         *,
-        deadline: float = math.inf,
-        on_lost: Callable[[RemoteGoal, ActionError], None] | None = None,
+        on_lost: OnLost | None = None,
     ) -> RemoteGoal:
-        """Send or follow a goal; `request` gets the ID of the call, and the credit.
-
-        `deadline` is the time at which the client gives a goal up that it sends. `on_lost` gets the
-        goal if it has to go on somewhere else: see `RemoteGoal`.
+        """Follow a goal that was sent before; `request` gets the ID of the call, and the credit.
+        `on_lost` is as for `send`.
 
         Raises:
             ActionError: As for `ask`.
         """
         opening = request(next(self._ids), self._goal_window)
-        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post, deadline)
+        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post)
         goal.on_lost = on_lost
         await self._open(goal)
         if not goal.is_own and self._calls.pop(goal.id, None) is not None:

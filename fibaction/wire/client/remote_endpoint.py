@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
-from anyio import current_time
+from collections.abc import Coroutine
+from typing import Any
 
 from fibaction._runtime.text import shortened
-from fibaction.border.abc import Endpoint
+from fibaction.border.abc import Endpoint, GoalRequest
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.reconnect import Reconnector
@@ -20,18 +19,9 @@ from fibaction.wire.messages import (
     CancelGoals,
     Done,
     Follow,
-    SendGoal,
 )
 from fibaction.words.errors import ConnectionLost, LimitReached, ServerNotFound
-from fibaction.words.goals import (
-    UNKNOWN_SENDER,
-    CancelAnswer,
-    CancelCode,
-    GoalID,
-    GoalInfo,
-    Sender,
-)
-from fibaction.words.meta import Meta, checked_meta
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
 
 
 class RemoteEndpoint(Endpoint):
@@ -46,29 +36,8 @@ class RemoteEndpoint(Endpoint):
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> RemoteGoal:
-        carried = checked_meta(meta)
-        return await self._calls.follow(
-            goal_id,
-            lambda call_id, credit: SendGoal(
-                call_id,
-                self._info.name,
-                goal_id,
-                goal,
-                credit if feedback else None,
-                meta=carried,
-            ),
-            deadline=math.inf if timeout is None else current_time() + timeout,
-        )
+    def offer_goal(self, request: GoalRequest) -> Coroutine[Any, Any, RemoteGoal]:
+        return self._calls.send(self._info.name, request)
 
     async def feedback(
         self,

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from anyio import current_time
 
@@ -72,6 +72,10 @@ class _Earlier(NamedTuple):
     next_attempt: int
 
 
+OnLost: TypeAlias = "Callable[[RemoteGoal, ActionError], None]"
+"""Takes a goal that its connection or its server cannot go on with."""
+
+
 class RemoteGoal(Call, GoalStream):
     """One goal of a server, followed over a connection."""
 
@@ -88,7 +92,7 @@ class RemoteGoal(Call, GoalStream):
         self.stamp = 0
         self.latest = False
         self.cursor = 0
-        self.on_lost: Callable[[RemoteGoal, ActionError], None] | None = None
+        self.on_lost: OnLost | None = None
         """Takes the goal, once it is answered, if its connection or server cannot go on with it;
         None lets it end with the error."""
         self.on_ended: Callable[[], None] | None = None

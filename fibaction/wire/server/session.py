@@ -68,7 +68,7 @@ from fibaction.wire.messages import (
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.requests import Answer, Request, RequestHandlers
 from fibaction.wire.server.session_client import SessionClient
-from fibaction.wire.server.session_goals import GoalRequest, SessionGoals, too_much
+from fibaction.wire.server.session_goals import GoalMessage, SessionGoals, too_much
 from fibaction.wire.server.subscriptions import RequestSubscription, Subscription
 from fibaction.wire.settings import ServerSettings
 from fibaction.words.errors import (
@@ -187,7 +187,7 @@ class Session:
     def _subscription(self, request: int) -> Subscription | None:
         return self._goals.get(request) or self._waiting.get(request)
 
-    def _admits(self, message: GoalRequest | Request, limit: str) -> bool:
+    def _admits(self, message: GoalMessage | Request, limit: str) -> bool:
         """Reject the request if a limit, told as a sentence, forbids it."""
         if self._subscription(message.id) is not None:
             raise ProtocolError(f"it used the ID {message.id} twice")
@@ -225,7 +225,7 @@ class Session:
     # Errors
 
     @contextmanager
-    def _answering(self, message: GoalRequest | Request) -> Generator[None, None, None]:
+    def _answering(self, message: GoalMessage | Request) -> Generator[None, None, None]:
         """Turn any exception of the block into an answer to the client."""
         try:
             yield
@@ -239,7 +239,7 @@ class Session:
             # would keep the message until the garbage collector runs.
             exc.__traceback__ = None
 
-    def _fail(self, message: GoalRequest | Request, exc: BaseException) -> None:
+    def _fail(self, message: GoalMessage | Request, exc: BaseException) -> None:
         is_goal = isinstance(message, SendGoal | Follow)
         if not isinstance(exc, ActionError) or (isinstance(exc, GoalRejected) and not is_goal):
             # A bug of an endpoint or a callback. It concerns this client only.

@@ -20,6 +20,7 @@ with `GoalKept` is forgotten here, and its client asks again on its next connect
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
 from time import perf_counter
@@ -31,7 +32,7 @@ from anyio.abc import TaskGroup
 from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import SLICE
-from fibaction.border.abc import Endpoint, GoalStream
+from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.wire.auth import Permission
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import UNCOUNTED
@@ -45,9 +46,10 @@ from fibaction.words.errors import GoalRejected, UnknownGoal
 from fibaction.words.goals import GoalID
 from fibaction.words.meta import size_of
 
-GoalRequest: TypeAlias = SendGoal | Follow
-Answering: TypeAlias = Callable[[GoalRequest], AbstractContextManager[None]]
-"""Turns any error of a block into the answer to a request."""
+GoalMessage: TypeAlias = SendGoal | Follow
+"""A message that opens a goal's request."""
+Answering: TypeAlias = Callable[[GoalMessage], AbstractContextManager[None]]
+"""Turns any error of a block into the answer to a message."""
 Waiting: TypeAlias = Coroutine[Any, Any, None]
 """The rest of the way to the answer of a request, which takes time."""
 
@@ -88,7 +90,7 @@ class SessionGoals:
         self._undecided = 0  # bytes of goals that wait
         self._told = Notifier()
 
-    def limit_for(self, message: GoalRequest) -> str:
+    def limit_for(self, message: GoalMessage) -> str:
         """Return a sentence about the limit that forbids this request now; empty if none does."""
         limits = self._limits
         if len(self._open) >= limits.goals:
@@ -104,7 +106,7 @@ class SessionGoals:
         """Return the goal of a request, if there is one."""
         return self._open.get(request)
 
-    def begin(self, message: GoalRequest) -> None:
+    def begin(self, message: GoalMessage) -> None:
         """Send or follow a goal for the client."""
         client = self._client
         subscription = GoalSubscription(
@@ -121,12 +123,23 @@ class SessionGoals:
             return
         with self._answering(message):
             size = self._checked_size(message)
+            deadline = math.inf
+            if message.timeout is not None:
+                deadline = current_time() + message.timeout
+            request = GoalRequest(
+                GoalID(message.goal_id),
+                message.goal,
+                feedback=message.credit is not None,
+                sender=client.sender,
+                deadline=deadline,
+                meta=message.meta,
+            )
             waiting: Waiting | None
-            if self._client.is_trusted:
+            if client.is_trusted:
                 # No permission has to be waited for, so most goals need no task here.
-                waiting = self._offer(message, subscription, self._client.find(message.action))
+                waiting = self._offer(request, subscription, client.find(message.action))
             else:
-                waiting = self._send_goal(message, subscription)
+                waiting = self._send_goal(request, subscription)
             if waiting is not None:
                 self._undecided += size
                 self._memory.take(size)
@@ -188,52 +201,41 @@ class SessionGoals:
                 self._undecided -= size
                 self._memory.give_back(size)
 
-    async def _send_goal(self, message: SendGoal, subscription: GoalSubscription) -> None:
-        arrived = current_time()
-        endpoint = await self._client.endpoint(message.action, Permission.SEND)
-        if message.timeout is not None:
-            message.timeout -= current_time() - arrived
-        waiting = self._offer(message, subscription, endpoint)
+    async def _send_goal(self, request: GoalRequest, subscription: GoalSubscription) -> None:
+        endpoint = await self._client.endpoint(subscription.action, Permission.SEND)
+        waiting = self._offer(request, subscription, endpoint)
         if waiting is not None:
             await waiting
 
     def _offer(
-        self, message: SendGoal, subscription: GoalSubscription, endpoint: Endpoint
+        self, request: GoalRequest, subscription: GoalSubscription, endpoint: Endpoint
     ) -> Waiting | None:
         """Offer a goal to its endpoint; return what is left to wait for, if anything is."""
-        goal_id, feedback = GoalID(message.goal_id), message.credit is not None
-        ended = self._owners.ended(goal_id, self._client.sender.owner, message.goal)
+        ended = self._owners.ended(request.goal_id, request.sender.owner, request.goal)
         if ended is not None:
             # The goal is sent again, because the answer was lost. Its server may have forgotten it
             # by now, and must not run it twice.
             ended.seek(0)
-            return self._begin_sent(message, subscription, endpoint, ended)
-        offered = endpoint.offer_goal(
-            goal_id,
-            message.goal,
-            feedback=feedback,
-            sender=self._client.sender,
-            timeout=message.timeout,
-            meta=message.meta,
-        )
+            return self._begin_sent(request, subscription, endpoint, ended)
+        offered = endpoint.offer_goal(request)
         if isinstance(offered, GoalStream):
-            return self._begin_sent(message, subscription, endpoint, offered)
-        return self._await_answer(message, subscription, endpoint, offered)
+            return self._begin_sent(request, subscription, endpoint, offered)
+        return self._await_answer(request, subscription, endpoint, offered)
 
     async def _await_answer(
         self,
-        message: SendGoal,
+        request: GoalRequest,
         subscription: GoalSubscription,
         endpoint: Endpoint,
         offered: Coroutine[Any, Any, GoalStream],
     ) -> None:
-        waiting = self._begin_sent(message, subscription, endpoint, await offered)
+        waiting = self._begin_sent(request, subscription, endpoint, await offered)
         if waiting is not None:
             await waiting
 
     def _begin_sent(
         self,
-        message: SendGoal,
+        request: GoalRequest,
         subscription: GoalSubscription,
         endpoint: Endpoint,
         stream: GoalStream,
@@ -242,26 +244,22 @@ class SessionGoals:
 
         If another client has sent the goal before, this one observes it.
         """
-        owner = self._client.sender.owner
-        own = stream.own and self._owners.own(subscription, stream, owner, message.goal)
+        owner = request.sender.owner
+        own = stream.own and self._owners.own(subscription, stream, owner, request.goal)
         if not own:
             stream.hold(False)
         elif self._link.holds_briefly:
             stream.hold_briefly()
         if not (own or self._client.is_trusted):
-            return self._observe(message, subscription, endpoint, stream)
+            return self._observe(subscription, endpoint, stream)
         self._begin(subscription, endpoint, stream, own=own)
         return None
 
     async def _observe(
-        self,
-        message: SendGoal,
-        subscription: GoalSubscription,
-        endpoint: Endpoint,
-        stream: GoalStream,
+        self, subscription: GoalSubscription, endpoint: Endpoint, stream: GoalStream
     ) -> None:
         try:
-            await self._client.endpoint(message.action, Permission.OBSERVE)
+            await self._client.endpoint(subscription.action, Permission.OBSERVE)
         except BaseException:
             stream.close()
             raise

@@ -128,6 +128,7 @@ class GoalSubscription(Subscription):
         "_place",
         "_ready",
         "_takes_batches",
+        "action",
         "endpoint",
         "goal_id",
         "held",
@@ -147,6 +148,7 @@ class GoalSubscription(Subscription):
         takes_batches: bool,
     ) -> None:
         super().__init__(message.id, message.credit)
+        self.action = message.action
         self.goal_id = message.goal_id
         self.held = held
         """The calls of the same connection."""

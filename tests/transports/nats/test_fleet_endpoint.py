@@ -21,8 +21,11 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.border.abc import Endpoint, ForwardingEndpoint
-from fibaction.words.goals import CancelAnswer, digest_of
+from fibaction.border.abc import Endpoint
+from fibaction.border.abc import ForwardingEndpoint
+from fibaction.border.abc import GoalRequest
+from fibaction.words.goals import CancelAnswer
+from fibaction.words.goals import digest_of
 from fibaction_transports.nats.client.free_workers import OFFER_LIFE
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
@@ -53,7 +56,7 @@ class _Mute(ForwardingEndpoint):
         super().__init__(inner)
         self.asked = anyio.Event()
 
-    async def send_goal(self, *_: Any, **__: Any) -> Any:
+    async def offer_goal(self, request: GoalRequest) -> Any:
         self.asked.set()
         await anyio.sleep_forever()
 

@@ -12,7 +12,7 @@ import pytest
 from wsproto.events import TextMessage
 
 from fibaction import ActionServer, GoalHandle, Limits, Peer, Permission
-from fibaction.border.abc import ForwardingEndpoint, GoalStream
+from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import CancelAnswer, GoalID
 from fibaction_transports.web.rosbridge.server import channel, translator
@@ -481,8 +481,8 @@ async def test_a_goal_that_cannot_be_canceled_is_logged(serving: Serving, log: H
 class Broken(ForwardingEndpoint):
     """An endpoint whose goals fail on the way."""
 
-    async def send_goal(self, *args: Any, **more: Any) -> GoalStream:
-        stream = await super().send_goal(*args, **more)
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        stream = await super().offer_goal(request)
         stream.fail(ServerNotFound("the robot is off"))
         return stream
 

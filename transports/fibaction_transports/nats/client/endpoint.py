@@ -31,16 +31,19 @@ merged. Each call tries for `reconnect_timeout` seconds from its first failure (
 
 from __future__ import annotations
 
-import math
 from collections.abc import Awaitable, Callable, Iterable
 from typing import TypeVar
 
 import anyio
-from anyio import current_time
 
-from fibaction.border.abc import Endpoint, StatusStream
-from fibaction.border.goal_meta import Meta, checked_meta, size_of
-from fibaction.border.peer_text import excerpt, shortened
+from fibaction.border.abc import Endpoint
+from fibaction.border.abc import GoalRequest
+from fibaction.border.abc import StatusStream
+from fibaction.border.goal_meta import Meta
+from fibaction.border.goal_meta import checked_meta
+from fibaction.border.goal_meta import size_of
+from fibaction.border.peer_text import excerpt
+from fibaction.border.peer_text import shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
@@ -52,16 +55,12 @@ from fibaction.words.errors import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.words.goals import (
-    ID_IN_USE,
-    UNKNOWN_SENDER,
-    CancelAnswer,
-    CancelCode,
-    GoalID,
-    GoalInfo,
-    Sender,
-    digest_of,
-)
+from fibaction.words.goals import CancelAnswer
+from fibaction.words.goals import CancelCode
+from fibaction.words.goals import GoalID
+from fibaction.words.goals import GoalInfo
+from fibaction.words.goals import ID_IN_USE
+from fibaction.words.goals import digest_of
 from fibaction_transports.nats.client.call_routes import (
     FoundGoal,
     ended_goal,
@@ -88,29 +87,13 @@ class FleetEndpoint(Endpoint):
 
     # To send a goal
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> RemoteGoal:
-        carried = checked_meta(meta)
-        size = len(goal) + size_of(carried)
+    async def offer_goal(self, request: GoalRequest) -> RemoteGoal:
+        size = len(request.goal) + size_of(request.meta)
         limit = self._parts.max_record - RECORD_OVERHEAD
         if size > limit:
             raise InvalidMessage(
                 f"the goal has {size} bytes, and {limit} are the limit of the brokers"
             )
-        deadline = math.inf if timeout is None else current_time() + timeout
-
-        def request(call_id: int, credit: int) -> SendGoal:
-            allowed = credit if feedback else None
-            return SendGoal(call_id, self._info.name, goal_id, goal, allowed, meta=carried)
-
         placement = Placement(self._parts, self._info.name)
         places = self._parts.places
         while True:
@@ -123,7 +106,7 @@ class FleetEndpoint(Endpoint):
                 else:
                     place = await places.take(self._info.name)
                 placement.worker = place.worker
-                sent = await self._follow(place.worker, goal_id, request, deadline)
+                sent = await self._send(place.worker, request)
                 places.fill(self._info.name, place, sent)
                 return sent
             except (GoalRejected, ConnectionLost, ServerNotFound) as exc:
@@ -137,25 +120,31 @@ class FleetEndpoint(Endpoint):
                 await placement.patience.wait(error)  # another worker may have room
                 continue
             # Its answer may be lost, or another client may have sent the same goal before.
-            found = await self._found(goal_id, placement.patience)
+            found = await self._found(request.goal_id, placement.patience)
             if found is None and not placement.worker:
                 raise error
             if found is not None and found.goal.ended_at and not found.is_alive:
-                return self._ended_sent(found, goal, request)
+                return self._ended_sent(found, request)
             if not placement.goes_to(found):
                 await placement.patience.wait(error)
 
-    def _ended_sent(
-        self, found: FoundGoal, goal: bytes, request: Callable[[int, int], SendGoal]
-    ) -> RemoteGoal:
+    async def _send(self, worker: str, request: GoalRequest) -> RemoteGoal:
+        name = self._info.name
+        is_kept = self._parts.workers.is_kept(worker, name)
+        return await self._parts.connections.send(worker, name, request, is_kept=is_kept)
+
+    def _ended_sent(self, found: FoundGoal, request: GoalRequest) -> RemoteGoal:
         """Return a goal that was sent again, and has ended before.
 
         Raises:
             GoalRejected: Another goal has this ID.
         """
+        goal_id, goal = request.goal_id, request.goal
         if found.goal.digest != digest_of(goal):
-            raise GoalRejected(ID_IN_USE, goal_id=found.goal.goal_id)
-        return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
+        call_id, credit = self._parts.connections.next_id(), 1 if request.feedback else None
+        opening = SendGoal(call_id, self._info.name, goal_id, goal, credit)
+        return ended_goal(opening, found.goal)
 
     # To follow a goal
 
@@ -280,13 +269,10 @@ class FleetEndpoint(Endpoint):
         self,
         worker: str,
         goal_id: GoalID,
-        request: Callable[[int, int], SendGoal | Follow],
-        deadline: float = math.inf,
+        request: Callable[[int, int], Follow],
     ) -> RemoteGoal:
         is_kept = self._parts.workers.is_kept(worker, self._info.name)
-        return await self._parts.connections.follow(
-            worker, goal_id, request, deadline=deadline, is_kept=is_kept
-        )
+        return await self._parts.connections.follow(worker, goal_id, request, is_kept=is_kept)
 
     async def workers(self) -> list[str]:
         """Return the names of all workers that serve the action.

@@ -8,7 +8,6 @@ over all of them, so that a goal can move from one to another.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator
 from typing import Protocol, TypeAlias
 
@@ -16,11 +15,12 @@ import anyio
 from anyio import CancelScope
 from anyio.abc import TaskGroup
 
+from fibaction.border.abc import GoalRequest
 from fibaction.wire.channel import Line
 from fibaction.wire.client.connection import RemoteConnection, new_session
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.remote_goal import RemoteGoal
-from fibaction.wire.messages import Follow, SendGoal
+from fibaction.wire.messages import Follow
 from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import ActionError, ConnectionLost, ServerNotFound
 from fibaction.words.goals import GoalID
@@ -97,21 +97,29 @@ class WorkerConnections:
         self._opened: dict[str, _Opened] = {}
         self.on_lost: OnLost
 
+    async def send(
+        self, worker: str, action: str, request: GoalRequest, *, is_kept: bool
+    ) -> RemoteGoal:
+        """Send a goal to a worker, as `OpenCalls.send` does. A goal that is kept in a record goes
+        to `on_lost` when the connection cannot go on with it.
+        """
+        opened = self._of(worker)
+        return await opened.connection.calls.send(
+            action, request, on_lost=opened.lose if is_kept else None
+        )
+
     async def follow(
         self,
         worker: str,
         goal_id: GoalID,
-        request: Callable[[int, int], SendGoal | Follow],
+        request: Callable[[int, int], Follow],
         *,
-        deadline: float = math.inf,
         is_kept: bool,
     ) -> RemoteGoal:
-        """Send or follow a goal at a worker, as `OpenCalls.follow` does. A goal that is kept in a
-        record goes to `on_lost` when the connection cannot go on with it.
-        """
+        """Follow a goal at a worker, as `OpenCalls.follow` does; `is_kept` is as for `send`."""
         opened = self._of(worker)
         return await opened.connection.calls.follow(
-            goal_id, request, deadline=deadline, on_lost=opened.lose if is_kept else None
+            goal_id, request, on_lost=opened.lose if is_kept else None
         )
 
     def adopt(self, worker: str, goal: RemoteGoal) -> None:

@@ -151,7 +151,7 @@ class RosActionClient:
         """Send a goal, which the stream follows from its beginning.
 
         Raises:
-            GoalRejected, ServerNotFound, ConnectionLost: See `Endpoint.send_goal`.
+            GoalRejected, ServerNotFound, ConnectionLost: See `Endpoint.offer_goal`.
         """
         await self.presence.needed()
         servers = self.presence.servers()

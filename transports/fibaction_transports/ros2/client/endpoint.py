@@ -10,7 +10,9 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction.border.abc import Connection, Endpoint, Meta
+from fibaction.border.abc import Connection
+from fibaction.border.abc import Endpoint
+from fibaction.border.abc import GoalRequest
 from fibaction.border.event_loop import Background
 from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.server.status_broadcast import StatusSubscription
@@ -24,14 +26,12 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
-    UNKNOWN_SENDER,
     ActionPeers,
     CancelAnswer,
     CancelCode,
     GoalID,
     GoalInfo,
     Outcome,
-    Sender,
 )
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.action_client import RosActionClient
@@ -69,22 +69,14 @@ class RosEndpoint(Endpoint):
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> RosGoalStream:
-        """See `Endpoint.send_goal`. A request of ROS has no fields for the timeout and the meta."""
+    async def offer_goal(self, request: GoalRequest) -> RosGoalStream:
+        """See `Endpoint.offer_goal`. A request of ROS cannot carry a deadline and a meta."""
+        goal_id, depth = request.goal_id, self._client.depth
         try:
-            message = self._codecs.goal.to_ros(goal)
+            message = self._codecs.goal.to_ros(request.goal)
         except ProtocolError as exc:
             raise GoalRejected(str(exc), goal_id=goal_id) from exc
-        stream = RosGoalStream(goal_id, self._decoder, self._client.depth, reads=feedback)
+        stream = RosGoalStream(goal_id, self._decoder, depth, reads=request.feedback)
         await self._client.send(stream, message)
         return stream
 

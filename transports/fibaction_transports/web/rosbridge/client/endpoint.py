@@ -5,8 +5,11 @@ from __future__ import annotations
 import anyio
 from anyio import current_time
 
-from fibaction.border.abc import Endpoint, Meta, StatusStream
-from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.border.abc import Endpoint
+from fibaction.border.abc import GoalRequest
+from fibaction.border.abc import StatusStream
+from fibaction.border.peer_text import clean_logger
+from fibaction.border.peer_text import excerpt
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError
@@ -19,16 +22,12 @@ from fibaction.words.errors import (
     ServerNotFound,
     TransportError,
 )
-from fibaction.words.goals import (
-    ID_IN_USE,
-    UNKNOWN_SENDER,
-    CancelAnswer,
-    CancelCode,
-    GoalID,
-    GoalInfo,
-    Sender,
-    digest_of,
-)
+from fibaction.words.goals import CancelAnswer
+from fibaction.words.goals import CancelCode
+from fibaction.words.goals import GoalID
+from fibaction.words.goals import GoalInfo
+from fibaction.words.goals import ID_IN_USE
+from fibaction.words.goals import digest_of
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed
@@ -67,29 +66,20 @@ class RosbridgeEndpoint(Endpoint):
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(
-        self,
-        goal_id: GoalID,
-        goal: bytes,
-        *,
-        feedback: bool = True,
-        sender: Sender = UNKNOWN_SENDER,
-        timeout: float | None = None,
-        meta: Meta | None = None,
-    ) -> FeedbackCursor:
-        """See `Endpoint.send_goal`. rosbridge has no fields for the timeout and the meta, and no
+    async def offer_goal(self, request: GoalRequest) -> FeedbackCursor:
+        """See `Endpoint.offer_goal`. rosbridge has no fields for the deadline and the meta, and no
         answer for an acceptance: see `accepted_after`. The server is asked for feedback in
         any case: it is the first sign that the goal runs.
 
         Raises:
             TransportError: The goal was sent before by this ID, and its stream is not in use.
         """
-        keeper = self._keeper
+        keeper, goal_id = self._keeper, request.goal_id
         sent = keeper.goals.get(goal_id)
-        if sent is not None and sent.digest != digest_of(goal):
-            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
+        if sent is not None and sent.digest != digest_of(request.goal):
+            raise GoalRejected(ID_IN_USE, goal_id=request.goal_id)
         if sent is None:
-            sent = await self._send(goal_id, goal)
+            sent = await self._send(goal_id, request.goal)
         try:
             with anyio.move_on_after(keeper.terms.accepted_after):
                 await sent.decided()
@@ -97,7 +87,7 @@ class RosbridgeEndpoint(Endpoint):
             keeper.forget(goal_id)  # nothing was run, so it may be sent again
             raise
         sent.accept()
-        return sent.stream(feedback=feedback)
+        return sent.stream(feedback=request.feedback)
 
     async def _send(self, goal_id: GoalID, goal: bytes) -> OutgoingGoal:
         keeper = self._keeper

@@ -1,0 +1,276 @@
+"""`Endpoint`: an action server as its clients see it, and the base of endpoints around others.
+
+For authors of transports: `fibaction.border.abc` exports all of it, and says what crosses this border.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Coroutine
+from types import TracebackType
+from typing import Any, Protocol, final, runtime_checkable
+
+from anyio import current_time
+
+from fibaction.border.goal_request import GoalRequest
+from fibaction.border.streams import GoalStream, StatusStream
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import UnknownGoal
+from fibaction.words.goals import (
+    UNKNOWN_OUTCOME,
+    UNKNOWN_SENDER,
+    CancelAnswer,
+    GoalID,
+    Outcome,
+    Sender,
+)
+from fibaction.words.meta import Meta
+
+
+class Endpoint(ABC):
+    """An action server as its clients see it, in this process or behind a transport."""
+
+    @property
+    @abstractmethod
+    def info(self) -> ActionInfo:
+        """The action that is served here."""
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        if "send_goal" in cls.__dict__:
+            raise TypeError(
+                f"{cls.__qualname__} overrides send_goal(), which endpoints do not call: write"
+                f" offer_goal(self, request), where request is a GoalRequest"
+            )
+
+    @abstractmethod
+    def offer_goal(self, request: GoalRequest) -> GoalStream | Coroutine[Any, Any, GoalStream]:
+        """Take a goal that a client sends, and follow it from its beginning.
+
+        Return the stream if the goal is decided at once, or else a coroutine that waits for it; so
+        an endpoint that always waits writes `async def offer_goal`. The coroutine must be awaited
+        or closed; until then the goal counts as undecided, and a retry of it blocks. The server
+        half of a transport calls this, so that it starts tasks only for goals whose decision takes
+        time. Other callers use `send_goal`.
+
+        The same goal may be sent again with the same ID: it gets the same answer and runs once. If
+        another client has sent it first, the stream is that of an observer: `stream.own` is False.
+
+        Raises:
+            GoalRejected: The server did not accept it; `reason` says why.
+            ServerNotFound: This action is not served.
+            ConnectionLost: The connection ended before the answer; the goal may have been accepted.
+            AuthenticationFailed: This client lacks the permission.
+            InvalidMessage: The goal or its `meta` is too large to be sent; nothing was sent.
+            ProtocolError: The server sent an invalid message, which ended the connection.
+            ServerFailed: The server has a bug.
+        """
+
+    @final
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
+        meta: Meta | None = None,
+    ) -> GoalStream:
+        """Send a goal, and follow it from its beginning: wait for what `offer_goal` returns.
+
+        The arguments are the fields of `GoalRequest`, but for `timeout`: the number of seconds,
+        more than 0, after which the client gives the goal up; None if it does not.
+
+        Raises:
+            ActionError: As for `offer_goal`.
+        """
+        deadline = math.inf if timeout is None else current_time() + timeout
+        request = GoalRequest(goal_id, goal, feedback, sender, deadline, meta)
+        offered = self.offer_goal(request)
+        return offered if isinstance(offered, GoalStream) else await offered
+
+    @abstractmethod
+    async def feedback(
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
+    ) -> GoalStream:
+        """Follow a goal that was sent before.
+
+        The stream begins with the next feedback; with `after`, it begins with the feedback that
+        follows that number, as far back as the server remembers (the rest counts as dropped). A
+        follower never slows the goal down, except with `own=True`, which is for the client that
+        sent the goal, lost the stream that `offer_goal` returned, and continues from there.
+        `attempt` is the attempt that `after` is a number of. If the goal is in another one by now,
+        the stream begins with the first feedback of that one.
+
+        Raises:
+            UnknownGoal: The server has no such goal.
+            ServerNotFound, ConnectionLost, AuthenticationFailed, ServerFailed: As for `offer_goal`.
+            ProtocolError: As for `offer_goal`.
+            LimitReached: The server takes no more requests of this client for now.
+        """
+
+    @abstractmethod
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        """Ask the server to cancel goals, by the rules of `action_msgs/srv/CancelGoal`.
+
+        Without arguments, this means all goals; with a stamp, all goals accepted at or before it;
+        with an ID, that goal; with both, that goal and all accepted at or before the stamp. A goal
+        that is still being decided is canceled by its ID as soon as it is accepted.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`.
+        """
+
+    @abstractmethod
+    async def status(self) -> StatusStream:
+        """Follow the statuses of all goals.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`.
+        """
+
+    @abstractmethod
+    async def wait_for_server(self) -> None:
+        """Wait until this action is served, without a timeout.
+
+        Raises:
+            TransportError, ProtocolError: The connection ended for good, or the server rejects the
+                request.
+        """
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        """Return the owner of a goal, as in `Sender.owner`; empty if it is not known.
+
+        A goal may come from the time before a restart. The server half of a transport recognises
+        its client by this.
+        """
+        return b""
+
+    async def get_result(self, goal_id: GoalID) -> Outcome[bytes]:
+        """Wait for the end of a goal, and return its outcome; UNKNOWN if the server has no such
+        goal.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback` and `GoalStream.outcome`.
+        """
+        try:
+            stream = await self.feedback(goal_id)
+        except UnknownGoal:
+            return UNKNOWN_OUTCOME
+        with stream:
+            return await stream.outcome()
+
+
+@runtime_checkable
+class Startable(Protocol):
+    """An endpoint that `serve` starts and stops: an `ActionServer`, or a wrapper of one."""
+
+    @property
+    def is_running(self) -> bool:
+        """True if it accepts goals; then `serve` neither starts nor stops it."""
+        ...
+
+    async def __aenter__(self) -> object:
+        """Start."""
+        ...
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> bool | None:
+        """Stop, and clean up."""
+        ...
+
+    async def stop(self) -> None:
+        """Reject new goals, and end all active ones. Stopping twice is harmless."""
+        ...
+
+
+class ForwardingEndpoint(Endpoint):
+    """An endpoint around another one; subclasses override the methods that are to be different.
+
+        class Audited(ForwardingEndpoint):
+            async def cancel_goals(self, goal_id=None, stamp=None):
+                log.info("cancel of %s", goal_id)
+                return await super().cancel_goals(goal_id, stamp)
+
+        async with serve(Audited(ActionServer(ACTION, executor)), "tcp://127.0.0.1:7400"):
+            ...
+
+    Every call is forwarded to `inner`; `offer_goal` sees every goal. The endpoint starts and stops
+    `inner`, and runs while `inner` runs; around an endpoint that is not `Startable` it counts as
+    running.
+    """
+
+    def __init__(self, inner: Endpoint) -> None:
+        self.inner = inner
+        """The wrapped endpoint."""
+
+    @property
+    def info(self) -> ActionInfo:
+        return self.inner.info
+
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        offered = self.inner.offer_goal(request)
+        return offered if isinstance(offered, GoalStream) else await offered
+
+    async def feedback(
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
+    ) -> GoalStream:
+        return await self.inner.feedback(goal_id, after=after, own=own, attempt=attempt)
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        return await self.inner.cancel_goals(goal_id, stamp)
+
+    async def status(self) -> StatusStream:
+        return await self.inner.status()
+
+    async def wait_for_server(self) -> None:
+        await self.inner.wait_for_server()
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        return self.inner.owner_of(goal_id)
+
+    @property
+    def is_running(self) -> bool:
+        """True if `inner` accepts goals."""
+        return not isinstance(self.inner, Startable) or self.inner.is_running
+
+    async def __aenter__(self) -> ForwardingEndpoint:
+        """Start `inner`, if it can be started."""
+        if isinstance(self.inner, Startable):
+            await self.inner.__aenter__()
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Stop `inner`, if it can be stopped."""
+        if isinstance(self.inner, Startable):
+            await self.inner.__aexit__(exc_type, exc, traceback)
+
+    async def stop(self) -> None:
+        """Stop `inner`, if it can be stopped."""
+        if isinstance(self.inner, Startable):
+            await self.inner.stop()
