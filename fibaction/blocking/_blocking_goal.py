@@ -6,7 +6,8 @@ from types import TracebackType
 from typing import Generic
 
 from fibaction.blocking._loop_thread import LoopThread
-from fibaction.client.goal import ClientGoal, FeedbackReader, SendingGoal
+from fibaction.client.feedback_reader import FeedbackReader
+from fibaction.client.goal import ClientGoal, SendingGoal
 from fibaction.types.action import FeedbackT, ResultT
 from fibaction.words.goals import CancelAnswer, GoalID, Outcome
 from fibaction.words.statuses import GoalStatus

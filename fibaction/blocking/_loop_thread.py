@@ -31,7 +31,7 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 from anyio.lowlevel import current_token
 
 from fibaction.blocking._interrupts import Interrupts
-from fibaction.client.goal import CALLER
+from fibaction.client.feedback_reader import CALLER
 from fibaction.words.errors import ConnectionLost
 
 T = TypeVar("T")

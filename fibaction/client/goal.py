@@ -6,12 +6,8 @@ Theory of operation
 Following: a `ClientGoal` has one `GoalStream`. `feedback` reads it item by item; `outcome` waits
 for its end, whether or not the feedback is read. An outcome is decoded once and kept.
 
-Holding: by default, a server loses no feedback of a goal that its own client reads, so the executor
-waits for a slow reader. A client that waits for the outcome without reading would wait for an
-executor that waits for the client. `outcome` therefore releases the executor (`GoalStream.hold`) if
-the calling task is the reader, or if the feedback has no reader; the next read holds it again. A
-reader in another task keeps the executor waiting, since that task goes on reading. A feedback
-reader that is garbage collected closes its stream, which releases the executor, too.
+Holding: a client that waits for the outcome does not make the executor wait for a reader: see
+`feedback_reader`.
 
 Leaving: the end of a block of `send_goal`, or of `call`, cancels a goal that has not ended, and
 waits for the server's answer for a few seconds at most, shielded from a cancellation of the block
@@ -20,174 +16,26 @@ itself: see `_attempts.cancel_left`. If the connection ends first, as at the end
 side, while the connection can still carry the cancels. A block that ends afterwards is no longer in
 `_blocks`, and does not cancel again.
 
-Timeouts and retries: a goal that has either has `Attempts`, through which it waits. The reader has
-the stream, which is another one after a retry.
+Timeouts and retries: see `_attempts`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Coroutine, Generator
-from contextvars import ContextVar
+from collections.abc import Coroutine, Generator
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias
 
 import anyio
 
-from fibaction._runtime.log import clean_logger
 from fibaction._runtime.own_thread import OwnThread
-from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
+from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.border.goal_span import NO_SPAN, GoalSpan
 from fibaction.client.attempts import Attempts, cancel_left
-from fibaction.types.action import Action, Codec, FeedbackT, ResultT
-from fibaction.words.errors import (
-    ActionError,
-    ConnectionLost,
-    GoalAborted,
-    GoalCanceled,
-    UnknownGoal,
-)
+from fibaction.client.feedback_reader import FeedbackReader
+from fibaction.types.action import Action, FeedbackT, ResultT
+from fibaction.words.errors import ActionError, GoalAborted, GoalCanceled, UnknownGoal
 from fibaction.words.goals import CancelAnswer, GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
-
-T = TypeVar("T")
-
-logger = clean_logger("fibaction.client")
-
-CALLER: ContextVar[int] = ContextVar("CALLER", default=0)
-"""The thread on whose behalf a task of `fibaction.blocking` runs; 0 for a task of its own."""
-
-
-def _caller() -> int:
-    """Return the task that reads or waits, or the thread that waits for this task."""
-    return CALLER.get() or anyio.get_current_task().id
-
-
-class FeedbackReader(Generic[FeedbackT]):
-    """The feedback of one goal, for `async for`; the iteration ends when the goal does."""
-
-    def __init__(
-        self,
-        stream: GoalStream,
-        codec: Codec[FeedbackT],
-        thread: OwnThread,
-        attempts: Attempts | None = None,
-        endpoint: Endpoint | None = None,
-        span: GoalSpan = NO_SPAN,
-    ) -> None:
-        self.stream = stream
-        self.span = span
-        self._endpoint = endpoint  # of a connection that is not to be collected before its reader
-        self._thread = thread
-        self._codec = codec
-        self._attempts = attempts
-        self._dropped = 0  # before this stream
-        self._reader: int | None = None
-        self._holding = True
-
-    def __aiter__(self) -> FeedbackReader[FeedbackT]:
-        self._reader = _caller()
-        return self
-
-    async def __anext__(self) -> FeedbackT:
-        """Return the next feedback.
-
-        Raises:
-            StopAsyncIteration: The goal has ended, and all its feedback has been read.
-            GoalTimeout: As for `ClientGoal.outcome`.
-            ConnectionLost: The connection ended before the goal did.
-            TransportError: As for `ClientGoal.outcome`.
-            ProtocolError: The feedback is not of its type.
-        """
-        self._thread.check()
-        if not self._holding:
-            self._holding = True
-            self.stream.hold(True)
-        if self._attempts is not None:
-            return await self._next_in_time(self._attempts)
-        stream = self.stream
-        # Feedback that has arrived need not be awaited. A status is of no use here, and the outcome
-        # is given again.
-        updates = stream.take() if stream.reads else ()
-        item = updates[0] if updates else None
-        if not isinstance(item, FeedbackItem):
-            item = await stream.receive()
-        if item is None:
-            raise StopAsyncIteration
-        return self._codec.decode(item.payload)
-
-    async def _next_in_time(self, attempts: Attempts) -> FeedbackT:
-        item = await self.wait(GoalStream.receive)
-        if item is None:
-            raise StopAsyncIteration
-        feedback = self._codec.decode(item.payload)
-        attempts.note_feedback(feedback)
-        return feedback
-
-    def wait(self, wait: Callable[[GoalStream], Awaitable[T]]) -> Awaitable[T]:
-        """Wait for something of the stream, and follow the goal again if the connection is lost, as
-        far as the goal's attempts allow.
-        """
-        # Most goals have no attempts, and need no coroutine around that of the stream.
-        return wait(self.stream) if self._attempts is None else self._wait(self._attempts, wait)
-
-    async def _wait(self, attempts: Attempts, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
-        while True:
-            stream = self.stream
-            try:
-                return await attempts.wait(stream, wait)
-            except ConnectionLost as exc:
-                error = exc
-            try:
-                self.stream = await attempts.follow_again(error, stream)
-            finally:
-                del error  # its traceback references this frame
-            self._dropped += stream.dropped
-            if not self._holding:
-                self.stream.hold(False)
-
-    @property
-    def number(self) -> int:
-        """The number of the feedback that was read last, from 1; 0 before the first.
-
-        It is what `ActionClient.attach` takes as `after`, to go on behind this feedback. A message
-        that was not delivered has a number, too. Each attempt at the goal has numbers of its own.
-        """
-        return self.stream.cursor
-
-    @property
-    def attempt(self) -> int:
-        """The attempt at the goal that `number` belongs to, from 1."""
-        return self.stream.attempt
-
-    @property
-    def dropped(self) -> int:
-        """The number of feedback messages that were not delivered."""
-        return self._dropped + self.stream.dropped
-
-    def release(self) -> None:
-        """Stop making the executor wait for this reader, until its next read.
-
-        Does nothing if another task reads. Called by a task that is about to wait for the result.
-        """
-        if self._reader is None or self._reader == _caller():
-            self._holding = False
-            self.stream.hold(False)
-
-    def warn_of_loss(self) -> None:
-        """Log the number of messages that were lost, if the server's policy is to lose none."""
-        stream = self.stream
-        if self.dropped and not stream.latest:
-            logger.warning(
-                "goal %s: %d feedback messages were lost, with a connection or because they were"
-                " not read in time",
-                stream.goal_id,
-                self.dropped,
-            )
-
-    def __del__(self) -> None:
-        # The executor must not wait for a reader that no longer exists.
-        self.stream.close()
-        self.span.left(self.stream)
 
 
 class ClientGoal(Generic[FeedbackT, ResultT]):

@@ -18,6 +18,10 @@ UNITS = {
     ],
     "fibaction/border/goal_span.py": ["tests/observe/test_otel.py"],
     "fibaction/observe/monitor_records.py": ["tests/observe/test_monitor.py"],
+    "fibaction/client/feedback_reader.py": [
+        "tests/client/test_client.py",
+        "tests/client/test_attempts.py",
+    ],
     "fibaction/client/goal.py": ["tests/client/test_client.py", "tests/client/test_attempts.py"],
     "fibaction/observe/followed_servers.py": ["tests/transports/mcp"],
     "fibaction/border/streams.py": ["tests/border/test_abc.py"],

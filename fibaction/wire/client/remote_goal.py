@@ -22,15 +22,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from anyio import current_time
-
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
 from fibaction.wire.codec import FromClient
+from fibaction.wire.deadlines import timeout_until
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
-    LONGEST_TIMEOUT,
     Close,
     Ended,
     Failed,
@@ -53,15 +51,6 @@ from fibaction.words.errors import (
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 
-LEAST_TIMEOUT = 0.001
-"""Seconds that are sent for a deadline that has passed, since 0 is not a timeout."""
-
-
-def timeout_until(deadline: float) -> float | None:
-    """Return the timeout to send for a deadline: the seconds that are left; None if too many."""
-    left = deadline - current_time()
-    return max(left, LEAST_TIMEOUT) if left <= LONGEST_TIMEOUT else None
-
 
 class _Earlier(NamedTuple):
     """The unread feedback of an attempt that another one has followed."""
@@ -73,7 +62,6 @@ class _Earlier(NamedTuple):
 
 
 OnLost: TypeAlias = "Callable[[RemoteGoal, ActionError], None]"
-"""Takes a goal that its connection or its server cannot go on with."""
 
 
 class RemoteGoal(Call, GoalStream):
@@ -93,8 +81,7 @@ class RemoteGoal(Call, GoalStream):
         self.latest = False
         self.cursor = 0
         self.on_lost: OnLost | None = None
-        """Takes the goal, once it is answered, if its connection or server cannot go on with it;
-        None lets it end with the error."""
+        """Takes the goal once it is answered; None lets it end with the error."""
         self.on_ended: Callable[[], None] | None = None
         """Called when the server has told the end, unless the goal was lost before."""
         self.lost_at: float | None = None

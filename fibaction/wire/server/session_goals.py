@@ -26,7 +26,6 @@ from contextlib import AbstractContextManager
 from time import perf_counter
 from typing import Any, TypeAlias
 
-from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.budget import ByteBudget
@@ -35,6 +34,7 @@ from fibaction._runtime.slices import SLICE
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.wire.auth import Permission
 from fibaction.wire.channel import CHUNK
+from fibaction.wire.deadlines import deadline_after
 from fibaction.wire.frames import UNCOUNTED
 from fibaction.wire.link import Link
 from fibaction.wire.messages import Follow, Received, SendGoal
@@ -123,15 +123,13 @@ class SessionGoals:
             return
         with self._answering(message):
             size = self._checked_size(message)
-            deadline = math.inf
-            if message.timeout is not None:
-                deadline = current_time() + message.timeout
+            timeout = message.timeout
             request = GoalRequest(
                 GoalID(message.goal_id),
                 message.goal,
                 feedback=message.credit is not None,
                 sender=client.sender,
-                deadline=deadline,
+                deadline=math.inf if timeout is None else deadline_after(timeout),
                 meta=message.meta,
             )
             waiting: Waiting | None
