@@ -10,6 +10,9 @@ BIN := $(VENV)/bin
 # Many tests wait for timeouts, so three of them share two cores.
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
 
+# Those of `make elsewhere` run beside the tests with ROS 2.
+BESIDE := $(shell getconf _NPROCESSORS_ONLN)
+
 # mutmut has an environment of its own, since the tests must pass without its dependencies.
 MUTANTS_VENV := .venv-mutants
 
@@ -40,7 +43,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test format lint types imports unit promtool chromium docs docs-serve bench simulate soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -57,9 +60,15 @@ QUICK := tests/server tests/wire tests/interfaces tests/words tests/types tests/
     tests/test_contributing.py tests/test_init.py tests/test_project.py tests/test_structure.py \
     tests/test_style.py tests/test_answers.py
 
-test: lint types imports unit docs  ## Run all checks, with ROS 2 if it is available
-	@why=$$($(PYTHON) examples/ros2/build_interfaces.py --platform); if [ -z "$$why" ]; \
-	    then $(MAKE) --no-print-directory test-ros; else echo "test-ros is left out: $$why"; fi
+# The unit tests wait half of the time, so the other checks run beside them.
+test: lint $(VENV)/.docs $(JAVASCRIPT)/.installed chromium promtool  ## Run all checks, but those with ROS 2 or other versions
+	@$(stages) "unit" "imports, types, docs"
+
+# Two lanes, since ROS 2 and the tests wait for other processes half of the time.
+elsewhere:  ## Run the tests with ROS 2, with the wheel, the other Pythons and the lowest versions
+	@$(stages) "test-ros ROS=kilted, test-ros ROS=jazzy" "test-wheel, test-pythons, test-lowest"
+
+stages = MAKE="$(MAKE)" $(PYTHON) -m tests.tools.stages
 
 format: $(VENV)/.tools  ## Format the code, and fix what ruff can fix
 	$(BIN)/ruff check --fix .
@@ -78,7 +87,7 @@ imports: $(VENV)/.tools  ## Check that imports point one way
 	$(BIN)/lint-imports
 
 unit: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium promtool  ## Run the tests, each unit covered by its own
-	$(no_other_ros) $(BIN)/python -m pytest -p tests.tools.own_coverage -n auto --dist worksteal
+	$(no_other_ros) $(BIN)/python -m pytest -p tests.tools.own_coverage -n auto --dist worksteal --durations=25
 
 # The checker of metrics. As a package it would start a service, so it is unpacked only.
 promtool: $(VENV)/.tools  ## Get the checker of metrics that tests use
@@ -116,8 +125,9 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 	done
 	$(BIN)/python -m tests.tools.benchmarks.pythons --write
 
-simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes
-	$(BIN)/python -m tests.simulation --seconds 600
+MINUTES ?= 10
+simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes, or MINUTES=60
+	$(BIN)/python -m tests.simulation --seconds $$(( $(MINUTES) * 60 ))
 
 soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, alone and beside load: nothing grows
 	$(BIN)/python -m tests.soak --keep
@@ -155,21 +165,30 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	FIBACTION_BUILT=1 $(BIN)/python -m pytest tests/packaging
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
-	cd build && $(no_other_ros) wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
-	    -o cache_dir=build/.pytest_cache $(trio_over_tcp) $(addprefix ../,$(OF_A_WHEEL))
+	cd build && $(no_other_ros) wheel/bin/python -m pytest -q -n $(BESIDE) --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
+	    -o cache_dir=build/.pytest_cache $(ways_elsewhere) $(addprefix ../,$(OF_A_WHEEL))
 OF_A_WHEEL := tests/contract tests/test_examples.py tests/test_init.py tests/test_main.py tests/transports/web/test_assets.py
 
 # The versions in pyproject.toml that `make test` does not use.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
-# Property tests need few examples to find differences between versions of Python and of libraries.
-# trio is tested over one transport there. What is about this repository, and what tries servers for
-# long or in a browser, is left to `make test`.
-test_elsewhere = FIBACTION_EXAMPLES=20 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
-    -o cache_dir=$(1)/.pytest_cache $(trio_over_tcp) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
-trio_over_tcp := -k "not trio or trio-tcp"
-NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak \
-    test_answers.py test_contributing.py test_cookbook.py test_docs.py test_guarantees.py \
-    test_style.py support/test_walks.py tools
+# What differs between versions of Python is its event loop, its sockets, TLS, SQLite, typing and
+# tracebacks; between those of libraries, what they are called with. So each part that uses one of
+# these is tested with it: the server, the wire, the stores, each transport, the tools, and the command
+# line. Left to `make test` is what would be the same again:
+# - the contract but over one transport of each kind, and trio but over TCP: the rest of its ways
+#   combines parts that have tests of their own;
+# - rules without I/O, virtual time, and most examples of property tests;
+# - trials, attacks and floods of servers, browsers and Node, which load what is tested already;
+# - pages, examples and the project itself.
+test_elsewhere = FIBACTION_EXAMPLES=10 $(no_other_ros) $(1)/bin/python -m pytest -q -n $(BESIDE) --dist worksteal \
+    -o cache_dir=$(1)/.pytest_cache $(ways_elsewhere) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
+ways_elsewhere := -k "(not trio or trio-tcp) and not asyncio-gateway and not asyncio-unix and not asyncio-wss and not asyncio-asgi"
+NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak tools \
+    interfaces/test_parser.py server/test_registry.py server/test_scheduler.py server/test_fair_queue.py \
+    schema/test_check.py schema/test_keywords.py schema/test_json_schema.py schema/test_steps.py \
+    support/test_page_parts.py support/test_walks.py words/test_goals.py words/test_statuses.py \
+    test_answers.py test_contributing.py test_cookbook.py test_docs.py test_examples.py test_guarantees.py \
+    test_notebook_page.py test_project.py test_structure.py test_style.py test_way_of_a_goal.py
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
 	@for version in $(PYTHONS); do \

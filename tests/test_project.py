@@ -61,6 +61,13 @@ def test_a_workflow_makes_targets_that_exist_and_has_a_time_limit(path: Path) ->
         assert "timeout-minutes" in job or name == "publish"
 
 
+def test_every_long_trial_runs_each_night() -> None:
+    job = load(ROOT / ".github/workflows/nightly.yml")["jobs"]["trial"]
+    trials = {trial.split()[0] for trial in job["strategy"]["matrix"]["trial"]}
+    assert trials <= targets()
+    assert trials == {"attack", "fleet", "fuzz", "kills", "mutants", "simulate", "soak"}
+
+
 def test_every_supported_python_is_checked() -> None:
     matrix = load(ROOT / ".github/workflows/check.yml")["jobs"]["test"]["strategy"]["matrix"]
     promised = [

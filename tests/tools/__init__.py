@@ -1,1 +1,1 @@
-"""Programs about the project itself: its figures, and pictures of it."""
+"""The tools of those who work on the project."""
