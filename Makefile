@@ -43,7 +43,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate properties soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -129,11 +129,15 @@ MINUTES ?= 10
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes, or MINUTES=60
 	$(BIN)/python -m tests.simulation --seconds $$(( $(MINUTES) * 60 ))
 
+properties: $(VENV)/.tools  ## Run the property tests with a thousand examples each
+	FIBACTION_EXAMPLES=1000 $(no_other_ros) $(BIN)/python -m pytest -q -n auto --dist worksteal -m hypothesis --timeout 1800
+
 soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, alone and beside load: nothing grows
 	$(BIN)/python -m tests.soak --keep
 	$(BIN)/python -m tests.soak --load 4 --keep
 
 kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes twice, and start it again
+	FIBACTION_KILLS=100 $(BIN)/python -m pytest -q tests/stores/test_sqlite_store.py -k after_kills --timeout 600
 	$(BIN)/python -m tests.kills --seconds 120 --clients 20
 	$(BIN)/python -m tests.kills --seconds 120 --clients 20 --recovery rerun
 

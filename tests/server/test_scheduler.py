@@ -351,7 +351,7 @@ class Fleet(RuleBasedStateMachine):
 
 
 TestFleet = Fleet.TestCase
-TestFleet.settings = settings(max_examples=300, stateful_step_count=40, deadline=None)
+TestFleet.settings = settings(stateful_step_count=40)
 
 
 # Sentences
