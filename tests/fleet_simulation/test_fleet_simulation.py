@@ -21,7 +21,7 @@ FEWER = "FIBACTION_EXAMPLES" in os.environ
 """True where the tests run once more, with other versions."""
 SEEDS = range(1000, 1006 if FEWER else 1030)
 FIRST = 1000
-"""A seed from which on each mistake is found in ten seeds at most; from others it takes many more."""
+"""A seed from which on each mistake is found in at most ten seeds; others take many more."""
 MOST = 200
 """Seeds in which a mistake has to be found; most are found in the first ones."""
 

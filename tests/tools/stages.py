@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from queue import SimpleQueue
-from typing import BinaryIO, NamedTuple
+from typing import IO, NamedTuple
 
 GRACE = 20.0
 """Seconds for pytest to end its processes after a Ctrl-C, before they are killed."""
@@ -76,7 +76,7 @@ class Lane(threading.Thread):
             os.killpg(self._process.pid, number)
             self.join(GRACE)
 
-    def _read(self, pipe: BinaryIO) -> bytes:
+    def _read(self, pipe: IO[bytes]) -> bytes:
         """Return all that is written, or show it at once if this is the first lane."""
         if self._number:
             return pipe.read()

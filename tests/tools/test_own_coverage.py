@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools import own_coverage, units
+from tests.tools import own_coverage, probes, units
 
 SETTINGS = """
 [tool.pytest.ini_options]
@@ -76,7 +76,7 @@ def project(tmp_path: Path) -> Path:
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
-    for module in (own_coverage, units):
+    for module in (own_coverage, probes, units):
         shutil.copy(str(module.__file__), tmp_path / "tests")
     return tmp_path
 
