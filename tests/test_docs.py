@@ -21,7 +21,6 @@ from typing import Any, get_args
 from xml.etree import ElementTree
 
 import anyio
-import fibaction_transports.mcp
 import msgspec
 import pytest
 
@@ -44,6 +43,7 @@ import fibaction.wire
 import fibaction.wire.channel
 import fibaction.wire.transport
 import fibaction_transports.inprocess
+import fibaction_transports.mcp
 import fibaction_transports.tcp
 from fibaction import CancelCode, GoalStatus, connect, serve
 from fibaction.border.urls import GROUP

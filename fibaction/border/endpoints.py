@@ -1,6 +1,7 @@
 """`Endpoint`: an action server as its clients see it, and the base of endpoints around others.
 
-For authors of transports: `fibaction.border.abc` exports all of it, and says what crosses this border.
+For authors of transports: `fibaction.border.abc` exports all of it, and says what crosses this
+border.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """`GoalRequest`: a goal on its way to a server, for authors of endpoints and transports.
 
-One request goes from the client through every endpoint on the way. `fibaction.border.abc` exports it.
+One request goes from the client through every endpoint on the way. `fibaction.border.abc` exports
+it.
 """
 
 from __future__ import annotations

@@ -10,6 +10,6 @@ A reason of a peer is data, so it is not escaped; `shortened` cuts it to `REASON
 """
 
 from fibaction._runtime.log import MESSAGE, clean_logger
-from fibaction._runtime.text import REASON, excerpt, shortened
+from fibaction._runtime.text import REASON, excerpt, shortened, with_escapes
 
-__all__ = ["MESSAGE", "REASON", "clean_logger", "excerpt", "shortened"]
+__all__ = ["MESSAGE", "REASON", "clean_logger", "excerpt", "shortened", "with_escapes"]

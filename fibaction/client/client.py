@@ -23,10 +23,10 @@ from anyio import get_cancelled_exc_class
 
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
-from fibaction.border.goal_span import NO_SPAN
 from fibaction.client.attempts import Attempts, cancel_left, check_timeout
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
+from fibaction.client.goal_span import NO_SPAN
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.retry import Retry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT

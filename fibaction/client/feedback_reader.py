@@ -25,8 +25,8 @@ import anyio
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
-from fibaction.border.goal_span import NO_SPAN, GoalSpan
 from fibaction.client.attempts import Attempts
+from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.types.action import Codec, FeedbackT
 from fibaction.words.errors import ConnectionLost
 

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import GoalStream, Meta
-from fibaction.border.goal_span import NO_SPAN, GoalSpan
 from fibaction.border.watchers import Watcher
+from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.words.errors import ActionError, GoalRejected, GoalTimeout, text_of
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.meta import DETACHED, fitting

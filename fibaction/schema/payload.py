@@ -24,15 +24,12 @@ from typing import Any, cast
 import msgspec
 
 from fibaction._runtime.plain_data import is_list, is_map
-from fibaction.schema.check import MAX_MISMATCHES
-from fibaction.schema.check import Check
-from fibaction.schema.json_schema import MAX_PARTS
-from fibaction.schema.json_schema import SchemaError
-from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.check import MAX_MISMATCHES, Check
+from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
 from fibaction.schema.mismatch_texts import sentences
 from fibaction.schema.steps import size_of
 
-__all__ = ["MAX_PARTS", "JsonCodec", "PayloadError", "Schema", "SchemaError", "to_json"]
+__all__ = ["MAX_PARTS", "JsonCodec", "JsonSchema", "PayloadError", "SchemaError", "to_json"]
 
 MAX_PROBLEMS = 5
 """Problems of one message that the text of an error names; later ones often follow from them."""

@@ -24,9 +24,9 @@ from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint, GoalRequest
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
-from fibaction.server.admission.admission import Admission
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
+from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.argument_checks import (
     check_is_executor,
     check_is_schedule,

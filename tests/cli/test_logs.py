@@ -9,8 +9,8 @@ import re
 import pytest
 
 from fibaction import GoalID
-from fibaction.border.current_goal import CurrentGoal, current_goal
 from fibaction.cli.process.logs import CleanFormatter, log_connection, log_events, log_with_time
+from fibaction.words.current_goal import CurrentGoal, current_goal
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ from typing import Any
 
 import anyio
 import pytest
-from fibaction_transports.mcp import McpBridge
 from mcp import Client, StdioServerParameters
 from mcp_types import CallToolResult, ElicitResult, TextContent
 

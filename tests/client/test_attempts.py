@@ -30,8 +30,6 @@ from fibaction import (
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.client.attempts import check_timeout
 from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.feeds.feedback_cursor import FeedbackCursor
-from fibaction.server.feedback_cursor import FeedbackCursor
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.virtual_time import in_virtual_time
 

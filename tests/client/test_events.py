@@ -24,7 +24,6 @@ from fibaction import (
 )
 from fibaction.border.abc import GoalStream, StatusStream
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.testing import ScriptedServer
 from fibaction.words.errors import ActionError

@@ -14,18 +14,9 @@ from hypothesis import example, given, strategies
 
 from fibaction._runtime.budget import ByteBudget, CountedBytes
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
-from fibaction.feeds.hold_time import MOST
-from fibaction.feeds.hold_time import SHARE
-from fibaction.feeds.feedback_cursor import FeedbackCursor
-from fibaction.feeds.patience import MOST
-from fibaction.feeds.patience import SHARE
-from fibaction.server.execution.stall import MOST
-from fibaction.server.execution.stall import SHARE
-from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.feedback_log import FeedbackLog
+from fibaction.feeds.hold_time import MOST, SHARE
 from fibaction.words.errors import ConnectionLost, GoalKept
 from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus

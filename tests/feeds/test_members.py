@@ -4,12 +4,8 @@ import sys
 
 from hypothesis import given, strategies
 
-from fibaction.feeds._members import Members
-from fibaction.feeds._members import with_member
-from fibaction.feeds._members import without_member
-from fibaction.server.registry.members import Members
-from fibaction.server.registry.members import with_member
-from fibaction.server.registry.members import without_member
+from fibaction.feeds._members import Members, with_member, without_member
+
 
 @given(steps=strategies.lists(strategies.tuples(strategies.booleans(), strategies.integers(0, 4))))
 def test_members_are_a_set_in_order_of_entry(steps: list[tuple[bool, int]]) -> None:

@@ -12,7 +12,6 @@ from hypothesis import given, strategies
 from fibaction.border.abc import StatusStream
 from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor, StatusSubscription
 from fibaction.server.registry.goal_record import GoalRecord
-from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor, StatusSubscription
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.goals import UNKNOWN_SENDER, GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus

@@ -39,7 +39,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.goal_span import NO_SPAN
+from fibaction.client.goal_span import NO_SPAN
 from fibaction.observe.otel import Tracing
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.meta import DETACHED

@@ -20,7 +20,6 @@ from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.execution.executor import Execution, Executor
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.watchdog import Watch
-from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
 from fibaction.words.statuses import GoalEvent, transition

@@ -17,18 +17,13 @@ from anyio import current_time, sleep
 from fibaction._runtime.budget import CountedBytes
 from fibaction._runtime.notify import Notifier
 from fibaction.client.events import _Merger
-from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast
 from fibaction.server.admission.admission import Admission
-from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict, _Undecided
-from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.client.calls import Credits
 from fibaction.wire.client.connection import RemoteConnection

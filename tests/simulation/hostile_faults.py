@@ -7,11 +7,7 @@ from typing import Any
 from fibaction._runtime import text as text_module
 from fibaction._runtime.budget import ByteBudget
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.feeds.status_broadcast import StatusBroadcast
-from fibaction.feeds.status_broadcast import StatusCursor
-from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.status_broadcast import StatusBroadcast
-from fibaction.server.status_broadcast import StatusCursor
+from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.codec import FromClient
 from fibaction.wire.frames import MAX_FRAME, FrameReader

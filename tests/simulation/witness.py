@@ -17,7 +17,6 @@ from fibaction import ActionError, ActionServer, GoalID, Outcome, ProtocolError
 from fibaction.border.abc import GoalStream
 from fibaction.border.goal_store import StoredGoal
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry

@@ -25,7 +25,6 @@ from anyio.abc import TaskGroup
 
 from fibaction import ActionError, ActionServer, serve
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.server.feedback_log import FeedbackLog
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.server.session import Session
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings

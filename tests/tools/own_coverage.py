@@ -2,10 +2,10 @@
 
     python -m pytest -p tests.tools.own_coverage [FILE OR FOLDER...]
 
-`tests/tools/units.py` says which tests belong to a module: its own test file, or those of its unit. So no
-line depends on a test that lies elsewhere. This is a plugin of pytest, so that no test runs twice:
-it takes what the probes of the modules say after each test file. The run fails if a module falls
-short all of whose tests are run.
+`tests/tools/units.py` says which tests belong to a module: its own test file, or those of its unit.
+So no line depends on a test that lies elsewhere. This is a plugin of pytest, so that no test runs
+twice: it takes what the probes of the modules say after each test file. The run fails if a module
+falls short all of whose tests are run.
 
 coverage.py says which lines and branches a module has, and which need not be covered. It does not
 measure here: its tracer made most tests take two to three times as long.

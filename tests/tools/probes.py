@@ -4,7 +4,8 @@ A tracer is called for each line that runs, of libraries and tests as well, and 
 two to three times as long. A probe is a statement of its own, `__probes__[7] = True`. When a
 module that is measured is imported, a probe is put before each of its statements, and into each
 branch that has none. Everything else runs at full speed, on each version of Python. What is a
-statement and what is a branch is decided by coverage.py's report: see `tests/tools/own_coverage.py`.
+statement and what is a branch is decided by coverage.py's report: see
+`tests/tools/own_coverage.py`.
 """
 
 from __future__ import annotations

@@ -11,12 +11,12 @@ ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ro
 UNITS = {
     "fibaction/words/action_error.py": ["tests/words/test_errors.py"],
     "fibaction/_runtime/connection_counts.py": ["tests/observe/test_metrics.py"],
-    "fibaction/border/current_goal.py": ["tests/observe/test_log_records.py"],
+    "fibaction/words/current_goal.py": ["tests/observe/test_log_records.py"],
     "fibaction/types/encodings.py": [
         "tests/types/test_action.py",
         "tests/types/test_pydantic_codec.py",
     ],
-    "fibaction/border/goal_span.py": ["tests/observe/test_otel.py"],
+    "fibaction/client/goal_span.py": ["tests/observe/test_otel.py"],
     "fibaction/observe/monitor_records.py": ["tests/observe/test_monitor.py"],
     "fibaction/client/feedback_reader.py": [
         "tests/client/test_client.py",

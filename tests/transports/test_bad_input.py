@@ -25,8 +25,6 @@ from fibaction import (
     serve,
 )
 from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.feeds.feedback_cursor import FeedbackCursor
-from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, header
 from fibaction.wire.link import Link

@@ -12,14 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from fibaction.border.abc import Endpoint
-from fibaction.border.abc import FeedbackItem
-from fibaction.border.abc import ForwardingEndpoint
-from fibaction.border.abc import GoalRequest
-from fibaction.border.abc import GoalStream
-from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.border.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.server.feedback_log import FeedbackLog
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.client.remote_goal import RemoteGoal
@@ -40,11 +35,7 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.words.errors import GoalKept, GoalRejected, UnknownGoal
-from fibaction.words.goals import UNKNOWN_SENDER
-from fibaction.words.goals import CancelAnswer
-from fibaction.words.goals import GoalID
-from fibaction.words.goals import Outcome
-from fibaction.words.goals import digest_of
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, digest_of
 from fibaction.words.statuses import GoalStatus
 from tests.wire import memory
 from tests.wire.ends import (

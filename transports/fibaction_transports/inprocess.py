@@ -15,13 +15,16 @@ from typing import Any, TypeVar
 from weakref import WeakSet, WeakValueDictionary
 
 import msgspec
-from fibaction.border.abc import Connection
-from fibaction.border.abc import Endpoint
-from fibaction.border.abc import GoalRequest
-from fibaction.border.abc import GoalStream
-from fibaction.border.abc import StatusStream
-from fibaction.border.abc import Transport
-from fibaction.border.abc import Notifier
+
+from fibaction.border.abc import (
+    Connection,
+    Endpoint,
+    GoalRequest,
+    GoalStream,
+    Notifier,
+    StatusStream,
+    Transport,
+)
 from fibaction.border.urls import check_settings
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (

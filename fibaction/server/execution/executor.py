@@ -41,12 +41,12 @@ from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.log import clean_logger
-from fibaction.border.current_goal import CurrentGoal, current_goal
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.words.current_goal import CurrentGoal, current_goal
 from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
 
 if TYPE_CHECKING:

@@ -25,7 +25,6 @@ from fibaction.border.abc import ForwardingEndpoint
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.task_pool import Job, TaskPool
-from fibaction.server.feedback_log import FeedbackLog
 
 COUNT = Action("count", goal=int, feedback=int, result=str)
 GOALS = 2000

@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import anyio
 import msgspec
-from fibaction_transports.mcp import AgentPolicy, McpBridge
 from mcp import Client
 from mcp_types import CallToolResult, ElicitRequestFormParams, ElicitResult, TextContent
 
@@ -25,6 +24,7 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.inprocess import InProcessTransport
+from fibaction_transports.mcp import AgentPolicy, McpBridge
 
 Mode = Literal["legacy", "auto"]
 MODES: tuple[Mode, ...] = ("legacy", "auto")

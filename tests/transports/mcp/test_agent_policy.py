@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+
 from fibaction_transports.mcp import AgentPolicy
 
 

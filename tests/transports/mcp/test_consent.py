@@ -8,9 +8,6 @@ from typing import Any, cast
 
 import anyio
 import pytest
-from fibaction_transports.mcp import AgentPolicy, McpBridge, _consent
-from fibaction_transports.mcp._consent import goal_text
-from fibaction_transports.mcp._tool_error import ToolError
 from mcp import Client
 from mcp_types import (
     CallToolResult,
@@ -25,6 +22,9 @@ from mcp_types import (
 )
 
 from fibaction import serve
+from fibaction_transports.mcp import AgentPolicy, McpBridge, _consent
+from fibaction_transports.mcp._consent import goal_text
+from fibaction_transports.mcp._tool_error import ToolError
 from tests.transports.mcp.robot import (
     MODES,
     Drive,

@@ -7,6 +7,7 @@ from typing import Any
 
 import anyio
 import pytest
+
 from fibaction_transports.mcp import _list_changes
 from fibaction_transports.mcp._list_changes import SESSION_HEADER, ListChanges
 

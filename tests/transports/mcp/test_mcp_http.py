@@ -12,8 +12,6 @@ from typing import Any
 import anyio
 import httpx2
 import pytest
-from fibaction_transports.mcp import AgentPolicy, McpBridge
-from fibaction_transports.mcp._mcp_http import is_loopback, served_over_http
 from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 from mcp_types import ElicitResult

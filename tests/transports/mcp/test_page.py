@@ -13,8 +13,6 @@ from typing import Any
 import anyio
 import httpx2
 import pytest
-from fibaction_transports.mcp import McpBridge
-from fibaction_transports.mcp._mcp_http import served_over_http
 from mcp import Client, StdioServerParameters
 from mcp.client.streamable_http import streamable_http_client
 

@@ -9,9 +9,6 @@ from typing import Any
 import anyio
 import msgspec
 import pytest
-from fibaction_transports.mcp import AgentPolicy, McpBridge, _agent_goals, _robot_actions
-from fibaction_transports.mcp._goal_overview import overview
-from fibaction_transports.mcp._tool_answers import goal_answer
 
 from fibaction import (
     Action,
@@ -32,19 +29,9 @@ from fibaction.observe import followed_servers
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.inprocess import InProcessTransport
-from tests.agents.robot import (
-    DRIVE,
-    MODES,
-    PATIENCE,
-    UNASKED,
-    Drive,
-    Mode,
-    Robot,
-    Talk,
-    robot_and_talk,
-    sent_by_others,
-    talk,
-)
+from fibaction_transports.mcp import AgentPolicy, McpBridge, _agent_goals, _robot_actions
+from fibaction_transports.mcp._goal_overview import overview
+from fibaction_transports.mcp._tool_answers import goal_answer
 from tests.cli.served import Served, counter
 from tests.transports.mcp.robot import (
     DRIVE,

@@ -12,7 +12,6 @@ from typing import Any
 
 import anyio
 import pytest
-from fibaction_transports.mcp import McpBridge
 
 from fibaction import InvalidURL, TransportError, serve
 from fibaction.border.urls import transport_for

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+
 from fibaction_transports.mcp._tool_names import LONGEST, tool_name
 
 VALID = re.compile(r"[A-Za-z0-9_-]{1,64}")

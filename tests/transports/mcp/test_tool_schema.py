@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from fibaction_transports.mcp._tool_schema import tool_input
 
 from fibaction import Action
+from fibaction_transports.mcp._tool_schema import tool_input
 
 
 class Leaf(msgspec.Struct):

@@ -6,10 +6,10 @@ from typing import Any
 
 import anyio
 import pytest
-from fibaction_transports.mcp import AgentPolicy, McpBridge, _agent_goals, _tool_answers
 from mcp_types import ToolAnnotations
 
 from fibaction import GoalStatus, serve
+from fibaction_transports.mcp import AgentPolicy, McpBridge, _agent_goals, _tool_answers
 from tests.transports.mcp.robot import (
     MODES,
     PATIENCE,

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import msgspec
-from fibaction_transports.nats.broker.login import BrokerInfo
 
 from fibaction._runtime.notify import Notifier
 from fibaction_transports.nats.broker.answers import OnRaw, RawMessage

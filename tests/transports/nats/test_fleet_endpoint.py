@@ -21,11 +21,8 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.border.abc import Endpoint
-from fibaction.border.abc import ForwardingEndpoint
-from fibaction.border.abc import GoalRequest
-from fibaction.words.goals import CancelAnswer
-from fibaction.words.goals import digest_of
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest
+from fibaction.words.goals import CancelAnswer, digest_of
 from fibaction_transports.nats.client.free_workers import OFFER_LIFE
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (

@@ -9,6 +9,8 @@ import msgspec
 import pytest
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+from fibaction import AuthenticationFailed, LimitReached, TransportError
 from fibaction_transports.nats.broker.login import (
     BrokerInfo,
     NatsCredentials,
@@ -16,8 +18,6 @@ from fibaction_transports.nats.broker.login import (
     info_of,
     is_let_in,
 )
-
-from fibaction import AuthenticationFailed, LimitReached, TransportError
 from fibaction_transports.nats.settings import FleetSettings
 from tests.support.nats_keys import USER, Key, Operator, bytes_of
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from fibaction_transports.nats.broker.login import BrokerInfo
 
 from fibaction_transports.nats.broker.answers import RawMessage
 from fibaction_transports.nats.broker.broker_socket import (
@@ -15,6 +14,7 @@ from fibaction_transports.nats.broker.broker_socket import (
     headers_of,
     published,
 )
+from fibaction_transports.nats.broker.login import BrokerInfo
 from tests.transports.hearing import Hearing
 
 HEADERS = b"NATS/1.0\r\nNats-Sequence: 7\r\n\r\n"

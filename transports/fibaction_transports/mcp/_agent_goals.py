@@ -14,8 +14,8 @@ import anyio
 from anyio import CancelScope
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 from fibaction.client.goal import ClientGoal
 from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome

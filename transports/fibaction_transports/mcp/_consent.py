@@ -38,7 +38,7 @@ from mcp_types import (
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
-from fibaction._runtime.text import with_escapes
+from fibaction.border.peer_text import with_escapes
 from fibaction.schema.payload import PayloadError, to_json
 from fibaction_transports.mcp._tool_error import ToolError
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import excerpt
 from fibaction.words.goals import GoalInfo
 from fibaction_transports.mcp._robot_actions import RobotAction
 

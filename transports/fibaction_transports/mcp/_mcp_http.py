@@ -19,8 +19,8 @@ import uvicorn
 from mcp.server import Server
 from mcp.server.transport_security import TransportSecuritySettings
 
-from fibaction._runtime.http_rules import HttpRules, Refused
-from fibaction._runtime.log import clean_logger
+from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.auth import AccessPolicy
 from fibaction.words.errors import TransportError
 

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
-from fibaction.border.abc import Connection
+from fibaction.border.abc import Connection, Notifier
 from fibaction.border.gateway import SeenServer, ServerGroup
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.client.client import ActionClient
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.types.action import Action, ActionInfo

@@ -7,7 +7,7 @@ from typing import Any
 
 from mcp_types import CallToolResult, TextContent
 
-from fibaction._runtime.text import shortened
+from fibaction.border.peer_text import shortened
 from fibaction.schema.payload import PayloadError, to_json
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.mcp._agent_goals import AgentGoal

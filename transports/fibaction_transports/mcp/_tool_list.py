@@ -7,7 +7,7 @@ from typing import Any
 
 from mcp_types import Tool, ToolAnnotations
 
-from fibaction._runtime.text import excerpt, shortened
+from fibaction.border.peer_text import excerpt, shortened
 from fibaction_transports.mcp._robot_actions import RobotAction
 from fibaction_transports.mcp._tool_names import CANCEL, SEND, STATUS
 from fibaction_transports.mcp._tool_schema import GOAL

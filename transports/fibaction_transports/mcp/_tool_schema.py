@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from fibaction._runtime.plain_data import is_list, is_map
+from fibaction.border.plain_values import is_list, is_map
 
 GOAL = "goal"
 """The field of the input that a goal has which is not an object."""

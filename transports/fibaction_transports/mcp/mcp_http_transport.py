@@ -10,8 +10,8 @@ from urllib.parse import SplitResult
 
 from mcp.server import Server
 
-from fibaction._runtime.asyncio_task import asyncio_task
-from fibaction._runtime.http_rules import rules
+from fibaction.border.event_loop import asyncio_task
+from fibaction.border.http_access import rules
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean, host_only

@@ -11,7 +11,7 @@ import anyio
 from anyio.abc import TaskStatus
 from mcp.server import Server
 
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
 from fibaction_transports.mcp._mcp_keywords import PolicyKeywords
 from fibaction_transports.mcp._stdio_streams import stdio_streams

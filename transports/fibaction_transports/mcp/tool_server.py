@@ -18,7 +18,7 @@ from mcp_types import (
 )
 
 from fibaction import __version__
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.border.gateway import ServerGroup
 from fibaction_transports.mcp._agent_goals import AgentGoals
 from fibaction_transports.mcp._list_changes import ListChanges

@@ -25,9 +25,8 @@ from urllib.parse import urlsplit
 import anyio
 import anyio.lowlevel
 
+from fibaction.border.abc import Notifier
 from fibaction.border.event_loop import asyncio_loop
-from fibaction.border.peer_text import clean_logger
-from fibaction._runtime.notify import Notifier
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction_transports._socket_lines.tls import rejection, tls_reason

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fibaction import __version__
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import AuthenticationFailed, LimitReached, TransportError
 from fibaction_transports.nats.settings import FleetSettings
 

@@ -36,14 +36,8 @@ from typing import TypeVar
 
 import anyio
 
-from fibaction.border.abc import Endpoint
-from fibaction.border.abc import GoalRequest
-from fibaction.border.abc import StatusStream
-from fibaction.border.goal_meta import Meta
-from fibaction.border.goal_meta import checked_meta
-from fibaction.border.goal_meta import size_of
-from fibaction.border.peer_text import excerpt
-from fibaction.border.peer_text import shortened
+from fibaction.border.abc import Endpoint, GoalRequest, StatusStream
+from fibaction.border.peer_text import excerpt, shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
@@ -55,12 +49,8 @@ from fibaction.words.errors import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.words.goals import CancelAnswer
-from fibaction.words.goals import CancelCode
-from fibaction.words.goals import GoalID
-from fibaction.words.goals import GoalInfo
-from fibaction.words.goals import ID_IN_USE
-from fibaction.words.goals import digest_of
+from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
+from fibaction.words.meta import size_of
 from fibaction_transports.nats.client.call_routes import (
     FoundGoal,
     ended_goal,

@@ -48,7 +48,6 @@ from anyio import current_time
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
 from fibaction.feeds.status_broadcast import StatusSubscription
-from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.words.errors import ConnectionLost, GoalRejected, UnknownGoal
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus

@@ -10,12 +10,9 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction.border.abc import Connection
-from fibaction.border.abc import Endpoint
-from fibaction.border.abc import GoalRequest
+from fibaction.border.abc import Connection, Endpoint, GoalRequest
 from fibaction.border.event_loop import Background
 from fibaction.feeds.status_broadcast import StatusSubscription
-from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (
     ConnectionLost,

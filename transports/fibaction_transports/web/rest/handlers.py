@@ -17,7 +17,6 @@ import anyio
 import msgspec
 
 from fibaction.border.abc import Endpoint
-from fibaction.border.goal_meta import trace_meta
 from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
@@ -29,6 +28,7 @@ from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.meta import trace_meta
 from fibaction_transports.web.http.exchange import Exchange, bearer_of
 from fibaction_transports.web.rest.event_stream import tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members

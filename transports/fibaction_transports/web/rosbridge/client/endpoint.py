@@ -5,15 +5,10 @@ from __future__ import annotations
 import anyio
 from anyio import current_time
 
-from fibaction.border.abc import Endpoint
-from fibaction.border.abc import GoalRequest
-from fibaction.border.abc import StatusStream
-from fibaction.border.peer_text import clean_logger
-from fibaction.border.peer_text import excerpt
+from fibaction.border.abc import Endpoint, GoalRequest, StatusStream
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError
-from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import (
     ConnectionLost,
@@ -22,12 +17,7 @@ from fibaction.words.errors import (
     ServerNotFound,
     TransportError,
 )
-from fibaction.words.goals import CancelAnswer
-from fibaction.words.goals import CancelCode
-from fibaction.words.goals import GoalID
-from fibaction.words.goals import GoalInfo
-from fibaction.words.goals import ID_IN_USE
-from fibaction.words.goals import digest_of
+from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed

@@ -15,15 +15,10 @@ import time
 
 import anyio
 
-from fibaction.border.peer_text import REASON
-from fibaction.border.peer_text import excerpt
-from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.border.peer_text import REASON, excerpt
+from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
-from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError
-from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.feedback_log import FeedbackLog
 from fibaction.words.errors import (
     ActionError,
     GoalRejected,

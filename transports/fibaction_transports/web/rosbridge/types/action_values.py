@@ -15,13 +15,9 @@ from typing import Any
 
 import msgspec
 
-from fibaction.border.plain_values import is_list
-from fibaction.border.plain_values import is_map
-from fibaction.schema.payload import JsonCodec
-from fibaction.schema.payload import PayloadError
-from fibaction.schema.payload import Schema
-from fibaction.schema.payload import to_json
+from fibaction.border.plain_values import is_list, is_map
 from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.payload import JsonCodec, PayloadError, to_json
 from fibaction.types.action import ActionInfo
 from fibaction_transports.web.rosbridge.types.goal_arguments import (
     DATA,

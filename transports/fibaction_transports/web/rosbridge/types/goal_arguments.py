@@ -9,10 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction.border.plain_values import is_map
-from fibaction.schema.payload import JsonCodec
-from fibaction.schema.payload import PayloadError
-from fibaction.schema.payload import Schema
 from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction_transports.web.rosbridge.operations import Arguments
 

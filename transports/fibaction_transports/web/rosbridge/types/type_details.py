@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 
 from fibaction.border.plain_values import is_map
-from fibaction.schema.payload import Schema
 from fibaction.schema.json_schema import JsonSchema
 from fibaction_transports.web.rosbridge.types.goal_arguments import DATA, target_of
 
