@@ -11,6 +11,7 @@ statement and what is a branch is decided by coverage.py's report: see
 from __future__ import annotations
 
 import ast
+import builtins
 import sys
 from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
@@ -223,7 +224,10 @@ class _Loader(SourceFileLoader):
         self._probes = probes
 
     def get_code(self, fullname: str) -> CodeType:
-        return self._probes.code(self.path)
+        code = self._probes.code(self.path)
+        # For `runpy`, which runs the code in a namespace of its own.
+        vars(builtins)[NAME] = self._probes.reached(self.path)
+        return code
 
     def exec_module(self, module: ModuleType) -> None:
         code = self.get_code(module.__name__)
