@@ -17,7 +17,7 @@ from fibaction.types.action import ActionInfo
 from fibaction.wire import codec
 from fibaction.wire.settings import Limits
 
-GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "golden.py"
+GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "support" / "golden.py"
 """Bytes of one message of each type: with these the tests pin the format."""
 
 MEANINGS = {

@@ -26,18 +26,18 @@ import pytest
 
 import fibaction
 import fibaction._runtime.notify
+import fibaction.abc
+import fibaction.action_files
 import fibaction.blocking
-import fibaction.border.abc
-import fibaction.interfaces.action_files
-import fibaction.observe.log_records
-import fibaction.observe.metrics
-import fibaction.observe.metrics_server
-import fibaction.observe.monitor
-import fibaction.observe.otel
-import fibaction.observe.recorder
-import fibaction.observe.recording_file
-import fibaction.observe.replay
-import fibaction.schema.payload
+import fibaction.json_payload
+import fibaction.log_records
+import fibaction.metrics
+import fibaction.metrics_server
+import fibaction.monitor
+import fibaction.otel
+import fibaction.recorder
+import fibaction.recording_file
+import fibaction.replay
 import fibaction.testing
 import fibaction.wire
 import fibaction.wire.channel
@@ -47,11 +47,11 @@ import fibaction_transports.mcp
 import fibaction_transports.tcp
 from fibaction import CancelCode, GoalStatus, connect, serve
 from fibaction.border.urls import GROUP
+from fibaction.states import TRANSITIONS
 from fibaction.testing import ScriptedServer
 from fibaction.wire import codec, messages
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.settings import ClientSettings, ServerSettings, WireKeywords
-from fibaction.words.statuses import TRANSITIONS
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.golden import GOLDEN
 from tests.support.pages import FENCED, NOT_RUN, Block
@@ -412,18 +412,18 @@ def resolve(dotted: str) -> object:
     ("module", "known"),
     [
         (fibaction, "connect"),
-        (fibaction.interfaces.action_files, "load_action"),
+        (fibaction.action_files, "load_action"),
         (fibaction.blocking, "BlockingGoal"),
-        (fibaction.schema.payload, "JsonCodec"),
-        (fibaction.observe.log_records, "GoalFilter"),
-        (fibaction.observe.metrics, "Metrics"),
-        (fibaction.observe.metrics_server, "serve_metrics"),
-        (fibaction.observe.monitor, "Monitor"),
-        (fibaction.observe.otel, "Tracing"),
-        (fibaction.observe.recorder, "Recorder"),
-        (fibaction.observe.recording_file, "read_records"),
-        (fibaction.observe.replay, "replayed"),
-        (fibaction.border.abc, "GoalStream"),
+        (fibaction.json_payload, "JsonCodec"),
+        (fibaction.log_records, "GoalFilter"),
+        (fibaction.metrics, "Metrics"),
+        (fibaction.metrics_server, "serve_metrics"),
+        (fibaction.monitor, "Monitor"),
+        (fibaction.otel, "Tracing"),
+        (fibaction.recorder, "Recorder"),
+        (fibaction.recording_file, "read_records"),
+        (fibaction.replay, "replayed"),
+        (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._runtime.notify, "Notifier"),
         (fibaction.wire, "Permission"),

@@ -1,6 +1,15 @@
-"""Helpers for authors of transports and stores, beside the interfaces that they implement.
+"""The interfaces that an author of a transport, a store or a watcher implements or calls.
 
-The transports that come with fibaction use the same modules, and nothing that is private:
+The transports that come with fibaction use the same modules, and nothing that is private.
+
+The interfaces, whose names are exported by `fibaction.abc` and `fibaction`:
+
+- `abc`, `endpoints`, `goal_request`, `streams`: endpoints, transports, and the streams of goals;
+- `goal_store`, `watchers`: places where goals outlive their server, and objects that see them;
+- `urls`: the transport of a URL, and its settings;
+- `gateway`: transports that serve all actions of other servers, as they come and go.
+
+Helpers:
 
 - `event_loop`: background tasks, bulk work that leaves others their turns, asyncio under anyio;
 - `peer_text`: loggers and excerpts for text that a peer has sent;
@@ -8,6 +17,5 @@ The transports that come with fibaction use the same modules, and nothing that i
 - `http_access`: which HTTP requests a server lets in;
 - `plain_values`: type guards for data that comes from JSON.
 
-The interfaces themselves are in `fibaction.border.abc`, with `Notifier`; feedback and statuses for
-many followers are in `fibaction.feeds`.
+Feedback and statuses for many followers are in `fibaction.feeds`.
 """

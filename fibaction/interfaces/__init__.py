@@ -1,6 +1,6 @@
 """ROS 2 interface files: parser, search path, and the Python types made from them.
 
-Needs no ROS and no build step. `fibaction.interfaces.action_files` is the public interface.
+Needs no ROS and no build step. `fibaction.action_files` is the public interface.
 """
 
 from fibaction.interfaces.definitions import InterfaceError

@@ -1,6 +1,6 @@
 """Actions from ROS 2 interface files, without ROS and without a build step.
 
-    from fibaction.interfaces.action_files import load_action
+    from fibaction.action_files import load_action
 
     FIBONACCI = load_action("arduinobot_msgs/action/Fibonacci.action")
 

@@ -22,7 +22,7 @@ _LIMITED = {
     for name, kind in PRIMITIVES.items()
     if not isinstance(kind, type)
 }
-"""The names in `fibaction.interfaces.ros_types` of the primitives that have limits."""
+"""The names in `fibaction.ros_types` of the primitives that have limits."""
 
 
 def python_source(action: ActionFile) -> str:
@@ -144,7 +144,7 @@ def _type_of(kind: FieldType, nested: str, names: _Names) -> tuple[str, list[str
     elif nested:
         single = nested
     elif kind.base in _LIMITED:
-        single = names.use(_LIMITED[kind.base], "fibaction.interfaces.ros_types")
+        single = names.use(_LIMITED[kind.base], "fibaction.ros_types")
     else:
         single = names.use(PRIMITIVES[kind.base].__name__)
     limits = [] if kind.characters is None else [f"max_length={kind.characters}"]

@@ -1,1 +1,1 @@
-"""What is seen of goals: metrics, monitor, recordings and replay, traces, records of logs."""
+"""Views of what happens to goals: metrics, monitor, recordings and replay, traces, log records."""

@@ -5,7 +5,7 @@ Change that file, not this one.
 """
 
 from fibaction import Action
-from fibaction.interfaces.ros_types import Int32
+from fibaction.ros_types import Int32
 from msgspec import Struct, field
 
 

@@ -67,6 +67,7 @@ def project(tmp_path: Path) -> Path:
         "fibaction/wire/messages.py": SIGN,
         "transports/fibaction_transports/__init__.py": '"""Nothing."""\n',
         "tests/__init__.py": "",
+        "tests/tools/__init__.py": "",
         "tests/test_sign.py": WHOLE_SIGN,
         "tests/test_first.py": WHOLE_FIRST,
         "tests/wire/test_minus.py": NEGATIVE,
@@ -77,7 +78,7 @@ def project(tmp_path: Path) -> Path:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
     for module in (own_coverage, probes, units):
-        shutil.copy(str(module.__file__), tmp_path / "tests")
+        shutil.copy(str(module.__file__), tmp_path / "tests/tools")
     return tmp_path
 
 

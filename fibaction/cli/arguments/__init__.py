@@ -1,1 +1,1 @@
-"""What the user types: URLs, names, goals, namespaces, modules, and their completion."""
+"""The words that a user types: URLs, names, goals, namespaces, modules, and their completion."""

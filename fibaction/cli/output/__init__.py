@@ -1,1 +1,1 @@
-"""What the command prints: lines, JSON, YAML, tables, progress and the live screen."""
+"""The output of the command: lines, JSON, YAML, tables, progress and the live screen."""

@@ -1,1 +1,1 @@
-"""The goals that a store keeps: writes in order, checkpoints, recovery, losses."""
+"""The goals that a store keeps: writes in order, checkpoints and recovery."""
