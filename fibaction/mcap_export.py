@@ -1,6 +1,6 @@
 """`export_mcap`: a recording as an MCAP file, for Foxglove and other viewers."""
 
-from fibaction.observe.mcap_export import (
+from fibaction.observe.recordings.mcap_export import (
     export_mcap,
 )
 

@@ -1,6 +1,6 @@
 """`Recorder`: a watcher that writes everything that happens to goals to a file."""
 
-from fibaction.observe.recorder import (
+from fibaction.observe.recordings.recorder import (
     Recorder,
 )
 

@@ -1,6 +1,6 @@
 """The file of a recording: JSON objects, one on a line, which a kill cannot spoil."""
 
-from fibaction.observe.recording_file import (
+from fibaction.observe.recordings.recording_file import (
     Event,
     Record,
     RecordingError,

@@ -1,6 +1,6 @@
 """`record_from`: a recording of a server from outside, as one of its clients."""
 
-from fibaction.observe.remote_recorder import (
+from fibaction.observe.recordings.remote_recorder import (
     record_from,
 )
 

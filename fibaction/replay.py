@@ -1,6 +1,6 @@
 """`replayed`: servers that answer goals as a recording has it, for tests without a robot."""
 
-from fibaction.observe.replay import (
+from fibaction.observe.recordings.replay import (
     RecordingError,
     replayed,
 )

@@ -17,28 +17,13 @@ SOURCES = structure.product()
 LINES_OF_SLACK = 10
 """Lines that a long module may lose before its exception must be lowered."""
 
-REPEATED_CLASSES = {
-    "Found": 2,
-    "Offer": 2,
-    "Patience": 2,
-    "Places": 2,
-    "Question": 2,
-    "Record": 2,
-    "Subscription": 2,
-    "Trial": 2,
-    "Watch": 2,
-}
+REPEATED_CLASSES: dict[str, int] = {}
 AMBIGUOUS_CONSTANTS = {
-    "CODES": 2,
-    "DIAL_TIMEOUT": 2,
-    "MAX_DEPTH": 2,
-    "MAX_VALUES": 2,
-    "MOST": 3,
+    "MOST": 2,
     "MOST_AT_ONCE": 2,
     "PATIENCE": 2,
     "PAUSE": 2,
-    "PERIOD": 2,
-    "TIMEOUT": 3,
+    "TIMEOUT": 2,
     "TRY_AGAIN": 2,
 }
 FACADES = {
@@ -55,33 +40,23 @@ FACADES = {
 WIDE_FUNCTIONS = {"Recovery.__init__": 9}
 LONG_FUNCTIONS = {"ActionServer.__init__": 117}
 LONG_MODULES = {
-    "fibaction/_api.py": 377,
-    "fibaction/border/abc.py": 397,
-    "fibaction/client/goal.py": 401,
-    "fibaction/server/admission/admission.py": 390,
-    "fibaction/server/execution/executor.py": 356,
-    "fibaction/server/feedback_log.py": 381,
+    "fibaction/_api.py": 384,
+    "fibaction/server/admission/admission.py": 381,
+    "fibaction/server/execution/executor.py": 357,
     "fibaction/server/execution/runs.py": 454,
     "fibaction/server/scheduling/scheduler.py": 391,
-    "fibaction/server/server.py": 535,
+    "fibaction/server/server.py": 513,
     "fibaction/wire/messages.py": 401,
-    "fibaction/wire/client/remote_goal.py": 359,
-    "transports/fibaction_transports/_socket_lines/on_asyncio.py": 389,
+    "transports/fibaction_transports/_socket_lines/on_asyncio.py": 388,
+    "transports/fibaction_transports/nats/worker/lease.py": 354,
     "transports/fibaction_transports/ros2/client/action_client.py": 386,
-    "transports/fibaction_transports/ros2/server/action_server.py": 384,
-    "transports/fibaction_transports/web/rosbridge/client/link.py": 351,
+    "transports/fibaction_transports/ros2/server/action_server.py": 390,
 }
 CROWDED_FOLDERS = {
-    "fibaction/cli": 57,  # a verb is a module, so that its start imports no other
-    # The packages that are not divided yet.
-    "fibaction": 57,
-    "fibaction/agents": 15,
-    "fibaction/server": 38,
-    "fibaction/wire": 25,
-    "transports/fibaction_transports/nats": 30,
-    "transports/fibaction_transports/ros2": 32,
-    "transports/fibaction_transports/web": 19,
-    "transports/fibaction_transports/web/rosbridge": 21,
+    # Most are the public names of modules in the packages, of a few lines each.
+    "fibaction": 19,
+    "fibaction/border": 13,  # one module for each thing that an author needs
+    "fibaction/cli/verbs": 23,  # a verb is a module, so that its start imports no other
 }
 OUTSIDE_WIRING = {
     "find_active": 1,
@@ -92,7 +67,7 @@ OUTSIDE_WIRING = {
     "on_gone": 2,
     "on_join": 1,
     "on_left": 1,
-    "on_lost": 5,
+    "on_lost": 4,
     "on_next": 2,
     "on_open": 1,
     "on_refused": 1,

@@ -32,7 +32,7 @@ from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.feeds._members import with_member, without_member
-from fibaction.feeds.feedback_window import UNLIMITED, FeedbackReader, FeedbackWindow, FollowedT
+from fibaction.feeds.feedback_window import UNLIMITED, FeedbackWindow, FollowedT, WindowReader
 from fibaction.feeds.followed_goal import FollowedGoal
 from fibaction.feeds.hold_time import UNLIMITED_TIME, BriefHold, HoldTime
 from fibaction.words.errors import ActionError, copy_of
@@ -61,7 +61,7 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
         self._held = goal.held
-        self._others: list[ref[FeedbackReader]] | None = None  # they wait for the end only
+        self._others: list[ref[WindowReader]] | None = None  # they wait for the end only
         self._prune_at = 0  # the number of others at which those that are gone are removed
         self._error: ActionError | None = None
 
@@ -107,7 +107,7 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         for cursor in self._followers():
             cursor.fail(error)
 
-    def _followers(self) -> Iterator[FeedbackReader]:
+    def _followers(self) -> Iterator[WindowReader]:
         """Yield all followers, which the log references no longer."""
         readers, self._readers = tuple(self._readers), ()
         others, self._others = self._others or (), None
@@ -153,14 +153,14 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
             self._remember(cursor)
         return cursor
 
-    def leave(self, cursor: FeedbackReader) -> None:
+    def leave(self, cursor: WindowReader) -> None:
         """Deliver only the outcome to the cursor from now on."""
         if cursor in self._readers:
             self._readers = without_member(self._readers, cursor)
             self._remember(cursor)
             self.set_holding(cursor)
 
-    def _remember(self, cursor: FeedbackReader) -> None:
+    def _remember(self, cursor: WindowReader) -> None:
         """Notify the cursor of the end, as long as anything else references it."""
         if self.outcome is not None:
             return

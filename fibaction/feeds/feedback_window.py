@@ -52,7 +52,7 @@ _NOTHING: deque[FeedbackItem] = deque(maxlen=0)
 FollowedT = TypeVar("FollowedT", bound=FollowedGoal)
 
 
-class FeedbackReader(Protocol):
+class WindowReader(Protocol):
     """A reader, as its window knows it."""
 
     cursor: int
@@ -104,8 +104,8 @@ class FeedbackWindow(Generic[FollowedT]):
         self._window = window
         self._budget = budget
         self._items: deque[FeedbackItem] = _NOTHING
-        self._readers: Members[FeedbackReader] = ()
-        self._holders: Members[FeedbackReader] = ()
+        self._readers: Members[WindowReader] = ()
+        self._holders: Members[WindowReader] = ()
         self._slowest: float = math.inf  # the slowest position of a holding reader
         self._standing = 0  # the number of holding readers there
         self._room: Notifier | None = None
@@ -210,7 +210,7 @@ class FeedbackWindow(Generic[FollowedT]):
                 return
             seconds -= waited
 
-    def _slow(self) -> list[FeedbackReader]:
+    def _slow(self) -> list[WindowReader]:
         """Return the readers for which the executor waits now, if the window is full."""
         least = 1 if self._budget.is_over else self._window
         return [reader for reader in self._holders if self.count - reader.cursor >= least]
@@ -227,7 +227,7 @@ class FeedbackWindow(Generic[FollowedT]):
             return True
         return False
 
-    def set_holding(self, reader: FeedbackReader) -> None:
+    def set_holding(self, reader: WindowReader) -> None:
         """Make the executor wait for the reader, or no longer, as the reader now says."""
         is_holding = reader in self._holders
         if reader.holding is is_holding:

@@ -43,7 +43,7 @@ from fibaction._runtime.plain_data import is_map
 from fibaction.schema.json_schema import JsonSchema, SchemaError
 from fibaction.schema.keywords import COMPARISONS
 from fibaction.schema.mismatch import Mismatch, Path, only_value
-from fibaction.schema.steps import Steps, are_equal, text_steps
+from fibaction.schema.steps import CheckSteps, are_equal, text_steps
 
 MAX_NESTING = 200
 """Levels of schemas. Optional types need two for each level of the data."""
@@ -59,7 +59,7 @@ class Check:
 
     def __init__(self, schema: JsonSchema, size: int) -> None:
         """Prepare the check of data of this size; see `size_of`."""
-        self.steps = Steps(size)
+        self.steps = CheckSteps(size)
         self._schema = schema
         self._plans: dict[int, _Plan] = {}
 

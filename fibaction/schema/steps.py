@@ -8,7 +8,7 @@ from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.schema.json_schema import SchemaError
 
 STEPS = 100_000
-"""Steps of a check, whatever the data is; they take some tenths of a second."""
+"""CheckSteps of a check, whatever the data is; they take some tenths of a second."""
 STEPS_PER_VALUE = 50
 """More steps for each value of the data, and for each `TEXT_PER_STEP` characters of it."""
 TEXT_PER_STEP = 100
@@ -30,7 +30,7 @@ def text_steps(value: object) -> int:
     return len(value) // TEXT_PER_STEP if isinstance(value, (str, bytes)) else 0
 
 
-class Steps:
+class CheckSteps:
     """The steps that are left for the check of one message."""
 
     __slots__ = ("_left", "_limit")
@@ -50,7 +50,7 @@ class Steps:
             raise SchemaError(f"is too complex: a check by it takes over {self._limit:,} steps")
 
 
-def are_equal(steps: Steps, one: Any, other: Any) -> bool:
+def are_equal(steps: CheckSteps, one: Any, other: Any) -> bool:
     """Return whether two values are the same in JSON, where true is not 1, but 1.0 is.
 
     Raises:

@@ -16,7 +16,7 @@ from fibaction import serve as fibaction_serve
 from fibaction.cli.process import serve_watchers
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import record_file, replay_file, serve
-from fibaction.observe.recording_file import Record, read_records
+from fibaction.observe.recordings.recording_file import Record, read_records
 from tests.cli.conftest import Invoke, Run, Start
 from tests.cli.served import counter
 from tests.support.processes import ended, lines_until

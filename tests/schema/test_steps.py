@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from fibaction.schema.json_schema import SchemaError
-from fibaction.schema.steps import STEPS, STEPS_PER_VALUE, Steps, are_equal, size_of
+from fibaction.schema.steps import STEPS, STEPS_PER_VALUE, CheckSteps, are_equal, size_of
 
 
 def test_the_size_of_data_counts_text_by_its_length() -> None:
@@ -14,7 +14,7 @@ def test_the_size_of_data_counts_text_by_its_length() -> None:
 
 
 def test_larger_data_may_take_more_steps() -> None:
-    steps = Steps(2)
+    steps = CheckSteps(2)
     steps.spend(STEPS + 2 * STEPS_PER_VALUE)
 
     with pytest.raises(SchemaError, match="is too complex: a check by it takes over 100,100 steps"):
@@ -34,9 +34,9 @@ def test_larger_data_may_take_more_steps() -> None:
     ],
 )
 def test_values_are_equal_as_in_json(one: Any, other: Any, is_equal: bool) -> None:
-    assert are_equal(Steps(1), one, other) is is_equal
+    assert are_equal(CheckSteps(1), one, other) is is_equal
 
 
 def test_the_comparison_of_long_text_takes_many_steps() -> None:
     with pytest.raises(SchemaError, match="is too complex"):
-        are_equal(Steps(1), "a" * 20_000_000, "b")
+        are_equal(CheckSteps(1), "a" * 20_000_000, "b")

@@ -17,7 +17,7 @@ from time import perf_counter
 
 import msgspec
 
-from fibaction.observe.recording_file import Record
+from fibaction.observe.recordings.recording_file import Record
 from tests.support.fibonacci import FIBONACCI
 
 FEEDBACK = 10_000
@@ -26,7 +26,7 @@ FEEDBACK = 10_000
 REPLAY = """
 import sys, anyio
 from fibaction import connect, serve
-from fibaction.observe.replay import replayed
+from fibaction.observe.recordings.replay import replayed
 from tests.support.fibonacci import FIBONACCI, Goal
 
 async def main():

@@ -10,7 +10,7 @@ from fibaction.cli.output.lines import say
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.observe.metrics import Metrics
 from fibaction.observe.metrics_server import serve_metrics
-from fibaction.observe.recorder import Recorder
+from fibaction.observe.recordings.recorder import Recorder
 
 
 @asynccontextmanager

@@ -1,4 +1,5 @@
-"""`fibaction export`: write a recording as an MCAP file, by `fibaction.observe.mcap_export`."""
+"""`fibaction export`: write a recording as an MCAP file, by
+`fibaction.observe.recordings.mcap_export`."""
 
 from __future__ import annotations
 
@@ -13,8 +14,8 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure
 @click.argument("path", metavar="MCAP_FILE", type=click.Path(dir_okay=False))
 def export_command(recording: str, path: str) -> None:
     """Write a recording as an MCAP file, which Foxglove opens. MCAP_FILE is replaced."""
-    from fibaction.observe.mcap_export import export_mcap
-    from fibaction.observe.recording_file import RecordingError
+    from fibaction.observe.recordings.mcap_export import export_mcap
+    from fibaction.observe.recordings.recording_file import RecordingError
 
     try:
         count = export_mcap(recording, path)

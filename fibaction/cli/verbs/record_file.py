@@ -1,4 +1,5 @@
-"""`fibaction record`: record a server from outside, by `fibaction.observe.remote_recorder`."""
+"""`fibaction record`: record a server from outside, by
+`fibaction.observe.recordings.remote_recorder`."""
 
 from __future__ import annotations
 
@@ -13,8 +14,8 @@ from fibaction.cli.output.lines import say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
 from fibaction.cli.process.logs import log_connection
 from fibaction.cli.process.signals import until_interrupted
-from fibaction.observe.recorder import Recorder
-from fibaction.observe.remote_recorder import record_from
+from fibaction.observe.recordings.recorder import Recorder
+from fibaction.observe.recordings.remote_recorder import record_from
 
 
 @click.command(

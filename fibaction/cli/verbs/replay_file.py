@@ -1,4 +1,4 @@
-"""`fibaction replay`: serve the goals of a recording, by `fibaction.observe.replay`."""
+"""`fibaction replay`: serve the goals of a recording, by `fibaction.replay`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def replay_command(context: click.Context, file: str, urls: tuple[str, ...], spe
     A goal that is equal to a recorded one gets its feedback at the recorded times, and its end.
     Other goals are rejected. Ctrl-C or SIGTERM stops it.
     """
-    from fibaction.observe.replay import RecordingError, replayed
+    from fibaction.observe.recordings.replay import RecordingError, replayed
 
     where = urls or (url_of(context),)
     reject_inproc(*where)

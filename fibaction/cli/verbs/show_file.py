@@ -46,7 +46,7 @@ class Summary:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def show_command(file: str, as_json: bool) -> None:
     """Summarise a recording of `fibaction serve --record`."""
-    from fibaction.observe.recording_file import read_records
+    from fibaction.observe.recordings.recording_file import read_records
 
     first = last = dropped = 0
     actions: dict[str, Summary] = {}

@@ -82,8 +82,9 @@ class OpenCalls:
         opening = SendGoal(
             next(self._ids), action, request.goal_id, request.goal, credit, meta=meta
         )
-        goal = RemoteGoal(request.goal_id, opening, self._goal_window, self.post, request.deadline)
-        goal.on_lost = on_lost
+        goal = RemoteGoal(
+            request.goal_id, opening, self._goal_window, self.post, request.deadline, on_lost
+        )
         await self._open(goal)
         return goal
 
@@ -101,8 +102,7 @@ class OpenCalls:
             ActionError: As for `ask`.
         """
         opening = request(next(self._ids), self._goal_window)
-        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post)
-        goal.on_lost = on_lost
+        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post, on_lost=on_lost)
         await self._open(goal)
         if not goal.is_own and self._calls.pop(goal.id, None) is not None:
             self._observed[goal.id] = goal

@@ -9,7 +9,7 @@ moves to `_earlier`, and is read first; `attempt` and `cursor` are those of the 
 may also be a lower one, since a store that need not outlive a power failure can lose its last
 writes: each attempt that is not the one before begins anew.
 
-A client that has connections to several servers, which share their goals, sets `on_lost`. A goal
+A client that has connections to several servers, which share their goals, gives `on_lost`. A goal
 whose connection or server cannot go on with it is given to that function then, and does not end.
 It waits there, without messages, until another connection adopts it (`OpenCalls.adopt`), or until
 it is finished or failed from outside. No caller notices.
@@ -25,8 +25,8 @@ from typing import Any, NamedTuple, TypeAlias
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
+from fibaction.wire.client.deadlines import timeout_until
 from fibaction.wire.codec import FromClient
-from fibaction.wire.deadlines import timeout_until
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     Close,
@@ -74,13 +74,14 @@ class RemoteGoal(Call, GoalStream):
         window: int,
         post: Post,
         deadline: float = math.inf,
+        on_lost: OnLost | None = None,
     ) -> None:
         super().__init__(opening.id)
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
         self.cursor = 0
-        self.on_lost: OnLost | None = None
+        self.on_lost = on_lost
         """Takes the goal once it is answered; None lets it end with the error."""
         self.on_ended: Callable[[], None] | None = None
         """Called when the server has told the end, unless the goal was lost before."""

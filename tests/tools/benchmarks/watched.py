@@ -20,7 +20,7 @@ import anyio
 from fibaction import ActionServer, Watcher, connect, serve
 from fibaction.border.abc import FeedbackItem
 from fibaction.observe.metrics import Metrics
-from fibaction.observe.recorder import Recorder
+from fibaction.observe.recordings.recorder import Recorder
 from fibaction.words.goals import GoalID
 from tests.tools.benchmarks.inprocess import ACTION, Goal, count
 

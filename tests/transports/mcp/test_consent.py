@@ -22,9 +22,10 @@ from mcp_types import (
 )
 
 from fibaction import serve
-from fibaction_transports.mcp import AgentPolicy, McpBridge, _consent
-from fibaction_transports.mcp._consent import goal_text
-from fibaction_transports.mcp._tool_error import ToolError
+from fibaction_transports.mcp import AgentPolicy, McpBridge
+from fibaction_transports.mcp.tools import consent
+from fibaction_transports.mcp.tools.consent import goal_text
+from fibaction_transports.mcp.tools.tool_error import ToolError
 from tests.transports.mcp.robot import (
     MODES,
     Drive,
@@ -141,7 +142,7 @@ async def test_a_client_that_fails_to_ask_sends_nothing() -> None:
 async def test_a_user_who_does_not_answer_is_waited_for_a_limited_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_consent, "QUESTION_TIMEOUT", 0.02)
+    monkeypatch.setattr(consent, "QUESTION_TIMEOUT", 0.02)
 
     async def never(*_: object) -> ElicitResult:
         await anyio.sleep_forever()
@@ -209,7 +210,7 @@ async def test_an_answer_counts_once_and_for_the_same_goal_only(
         again = await rounds.call(3, input_responses=YES, request_state=state)
         assert isinstance(again, InputRequiredResult)
 
-        monkeypatch.setattr(_consent, "QUESTION_TIMEOUT", -1.0)
+        monkeypatch.setattr(consent, "QUESTION_TIMEOUT", -1.0)
         state = await rounds.ask(3)
         again = await rounds.call(3, input_responses=YES, request_state=state)
         assert isinstance(again, InputRequiredResult)
@@ -230,7 +231,7 @@ async def test_a_second_call_without_an_answer_sends_nothing() -> None:
 async def test_the_oldest_of_too_many_questions_is_forgotten(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_consent, "MOST_QUESTIONS", 2)
+    monkeypatch.setattr(consent, "MOST_QUESTIONS", 2)
     async with robot_and_talk("auto", answer="accept") as (robot, made):
         rounds = Rounds(made)
         states = [await rounds.ask() for _ in range(3)]
@@ -257,8 +258,8 @@ async def test_the_oldest_of_too_many_questions_is_forgotten(
 async def test_a_client_says_whether_it_can_ask(
     elicitation: ElicitationCapability | None, can: bool
 ) -> None:
-    assert _consent._can_ask(ClientCapabilities(elicitation=elicitation)) is can
-    assert not _consent._can_ask(None)
+    assert consent._can_ask(ClientCapabilities(elicitation=elicitation)) is can
+    assert not consent._can_ask(None)
 
 
 # The goal in the question

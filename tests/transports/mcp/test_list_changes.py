@@ -8,8 +8,8 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction_transports.mcp import _list_changes
-from fibaction_transports.mcp._list_changes import SESSION_HEADER, ListChanges
+from fibaction_transports.mcp import list_changes
+from fibaction_transports.mcp.list_changes import SESSION_HEADER, ListChanges
 
 pytestmark = pytest.mark.asyncio
 
@@ -52,7 +52,7 @@ async def test_each_client_is_told_once_by_its_newest_session() -> None:
 async def test_sessions_over_http_are_kept_apart_and_limited(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_list_changes, "MOST_SESSIONS", 2)
+    monkeypatch.setattr(list_changes, "MOST_SESSIONS", 2)
     changes, sessions = ListChanges(), [Session() for _ in range(3)]
     async with changes.connection() as identity:
         for number, session in enumerate(sessions):
@@ -64,7 +64,7 @@ async def test_sessions_over_http_are_kept_apart_and_limited(
 async def test_a_client_that_does_not_read_holds_no_other_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_list_changes, "TELL_TIMEOUT", 0.02)
+    monkeypatch.setattr(list_changes, "TELL_TIMEOUT", 0.02)
     changes, deaf, other = ListChanges(), Session(reads=False), Session()
     async with changes.connection() as one, changes.connection() as two:
         changes.note(request(deaf, one))

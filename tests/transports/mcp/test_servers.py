@@ -29,9 +29,10 @@ from fibaction.observe import followed_servers
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.mcp import AgentPolicy, McpBridge, _agent_goals, _robot_actions
-from fibaction_transports.mcp._goal_overview import overview
-from fibaction_transports.mcp._tool_answers import goal_answer
+from fibaction_transports.mcp import AgentPolicy, McpBridge
+from fibaction_transports.mcp.tools import agent_goals, robot_actions
+from fibaction_transports.mcp.tools.answers import goal_answer
+from fibaction_transports.mcp.tools.goal_overview import overview
 from tests.cli.served import Served, counter
 from tests.transports.mcp.robot import (
     DRIVE,
@@ -210,7 +211,7 @@ async def test_an_action_that_is_another_one_now_is_another_tool() -> None:
 async def test_what_cannot_be_used_is_left_out_and_said_once(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_robot_actions, "MOST_ACTIONS", 2)
+    monkeypatch.setattr(robot_actions, "MOST_ACTIONS", 2)
     far = Far(*map(counter, ("one", "broken", "two", "three")))
     far.connection.unusable.add("broken")
     evil: Any = Described(counter("one"), {"$ref": "http://evil.example"})
@@ -235,7 +236,7 @@ class Described:
 async def test_only_so_many_actions_become_tools(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_robot_actions, "MOST_ACTIONS", 1)
+    monkeypatch.setattr(robot_actions, "MOST_ACTIONS", 1)
     async with McpBridge(Far(counter("one"), counter("two"), counter("three"))) as bridge:
         assert bridge.tools[0] == "one"
         assert len(bridge.tools) == 4
@@ -369,7 +370,7 @@ async def test_a_goal_that_was_lost_is_found_again_when_it_is_asked_about(
         async def no_goals(_: Any) -> dict[Any, Any]:
             return {}
 
-        monkeypatch.setattr(_agent_goals, "goals_of", no_goals)
+        monkeypatch.setattr(agent_goals, "goals_of", no_goals)
         text = await made.error("goal_status", goal_id=sent["goal_id"])
         assert text.startswith(
             "The goal cannot be followed any more, and may go on: the line was cut. Call"

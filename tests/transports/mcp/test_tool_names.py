@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from fibaction_transports.mcp._tool_names import LONGEST, tool_name
+from fibaction_transports.mcp.tools.tool_names import LONGEST, tool_name
 
 VALID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from fibaction import Action
-from fibaction_transports.mcp._tool_schema import tool_input
+from fibaction_transports.mcp.tools.tool_schema import tool_input
 
 
 class Leaf(msgspec.Struct):

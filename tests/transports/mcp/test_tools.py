@@ -9,7 +9,8 @@ import pytest
 from mcp_types import ToolAnnotations
 
 from fibaction import GoalStatus, serve
-from fibaction_transports.mcp import AgentPolicy, McpBridge, _agent_goals, _tool_answers
+from fibaction_transports.mcp import AgentPolicy, McpBridge
+from fibaction_transports.mcp.tools import agent_goals, answers
 from tests.transports.mcp.robot import (
     MODES,
     PATIENCE,
@@ -262,7 +263,7 @@ async def test_what_is_not_allowed_does_not_exist(mode: Mode) -> None:
 async def test_more_goals_than_the_bridge_follows_are_not_sent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_agent_goals, "MOST_ACTIVE", 1)
+    monkeypatch.setattr(agent_goals, "MOST_ACTIVE", 1)
     async with robot_and_talk("auto", UNASKED) as (robot, made):
         sent = await made.data("send_goal", tool="arm-drive", goal={"meters": 100})
         assert "1 goals of this bridge are active" in await made.error("arm-drive", meters=1)
@@ -272,7 +273,7 @@ async def test_more_goals_than_the_bridge_follows_are_not_sent(
 
 
 async def test_ended_goals_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_agent_goals, "MOST_ENDED", 1)
+    monkeypatch.setattr(agent_goals, "MOST_ENDED", 1)
     policy = AgentPolicy(unasked=("*",))
     async with robot_and_talk("auto", policy) as (_, made):
         counted = [(await made.data("count", goal=n))["goal_id"] for n in (1, 2, 3)]
@@ -283,7 +284,7 @@ async def test_ended_goals_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch
 async def test_a_result_that_is_too_long_for_a_model_is_cut(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_tool_answers, "LONGEST_ANSWER", 100)
+    monkeypatch.setattr(answers, "LONGEST_ANSWER", 100)
     async with robot_and_talk("auto", UNASKED) as (_, made):
         result = await made.call("count", goal=1000)
         assert result.structured_content is None
@@ -292,4 +293,4 @@ async def test_a_result_that_is_too_long_for_a_model_is_cut(
 
 
 async def test_what_json_cannot_express_is_said() -> None:
-    assert "cannot be written as JSON" in _tool_answers.json_text({"a": object()})
+    assert "cannot be written as JSON" in answers.json_text({"a": object()})

@@ -16,8 +16,8 @@ from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean, host_only
 from fibaction.words.errors import TransportError
-from fibaction_transports.mcp._mcp_http import PATH, http_app, is_loopback, served_over_http
-from fibaction_transports.mcp._mcp_keywords import McpHttpKeywords
+from fibaction_transports.mcp.mcp_http import PATH, http_app, is_loopback, served_over_http
+from fibaction_transports.mcp.mcp_keywords import McpHttpKeywords
 from fibaction_transports.mcp.mcp_transport import McpTransport, items
 
 HOST = "127.0.0.1"

@@ -13,9 +13,9 @@ from mcp.server import Server
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
-from fibaction_transports.mcp._mcp_keywords import PolicyKeywords
-from fibaction_transports.mcp._stdio_streams import stdio_streams
+from fibaction_transports.mcp.mcp_keywords import PolicyKeywords
 from fibaction_transports.mcp.mcp_transport import McpTransport
+from fibaction_transports.mcp.stdio_streams import stdio_streams
 
 STDIO_URL = "mcp+stdio://"
 

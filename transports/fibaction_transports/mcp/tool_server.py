@@ -20,12 +20,12 @@ from mcp_types import (
 from fibaction import __version__
 from fibaction.border.event_loop import Background
 from fibaction.border.gateway import ServerGroup
-from fibaction_transports.mcp._agent_goals import AgentGoals
-from fibaction_transports.mcp._list_changes import ListChanges
-from fibaction_transports.mcp._robot_actions import RobotActions
-from fibaction_transports.mcp._tool_calls import ToolCalls
-from fibaction_transports.mcp._tool_list import instructions, tool_list
 from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports.mcp.list_changes import ListChanges
+from fibaction_transports.mcp.tools.agent_goals import AgentGoals
+from fibaction_transports.mcp.tools.calls import ToolCalls
+from fibaction_transports.mcp.tools.robot_actions import RobotActions
+from fibaction_transports.mcp.tools.tool_list import instructions, tool_list
 
 
 class _McpServer(Server[object]):

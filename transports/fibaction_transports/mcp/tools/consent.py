@@ -40,7 +40,7 @@ from pydantic import ValidationError
 
 from fibaction.border.peer_text import with_escapes
 from fibaction.schema.payload import PayloadError, to_json
-from fibaction_transports.mcp._tool_error import ToolError
+from fibaction_transports.mcp.tools.tool_error import ToolError
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""

@@ -23,9 +23,9 @@ from fibaction import (
     GoalStatus,
 )
 from fibaction.border.abc import FeedbackItem
-from fibaction.observe import recorder
-from fibaction.observe.recorder import Recorder
-from fibaction.observe.recording_file import Record, read_records
+from fibaction.observe.recordings import recorder
+from fibaction.observe.recordings.recorder import Recorder
+from fibaction.observe.recordings.recording_file import Record, read_records
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 

@@ -8,10 +8,10 @@ from typing import Any
 from mcp_types import Tool, ToolAnnotations
 
 from fibaction.border.peer_text import excerpt, shortened
-from fibaction_transports.mcp._robot_actions import RobotAction
-from fibaction_transports.mcp._tool_names import CANCEL, SEND, STATUS
-from fibaction_transports.mcp._tool_schema import GOAL
 from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports.mcp.tools.robot_actions import RobotAction
+from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
+from fibaction_transports.mcp.tools.tool_schema import GOAL
 
 LONGEST_DESCRIPTION = 1000
 """Characters of a description that a server gives."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from fibaction.border.peer_text import excerpt
 from fibaction.words.goals import GoalInfo
-from fibaction_transports.mcp._robot_actions import RobotAction
+from fibaction_transports.mcp.tools.robot_actions import RobotAction
 
 MOST_GOALS = 20
 """Goals of one action that are listed: the newest ones."""

@@ -27,7 +27,7 @@ import msgspec
 from fibaction._runtime.log import clean_logger
 from fibaction.border.abc import FeedbackItem, Meta
 from fibaction.border.watchers import Watcher
-from fibaction.observe.recording_file import Record
+from fibaction.observe.recordings.recording_file import Record
 from fibaction.types.action import ActionInfo
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
 

@@ -18,7 +18,7 @@ from fibaction._api import ClientConnection
 from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint, FeedbackItem
 from fibaction.observe.action_listener import actions_after_pause
-from fibaction.observe.recorder import Recorder
+from fibaction.observe.recordings.recorder import Recorder
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ActionError, UnknownGoal
 from fibaction.words.goals import GoalID, GoalInfo, Outcome

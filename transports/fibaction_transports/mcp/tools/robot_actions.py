@@ -15,9 +15,9 @@ from fibaction.client.client import ActionClient
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import TransportError
-from fibaction_transports.mcp._tool_names import CANCEL, SEND, STATUS, tool_name
-from fibaction_transports.mcp._tool_schema import tool_input
 from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS, tool_name
+from fibaction_transports.mcp.tools.tool_schema import tool_input
 
 MOST_ACTIONS = 200
 """Actions of one server that become tools; far fewer are too many for most models."""

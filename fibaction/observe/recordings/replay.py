@@ -23,7 +23,12 @@ from typing import Any, cast
 import anyio
 import msgspec
 
-from fibaction.observe.recording_file import Record, RecordingError, numbered_records, payload_of
+from fibaction.observe.recordings.recording_file import (
+    Record,
+    RecordingError,
+    numbered_records,
+    payload_of,
+)
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.server import ActionServer, GoalHandle
 from fibaction.types.action import Action, ActionInfo

@@ -24,11 +24,12 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
-from fibaction.observe import action_listener, remote_recorder
-from fibaction.observe.recorder import Recorder
-from fibaction.observe.recording_file import Record, read_records
-from fibaction.observe.remote_recorder import record_from
-from fibaction.observe.replay import replayed
+from fibaction.observe import action_listener
+from fibaction.observe.recordings import remote_recorder
+from fibaction.observe.recordings.recorder import Recorder
+from fibaction.observe.recordings.recording_file import Record, read_records
+from fibaction.observe.recordings.remote_recorder import record_from
+from fibaction.observe.recordings.replay import replayed
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, TransportError, UnknownGoal
 from fibaction.words.goals import GoalID

@@ -15,9 +15,9 @@ import pytest
 from mcap.reader import make_reader
 
 from fibaction import Action, ActionServer, GoalHandle, GoalRejected, connect, serve
-from fibaction.observe.mcap_export import export_mcap
-from fibaction.observe.recorder import Recorder
-from fibaction.observe.recording_file import Record, RecordingError
+from fibaction.observe.recordings.mcap_export import export_mcap
+from fibaction.observe.recordings.recorder import Recorder
+from fibaction.observe.recordings.recording_file import Record, RecordingError
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
 LEVEL = Action("arm/level", goal=int, feedback=bytes, result=float)

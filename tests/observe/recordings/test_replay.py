@@ -19,9 +19,9 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
 )
-from fibaction.observe.recorder import Recorder
-from fibaction.observe.recording_file import Record
-from fibaction.observe.replay import CUT_OFF, NOT_RECORDED, RecordingError, replayed
+from fibaction.observe.recordings.recorder import Recorder
+from fibaction.observe.recordings.recording_file import Record
+from fibaction.observe.recordings.replay import CUT_OFF, NOT_RECORDED, RecordingError, replayed
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fibaction.observe.recording_file import Record, payload_of, read_records
+from fibaction.observe.recordings.recording_file import Record, payload_of, read_records
 from fibaction.schema.payload import PayloadError
 from tests.support.fibonacci import FIBONACCI, Goal
 

@@ -20,9 +20,9 @@ from fibaction.client.goal import ClientGoal
 from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.mcp._robot_actions import RobotAction
-from fibaction_transports.mcp._tool_error import ToolError
-from fibaction_transports.mcp._tool_names import STATUS
+from fibaction_transports.mcp.tools.robot_actions import RobotAction
+from fibaction_transports.mcp.tools.tool_error import ToolError
+from fibaction_transports.mcp.tools.tool_names import STATUS
 
 MOST_ACTIVE = 100
 """Goals that a bridge follows at once; more are not sent."""

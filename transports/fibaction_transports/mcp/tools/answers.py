@@ -10,8 +10,8 @@ from mcp_types import CallToolResult, TextContent
 from fibaction.border.peer_text import shortened
 from fibaction.schema.payload import PayloadError, to_json
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.mcp._agent_goals import AgentGoal
-from fibaction_transports.mcp._tool_names import CANCEL, STATUS
+from fibaction_transports.mcp.tools.agent_goals import AgentGoal
+from fibaction_transports.mcp.tools.tool_names import CANCEL, STATUS
 
 LONGEST_ANSWER = 50_000
 """Characters of data that a model gets; clients cut longer ones, or fail."""

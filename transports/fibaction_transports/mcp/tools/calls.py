@@ -11,21 +11,21 @@ from mcp_types import CallToolRequestParams, CallToolResult, InputRequiredResult
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import CancelCode, GoalID
-from fibaction_transports.mcp._agent_goals import AgentGoal, AgentGoals, goals_of
-from fibaction_transports.mcp._consent import Consents, goal_text
-from fibaction_transports.mcp._goal_overview import overview
-from fibaction_transports.mcp._robot_actions import RobotAction, RobotActions
-from fibaction_transports.mcp._tool_answers import (
+from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals, goals_of
+from fibaction_transports.mcp.tools.answers import (
     data_answer,
     error_answer,
     feedback_text,
     goal_answer,
 )
-from fibaction_transports.mcp._tool_error import ToolError
-from fibaction_transports.mcp._tool_list import tool_list
-from fibaction_transports.mcp._tool_names import CANCEL, SEND, STATUS
-from fibaction_transports.mcp._tool_schema import GOAL
-from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports.mcp.tools.consent import Consents, goal_text
+from fibaction_transports.mcp.tools.goal_overview import overview
+from fibaction_transports.mcp.tools.robot_actions import RobotAction, RobotActions
+from fibaction_transports.mcp.tools.tool_error import ToolError
+from fibaction_transports.mcp.tools.tool_list import tool_list
+from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
+from fibaction_transports.mcp.tools.tool_schema import GOAL
 
 CANCEL_WAIT = 5.0
 """Seconds that `cancel_goal` waits for the end of the goal, if it is not told otherwise."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from fibaction.observe.recording_file import Event, Record, RecordingError, read_records
+from fibaction.observe.recordings.recording_file import Event, Record, RecordingError, read_records
 from fibaction.types.action import ActionInfo
 
 if TYPE_CHECKING:
