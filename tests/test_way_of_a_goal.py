@@ -55,7 +55,7 @@ def test_the_way_is_the_same_when_it_is_counted_again() -> None:
 def test_the_way_begins_at_the_client_and_passes_the_server() -> None:
     functions = [step.function for step in way_of_a_goal(WAYS["in-process"])]
     assert functions[0] == "ActionClient.send_goal"
-    assert "ActionServer.send_goal" in functions
+    assert "ActionServer.offer_goal" in functions
 
 
 def test_a_figure_over_its_bound_and_a_bound_that_is_too_high_are_told() -> None:

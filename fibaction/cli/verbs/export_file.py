@@ -1,5 +1,6 @@
 """`fibaction export`: write a recording as an MCAP file, by
-`fibaction.observe.recordings.mcap_export`."""
+`fibaction.observe.recordings.mcap_export`.
+"""
 
 from __future__ import annotations
 

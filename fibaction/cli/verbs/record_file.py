@@ -1,5 +1,6 @@
 """`fibaction record`: record a server from outside, by
-`fibaction.observe.recordings.remote_recorder`."""
+`fibaction.observe.recordings.remote_recorder`.
+"""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple, TypeAlias
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
-from fibaction.wire.client.deadlines import timeout_until
 from fibaction.wire.codec import FromClient
+from fibaction.wire.deadlines import timeout_until
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     Close,

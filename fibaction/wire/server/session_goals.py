@@ -34,7 +34,7 @@ from fibaction._runtime.slices import SLICE
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.wire.auth import Permission
 from fibaction.wire.channel import CHUNK
-from fibaction.wire.client.deadlines import deadline_after
+from fibaction.wire.deadlines import deadline_after
 from fibaction.wire.frames import UNCOUNTED
 from fibaction.wire.link import Link
 from fibaction.wire.messages import Follow, Received, SendGoal
