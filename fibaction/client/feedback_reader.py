@@ -29,6 +29,7 @@ from fibaction.client.attempts import Attempts
 from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.types.action import Codec, FeedbackT
 from fibaction.words.errors import ConnectionLost
+from fibaction.words.goals import Outcome
 
 T = TypeVar("T")
 
@@ -86,12 +87,16 @@ class FeedbackReader(Generic[FeedbackT]):
         if self._attempts is not None:
             return await self._next_in_time(self._attempts)
         stream = self.stream
-        # Feedback that has arrived need not be awaited. A status is of no use here, and the outcome
-        # is given again.
-        updates = stream.take() if stream.reads else ()
-        item = updates[0] if updates else None
-        if not isinstance(item, FeedbackItem):
-            item = await stream.receive()
+        if stream.reads:
+            # Feedback that has arrived need not be awaited, and a status is of no use here.
+            updates = stream.take()
+            if not updates:
+                await stream.news.wait()
+            elif isinstance(updates[0], FeedbackItem):
+                return self._codec.decode(updates[0].payload)
+            elif isinstance(updates[0], Outcome):
+                raise StopAsyncIteration
+        item = await stream.receive()
         if item is None:
             raise StopAsyncIteration
         return self._codec.decode(item.payload)

@@ -262,28 +262,24 @@ class FeedbackCursor(GoalStream):
             if items:
                 self._took(items)
                 return items
-            if log.has_after(self.cursor):
+            if limit < 1 and log.has_after(self.cursor):
                 return ()
         if outcome is None:
             return ()
-        self._skip_rest()
+        if self._follows and self.cursor < log.goal.feedback_count:  # the rest is not read
+            self._drop(log.count - self.cursor)
+            self.seek(log.count)
         return (outcome,)
 
-    def _skip_rest(self) -> None:
-        """Count unread feedback as dropped, unless the stream was opened without feedback."""
-        if self._follows:
-            self._drop(self._log.count - self.cursor)
-            self.seek(self._log.count)
-
     def _drop(self, count: int) -> None:
-        if count:
-            self._dropped += count
-            self._log.note_dropped(count)
+        self._dropped += count
+        self._log.note_dropped(count)
 
     def _took(self, items: list[FeedbackItem]) -> None:
         last = items[-1].number
         before, self.cursor = self.cursor, last
-        self._drop(last - before - len(items))
+        if missed := last - before - len(items):
+            self._drop(missed)
         if self.holding:
             self._log.note_move(before, last)
         elif self._stalled and last == self._log.count:

@@ -153,14 +153,16 @@ class FeedbackWindow(Generic[FollowedT]):
         """Return the remembered feedback after that number, at most `limit` messages; with the
         policy `latest`, only the last message.
         """
-        if limit < 1 or not self.has_after(cursor):
+        items = self._items
+        # As `has_after`, without a call: each reader of each message is here.
+        if limit < 1 or cursor >= self.goal.feedback_count or not items or self.is_hidden:
             return []
         if self.latest:
-            return [self._items[-1]]
-        start = max(0, cursor - self._items[0].number + 1)
+            return [items[-1]]
+        start = max(0, cursor - items[0].number + 1)
         if limit == 1:
-            return [self._items[start]]
-        return list(islice(self._items, start, start + limit))
+            return [items[start]]
+        return list(islice(items, start, start + limit))
 
     def reveal(self) -> None:
         """Let readers have feedback that was hidden until now."""

@@ -459,6 +459,24 @@ async def test_the_executor_is_let_go_while_the_reader_waits_for_the_result_and_
     assert stream.held == [False, True, False, True]
 
 
+async def test_feedback_that_comes_after_a_status_is_read() -> None:
+    script: list[Feedback | Result] = [Feedback([1]), Result([1])]
+    async with ScriptedServer(FIBONACCI, script) as server:
+        goal = await client_of(server).send_goal(Goal(1))
+        await anyio.wait_all_tasks_blocked()
+        assert goal.status is GoalStatus.SUCCEEDED  # EXECUTING waits to be read before it
+        assert [each async for each in goal.feedback] == [Feedback([1])]
+        with pytest.raises(StopAsyncIteration):
+            await anext(goal.feedback)
+
+
+async def test_the_feedback_of_a_goal_that_is_read_no_more_ends() -> None:
+    stream = BrokenStream(nonsense=True)
+    stream.reads = False
+    goal = await client_of(Broken(stream)).send_goal(Goal(1))
+    assert [each async for each in goal.feedback] == []
+
+
 async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
     stream = BrokenStream()
     goal = await client_of(Broken(stream)).send_goal(Goal(1))

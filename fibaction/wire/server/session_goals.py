@@ -181,7 +181,7 @@ class SessionGoals:
             GoalRejected: Too many bytes are waiting.
             InvalidMessage: Its meta is too large.
         """
-        size = len(message.goal) + size_of(message.meta)
+        size = len(message.goal) + (size_of(message.meta) if message.meta else 0)
         if self._undecided + size > self._limits.memory:
             raise GoalRejected(f"too many bytes at once: the limit is {self._limits.memory}")
         # A little of each connection always passes: one client must not use up what all have.
