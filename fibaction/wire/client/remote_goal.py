@@ -86,8 +86,7 @@ class RemoteGoal(Call, GoalStream):
         self.on_ended: Callable[[], None] | None = None
         """Called when the server has told the end, unless the goal was lost before."""
         self.lost_at: float | None = None
-        """Time at which it was lost, as noted by `on_lost`; None again when a server goes on with
-        it."""
+        """Time at which it was lost, noted by `on_lost`; None when a server goes on with it."""
         self._is_released = False
         self._opening = opening
         self._window = window
