@@ -16,6 +16,7 @@ from fibaction.border.urls import transport_for, without_settings
 from fibaction.border.watchers import Watcher
 from fibaction.client.client import ActionClient
 from fibaction.client.goal import Blocks, leave_blocks
+from fibaction.client.goal_span import GoalTracer
 from fibaction.client.kept_connection import KeptConnection, keep_open
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.wire.settings import ClientKeywords, ServerKeywords
@@ -25,7 +26,6 @@ from fibaction.words.goals import ActionPeers, WorkerInfo
 if TYPE_CHECKING:
     from ssl import SSLContext
 
-    from fibaction.observe.otel import Tracing
     from fibaction.wire.tls_files import TlsFiles
 
 
@@ -76,7 +76,7 @@ class ClientConnection(Connection):
             drive, look = connection.client(DRIVE), connection.client(LOOK)
     """
 
-    def __init__(self, connection: Connection, tracing: Tracing | None = None) -> None:
+    def __init__(self, connection: Connection, tracing: GoalTracer | None = None) -> None:
         self._connection = connection
         self._tracing = tracing
         self._blocks: Blocks = connection.blocks if isinstance(connection, KeptConnection) else {}
@@ -139,7 +139,7 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
         self,
         transport: Transport,
         action: Action[Any, Any, Any] | None,
-        tracing: Tracing | None = None,
+        tracing: GoalTracer | None = None,
     ) -> None:
         self._transport = transport
         self._action = action
@@ -188,7 +188,10 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
 
 @overload
 def connect(
-    where: str | Transport, *, tracing: Tracing | None = None, **settings: Unpack[ConnectKeywords]
+    where: str | Transport,
+    *,
+    tracing: GoalTracer | None = None,
+    **settings: Unpack[ConnectKeywords],
 ) -> Connecting[ClientConnection]: ...
 
 
@@ -197,7 +200,7 @@ def connect(
     where: str | Transport,
     action: Action[GoalT, FeedbackT, ResultT],
     *,
-    tracing: Tracing | None = None,
+    tracing: GoalTracer | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> Connecting[ActionClient[GoalT, FeedbackT, ResultT]]: ...
 
@@ -206,7 +209,7 @@ def connect(
     where: str | Transport,
     action: Action[Any, Any, Any] | None = None,
     *,
-    tracing: Tracing | None = None,
+    tracing: GoalTracer | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> Connecting[Any]:
     """Connect to a URL, or by a transport.
@@ -242,7 +245,7 @@ def check_is_action(action: object) -> None:
 
 @asynccontextmanager
 async def _connected(
-    transport: Transport, tracing: Tracing | None
+    transport: Transport, tracing: GoalTracer | None
 ) -> AsyncGenerator[ClientConnection, None]:
     async with transport.connect() as opened:
         connection = ClientConnection(opened, tracing)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn, Unpack, overload
+from typing import Any, NoReturn, Unpack, overload
 
 import fibaction._api
 from fibaction._api import ConnectKeywords, check_is_action
@@ -17,16 +17,17 @@ from fibaction.blocking._interrupts import Interrupts
 from fibaction.blocking._loop_thread import LoopThread, check_is_no_loop
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
+from fibaction.client.goal_span import GoalTracer
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import TransportError
-
-if TYPE_CHECKING:
-    from fibaction.observe.otel import Tracing
 
 
 @overload
 def connect(
-    where: str | Transport, *, tracing: Tracing | None = None, **settings: Unpack[ConnectKeywords]
+    where: str | Transport,
+    *,
+    tracing: GoalTracer | None = None,
+    **settings: Unpack[ConnectKeywords],
 ) -> AbstractContextManager[BlockingConnection]: ...
 
 
@@ -35,7 +36,7 @@ def connect(
     where: str | Transport,
     action: Action[GoalT, FeedbackT, ResultT],
     *,
-    tracing: Tracing | None = None,
+    tracing: GoalTracer | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> AbstractContextManager[BlockingClient[GoalT, FeedbackT, ResultT]]: ...
 
@@ -44,7 +45,7 @@ def connect(
     where: str | Transport,
     action: Action[Any, Any, Any] | None = None,
     *,
-    tracing: Tracing | None = None,
+    tracing: GoalTracer | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> AbstractContextManager[Any]:
     """Connect to a URL, or by a transport, for as long as the block lasts.
@@ -81,7 +82,7 @@ class _OpenBlock:
         self,
         transport: Transport,
         action: Action[Any, Any, Any] | None,
-        tracing: Tracing | None,
+        tracing: GoalTracer | None,
     ) -> None:
         self._transport = transport
         self._tracing = tracing

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from operator import index
-from typing import TYPE_CHECKING, Generic
+from typing import Generic
 
 import anyio
 from anyio import get_cancelled_exc_class
@@ -26,15 +26,12 @@ from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.attempts import Attempts, cancel_left, check_timeout
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
-from fibaction.client.goal_span import NO_SPAN
+from fibaction.client.goal_span import NO_SPAN, GoalTracer
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.retry import Retry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
-
-if TYPE_CHECKING:
-    from fibaction.observe.otel import Tracing
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
@@ -55,7 +52,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         blocks: Blocks | None = None,
         *,
-        tracing: Tracing | None = None,
+        tracing: GoalTracer | None = None,
     ) -> None:
         """Make a client; `blocks` are the open blocks of its connection, if it has one. `tracing`
         makes a span for each goal that is sent.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 from fibaction.border.abc import GoalStream, Meta
-from fibaction.words.goals import Outcome
+from fibaction.words.goals import GoalID, Outcome
 
 
 class GoalSpan:
@@ -31,3 +31,10 @@ class GoalSpan:
 
 
 NO_SPAN = GoalSpan()
+
+
+class GoalTracer(Protocol):
+    """A maker of spans for goals that are sent, such as `fibaction.otel.Tracing`."""
+
+    def sending(self, action: str, goal_id: GoalID) -> GoalSpan:
+        """Return the span of a goal that is about to be sent. It raises no error."""

@@ -11,8 +11,7 @@ import datetime
 import decimal
 import sys
 import uuid
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
@@ -20,24 +19,9 @@ import msgspec
 from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
+from fibaction.types.encoding import Encoding
 
 _encode = msgspec.msgpack.Encoder().encode
-
-
-class Encoding(ABC):
-    """The encoding of one message type."""
-
-    encode: Callable[[Any], bytes]
-    """Turns a value into bytes; see `Codec.encode` for its errors."""
-    decode: Callable[[bytes], Any]
-    """Turns bytes into a value, or raises an error of msgspec, or one of the type's own code."""
-
-    classes: tuple[type, ...]
-    """The classes that a value of this type is an instance of; `object` for any."""
-
-    @abstractmethod
-    def schema(self) -> dict[str, Any]:
-        """Return the type's JSON Schema; empty, which allows any value, if there is none."""
 
 
 class MsgspecEncoding(Encoding):

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # this module is for lines on asyncio only
-from contextvars import copy_context
+from contextvars import Context, copy_context
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from fibaction.border.event_loop import SLICE
 
-if TYPE_CHECKING:
-    from fibaction_transports._socket_lines.on_asyncio import ProtocolLine
-
 NEWS = 0.001
 """Seconds of a turn of the event loop in which lines handle as much news as a slice takes."""
+
+
+class BusyLine(Protocol):
+    """A line that handles what it has read a part at a time."""
+
+    @property
+    def context(self) -> Context:
+        """The context variables with which it handles frames."""
+
+    @property
+    def has_rest(self) -> bool:
+        """True if it has more to handle."""
+
+    def go_on(self) -> None:
+        """Handle the next part."""
 
 
 class LineTurns:
@@ -27,7 +39,7 @@ class LineTurns:
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._context = copy_context()
-        self._waiting: dict[ProtocolLine, None] = {}
+        self._waiting: dict[BusyLine, None] = {}
         self._is_due = False
         self._used = 0.0
         """Seconds of this turn in which news were handled."""
@@ -46,12 +58,12 @@ class LineTurns:
     def _begin(self) -> None:
         self._used = 0.0
 
-    def add(self, line: ProtocolLine) -> None:
+    def add(self, line: BusyLine) -> None:
         """Let the line go on in a later turn."""
         self._waiting[line] = None
         self._schedule()
 
-    def discard(self, line: ProtocolLine) -> None:
+    def discard(self, line: BusyLine) -> None:
         """Remove a line that has ended, so that the others do not wait for it."""
         self._waiting.pop(line, None)
 
