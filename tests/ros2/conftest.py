@@ -26,6 +26,8 @@ DOMAINS = 102
 
 ENDING = 30
 """Seconds after all tests within which the process must end."""
+OTHERS = 300.0
+"""Seconds for which a process of pytest-xdist may wait for the others, whose files take longer."""
 
 collect_ignore_glob = ["*"] if MISSING else []
 
@@ -116,7 +118,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_unconfigure() -> None:
     """End the process even if a thread does not stop."""
     if not MISSING:
-        faulthandler.dump_traceback_later(ENDING, exit=True)
+        # A worker that has run all its files waits for the others first.
+        waits = os.environ.get("PYTEST_XDIST_WORKER") is not None
+        faulthandler.dump_traceback_later(OTHERS + ENDING if waits else ENDING, exit=True)
 
 
 def required(report: pytest.TestReport | pytest.CollectReport) -> None:
