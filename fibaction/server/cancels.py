@@ -17,7 +17,7 @@ from anyio import Semaphore, create_task_group, current_time
 
 from fibaction._runtime.slices import Slices
 from fibaction.server.admission.callbacks import Callback, Callbacks
-from fibaction.server.durability.keeper import GoalKeeper
+from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.cancellation import Cancellation

@@ -6,7 +6,7 @@ from typing import Any
 
 from fibaction._runtime.log import clean_logger
 from fibaction.server.admission.admission import Admission
-from fibaction.server.durability.keeper import GoalKeeper
+from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import GoalRecord

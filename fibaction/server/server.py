@@ -37,7 +37,7 @@ from fibaction.server.admission.callbacks import Callback, Callbacks
 from fibaction.server.admission.capacity import Room
 from fibaction.server.admission.sender_argument import GoalFunction
 from fibaction.server.cancels import Cancels
-from fibaction.server.durability.keeper import STORE_FAILED, GoalKeeper
+from fibaction.server.durability.goal_keeper import STORE_FAILED, GoalKeeper
 from fibaction.server.durability.recovery import Recovery, RecoveryRule
 from fibaction.server.execution.executor import Executor
 from fibaction.server.execution.runs import GOAL_IS_KEPT, Runs

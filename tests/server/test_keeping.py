@@ -28,7 +28,7 @@ from fibaction import (
 )
 from fibaction.border.abc import FeedbackItem
 from fibaction.border.goal_store import StoredGoal
-from fibaction.server.durability.keeper import SECOND
+from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time

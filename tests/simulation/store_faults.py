@@ -9,7 +9,7 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.keeper import GoalKeeper
+from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.run import Run
 from fibaction.server.execution.runs import GOAL_IS_KEPT, Runs

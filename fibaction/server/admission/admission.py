@@ -39,7 +39,7 @@ from fibaction.border.goal_store import RecordTooLarge
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server.admission.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.admission.sender_argument import GoalFunction, with_sender
-from fibaction.server.durability.keeper import GOAL_IS_TAKEN, GoalKeeper
+from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN, GoalKeeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord

@@ -14,7 +14,7 @@ from typing import Any
 from anyio import sleep
 
 from fibaction._runtime.notify import Notifier
-from fibaction.server.durability.keeper import GoalKeeper
+from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
 

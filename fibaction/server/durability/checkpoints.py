@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import GoalTaken
-from fibaction.server.durability.keeper import GOAL_IS_TAKEN
+from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN
 from fibaction.words.errors import ProtocolError
 
 if TYPE_CHECKING:
-    from fibaction.server.durability.keeper import GoalKeeper
+    from fibaction.server.durability.goal_keeper import GoalKeeper
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import Codec
 

@@ -45,7 +45,7 @@ from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.callbacks import awaited, failures_as
-from fibaction.server.durability.keeper import SECOND
+from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_logs import GoalLogs

@@ -48,7 +48,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.goal_store import RecordTooLarge
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.keeper import (
+from fibaction.server.durability.goal_keeper import (
     GOAL_IS_TAKEN,
     STORE_FAILED,
     STORE_IS_LATE,
