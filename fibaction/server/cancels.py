@@ -17,9 +17,10 @@ from anyio import Semaphore, create_task_group, current_time
 
 from fibaction._runtime.slices import Slices
 from fibaction.server.admission.callbacks import Callback, Callbacks
-from fibaction.server.durability.goal_keeper import GoalKeeper
+from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.life import Phase
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
@@ -54,9 +55,9 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         self._on_cancel = on_cancel
         self._interrupt = interrupt
         self._callbacks = callbacks
-        self._keeper: GoalKeeper | None = None
+        self._keeper: Keeper = NoStoreKeeper()
 
-    def keep_by(self, keeper: GoalKeeper) -> None:
+    def keep_by(self, keeper: Keeper) -> None:
         """Answer when this keeper has written all that was before."""
         self._keeper = keeper
 
@@ -74,12 +75,11 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
                 await slices.pause()
         else:
             await self._cancel_together(cancellation)
-        if self._keeper is not None:
-            await self._keeper.settled()
-            self._keeper.check()
-            for goal in cancellation.candidates:
-                if goal.is_lost:
-                    cancellation.forget(goal)
+        await self._keeper.settled()
+        self._keeper.check()
+        for goal in cancellation.candidates:
+            if goal.phase is Phase.LOST:
+                cancellation.forget(goal)
         return cancellation.answer()
 
     async def _cancel_together(self, cancellation: Cancellation) -> None:
@@ -102,7 +102,7 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
 
     def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> Awaitable[None] | None:
         """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
-        if goal.is_over or not goal.status.is_active:
+        if not goal.phase.is_open:
             return None  # it has ended since it was chosen
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             self._callbacks.check_not_within("on_cancel", goal.goal_id, "cancels")
@@ -132,4 +132,4 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
     def _accept_cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
         before = goal.status
         if cancellation.accept(goal) and goal.status is not before:
-            self._runs.cancel(goal, before, interrupt=self._interrupt)
+            self._runs.cancel(goal, interrupt=self._interrupt)

@@ -152,7 +152,7 @@ class GoalHandle(Generic[GoalT]):
             RuntimeError: The goal has ended.
         """
         while (successor := self.successor) is None:
-            if self._goal.is_over:
+            if not self._goal.phase.is_open:
                 raise RuntimeError(f"goal {self.goal_id} has ended, and gets no successor")
             succession = self._succession
             # Without a schedule nothing comes.

@@ -51,6 +51,5 @@ class Losses:
     def lose_record(self, goal: GoalRecord) -> None:
         """Let go of a goal of which a write was refused, because another server has it."""
         logger.info("goal %s of action %r: another server has it", goal.goal_id, self._action)
-        goal.is_lost = True
-        self._admission.lose(goal)
-        self._runs.lose(goal)
+        if not self._admission.lose(goal):
+            self._runs.lose(goal)

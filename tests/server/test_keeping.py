@@ -457,9 +457,8 @@ async def test_a_goal_that_is_canceled_while_the_function_decides_is_not_run_aga
         await anyio.sleep(1)  # the server has the goal, and clients do not reach it yet
         cancellation = server._cancels._registry.cancel(ID, None, now=current_time())
         goal = cancellation.candidates[0]
-        before = goal.status
         assert cancellation.accept(goal)
-        server._runs.cancel(goal, before, interrupt=True)
+        server._runs.cancel(goal, interrupt=True)
         decide.set()
     assert store.goals["paint", ID].status is GoalStatus.CANCELED
 

@@ -19,6 +19,7 @@ from hypothesis.stateful import (
 )
 
 from fibaction.border.goal_store import StoredGoal
+from fibaction.server.life import Phase
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict
@@ -93,11 +94,11 @@ def finish(
 def test_a_new_goal_has_not_ended_and_nothing_stops_it() -> None:
     goal = accepted(GoalRegistry(), A)
     assert (goal.ended_at, goal.stop_reason, goal.outcome, goal.feedback_count) == (0, "", None, 0)
-    assert (goal.is_lost, goal.stored, goal.changed) == (False, None, 0)
+    assert (goal.phase, goal.stored, goal.changed) == (Phase.WAITING, None, 0)
 
 
 def infos(registry: GoalRegistry) -> list[GoalInfo]:
-    return [goal.info for goal in registry.goals()]
+    return [goal.info_as(goal.status) for goal in registry.goals()]
 
 
 def candidates(cancellation: Cancellation) -> list[GoalID]:
@@ -151,7 +152,8 @@ def test_a_goal_has_a_place_in_the_list_while_it_is_accepted() -> None:
     goal.place = (2, 5)
     assert goal.info == GoalInfo(A, goal.stamp, GoalStatus.ACCEPTED, 0, "", 2, 5)
     registry.execute(goal)
-    assert (goal.info.place, goal.info.queue_length) == (0, 0)
+    info = goal.info_as(goal.status)
+    assert (info.place, info.queue_length) == (0, 0)
 
 
 def test_the_list_of_goals_tells_how_many_feedback_messages_each_had() -> None:
@@ -169,10 +171,8 @@ def test_the_list_of_goals_tells_the_attempt_of_each() -> None:
 
 def test_a_status_that_is_still_being_written_is_not_told() -> None:
     goal = canceling(GoalRegistry(), A)
-    goal.earlier_status = GoalStatus.EXECUTING
-    assert [goal.told_status, goal.info.status] == [GoalStatus.EXECUTING] * 2
-    goal.earlier_status = None
-    assert [goal.told_status, goal.info.status] == [GoalStatus.CANCELING] * 2
+    goal.told_status = GoalStatus.EXECUTING
+    assert (goal.status, goal.info.status) == (GoalStatus.CANCELING, GoalStatus.EXECUTING)
 
 
 def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
@@ -431,7 +431,7 @@ def test_a_cancel_of_a_canceling_goal_is_accepted_again() -> None:
     registry = GoalRegistry()
     goal = canceling(registry, A)
     answer = all_accept(registry.cancel(A, None, now=0.0))
-    assert answer == CancelAnswer(CancelCode.NONE, (goal.info,))
+    assert answer == CancelAnswer(CancelCode.NONE, (goal.info_as(goal.status),))
     assert goal.status is GoalStatus.CANCELING
 
 
@@ -1164,7 +1164,7 @@ def test_an_active_goal_is_restored_with_the_status_that_was_told(
 ) -> None:
     registry = GoalRegistry()
     goal = registry.restore(stored(1, **fields))
-    assert (goal.status, goal.attempt, goal.is_over) == (status, attempt, False)
+    assert (goal.status, goal.attempt, goal.phase) == (status, attempt, Phase.WAITING)
     assert registry.find(goal.goal_id, now=0.0) is goal
     registry.release(goal)
     assert registry.goals() == ()
@@ -1176,7 +1176,7 @@ def test_an_ended_goal_is_restored_with_its_outcome_until_its_time_is_over() -> 
     ended = stored(1, status=GoalStatus.ABORTED, result=b"x", reason="no", feedback_count=3)
     goal = registry.restore(ended, until=5.0)
     assert goal.outcome == Outcome(GoalStatus.ABORTED, b"x", "no")
-    assert (goal.is_over, goal.feedback_count) == (True, 3)
+    assert (goal.phase, goal.feedback_count) == (Phase.ENDED, 3)
     assert registry.find(goal.goal_id, now=4.9) is goal
     assert registry.find(goal.goal_id, now=5.0) is None
     assert registry.expire(5.0) == [goal.goal_id]

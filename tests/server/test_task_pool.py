@@ -16,6 +16,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
+from fibaction.server.execution.executor_life import ScopesPhase
 from fibaction.server.execution.interruption import EXECUTOR_SLICE, MOST_KILLS, CancelOnce, Steps
 from fibaction.server.execution.task_pool import GRACE, MOST_IDLE, TaskPool
 from fibaction.server.execution.turns import Turns
@@ -155,7 +156,7 @@ async def test_a_task_whose_job_was_interrupted_takes_no_other() -> None:
         for number in (3, 4, 5):
             bench.add(number)
         await bench.all_done(5)
-        assert all_scopes[0].is_spent
+        assert all_scopes[0].phase is ScopesPhase.SPENT
         assert bench.tasks.count(bench.tasks[0]) == 1
 
 
@@ -327,7 +328,7 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(
         all_scopes[0].kill()
     assert seen[-1] == "given up"
     assert len(seen) == (1 if is_waiting else MOST_KILLS + 1)
-    assert all_scopes[0].is_abandoned
+    assert all_scopes[0].phase is ScopesPhase.ABANDONED
 
 
 async def test_a_job_is_given_up_once() -> None:

@@ -64,7 +64,7 @@ class Job:
 
     def step(self) -> Step:
         """Return the next feedback."""
-        if self.goal._goal.is_over:  # it was killed, and its feedback is discarded
+        if not self.goal._goal.phase.is_open:  # it was killed, and its feedback is discarded
             return Step(self._truth.count + 1)
         self._truth.count += 1
         self._done += 1
@@ -73,7 +73,7 @@ class Job:
     def done(self) -> Done:
         """Return the result."""
         result = self.part()
-        if not self.goal._goal.is_over:  # else it was killed, and the result is discarded
+        if self.goal._goal.phase.is_open:  # else it was killed, and the result is discarded
             self._truth.result = result
         return result
 
@@ -90,7 +90,7 @@ class Job:
     async def keep(self) -> None:
         """Keep a checkpoint, unless the goal has ended."""
         goal, done = self.goal, self._done
-        if not goal._goal.is_over:
+        if goal._goal.phase.is_open:
             truth = self._truth
             await goal.checkpoint(done)
             self._record.keeping.checkpoint_returned(truth, done)

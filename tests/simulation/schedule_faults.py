@@ -9,6 +9,7 @@ from typing import Any
 from fibaction import GoalID
 from fibaction.server.execution.executor import Execution
 from fibaction.server.execution.runs import Runs
+from fibaction.server.life import Event, Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.group import Entry, Group
@@ -104,9 +105,9 @@ def a_canceled_goal_is_left_waiting(real: Any) -> Any:
     """Tell that a goal is canceling, and let it wait on."""
 
     def cancel(self: AnyRuns, goal: GoalRecord, *, interrupt: bool) -> None:
-        run = self._runs[goal.goal_id]
-        if run.is_waiting:
-            self._logs.tell_status(run.log)
+        if goal.phase is Phase.WAITING:
+            goal.told_status = goal.status
+            self._logs.tell_status(self._runs[goal.goal_id].log)
         else:
             real(self, goal, interrupt=interrupt)
 
@@ -256,8 +257,8 @@ def a_take_over_keeps_both_goals(_real: Any) -> Any:
     def take_over(self: AnyRuns, goal_id: GoalID, successor: GoalID) -> None:
         old, new = self._runs[goal_id], self._runs[successor]
         old.execution.go_on_as(new.execution.handle, new.log)
-        new.execution, new.is_waiting = old.execution, False
-        self._execute(new)
+        new.execution = old.execution
+        self._step(new, Event.TAKE_OVER)
 
     return take_over
 

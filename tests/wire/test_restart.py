@@ -275,7 +275,7 @@ class Kept(ForwardingEndpoint):
         super().__init__(held())
         self.goal = GoalRecord(GOAL_ID, digest_of(GOAL), 7, UNKNOWN_SENDER)
         self.goal.attempt = attempt
-        self.goal.status = EXECUTING
+        self.goal.status = self.goal.told_status = EXECUTING
         self.log = FeedbackLog(self.goal, window=10)
         self.error: Exception | None = None
         """Raised by each request."""
@@ -397,7 +397,7 @@ async def test_a_goal_that_is_followed_before_it_is_run_again_begins_anew_then()
         assert (await client.ask(follow(17), Following)).attempt == 1
         kept.goal.attempt = 2  # the server has decided
         kept.tell(1)
-        kept.goal.status = GoalStatus.CANCELING
+        kept.goal.status = kept.goal.told_status = GoalStatus.CANCELING
         kept.log.tell_status()
         assert await client.hear_all() == [
             Following(1, 7, GoalStatus.CANCELING, latest=False, place=0, attempt=2),

@@ -39,9 +39,11 @@ from fibaction.border.goal_store import RecordTooLarge
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server.admission.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.admission.sender_argument import GoalFunction, with_sender
-from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN, GoalKeeper
+from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN
+from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
+from fibaction.server.life import Event
 from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
@@ -104,7 +106,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._runs = runs
         self._logs = logs
         self._dispatcher = dispatcher
-        self._keeper: GoalKeeper | None = None
+        self._keeper: Keeper = NoStoreKeeper()
         self.watchers: WatcherGroup | None = None
         """The watchers of the server; None if it has none."""
         self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
@@ -114,7 +116,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._is_draining = False
         self._is_closed = False
 
-    def keep_by(self, keeper: GoalKeeper) -> None:
+    def keep_by(self, keeper: Keeper) -> None:
         """Write acceptances through this keeper before they are told."""
         self._keeper = keeper
 
@@ -136,8 +138,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             GoalKept: The store has failed.
         """
         goal_id = offer.goal_id
-        if self._keeper is not None:
-            self._keeper.check()
+        self._keeper.check()
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
         verdict = self._registry.admit(goal_id, offer.goal, now=current_time())
@@ -238,67 +239,59 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         goal = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
         )
-        if self._keeper is not None:
-            is_running = dispatcher is None or any(order.act is Act.START for order in orders)
-            if dispatcher is not None:
-                dispatcher.hold(goal_id, orders)
-            return self._write_acceptance(
-                self._keeper, offer, request, goal, context, is_running=is_running
-            )
-        self._registry.accept(goal)
-        self._tell_decision(goal_id)
-        log = self._runs.add(goal, request, offer.goal, begin=dispatcher is None, context=context)
+        is_running = dispatcher is None or any(order.act is Act.START for order in orders)
         if dispatcher is not None:
-            dispatcher.carry_out(orders)
-        return log.follow(feedback=offer.feedback, own=True)
+            dispatcher.hold(goal_id, orders)
+        return self._write_acceptance(offer, request, goal, context, is_running=is_running)
 
     # Acceptance with a store
 
     def _write_acceptance(
         self,
-        keeper: GoalKeeper,
         offer: GoalRequest,
         request: GoalT,
         goal: GoalRecord,
         context: Context | None,
         *,
         is_running: bool,
-    ) -> Coroutine[Any, Any, FeedbackCursor]:
-        """Begin to write an acceptance, and return the wait for the stream of the goal."""
+    ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+        """Write an acceptance, and return the stream of the goal, or the wait for it."""
         acceptance, context = _AcceptanceInWriting(goal), context or copy_context()
 
         def accept() -> None:
             del self._writing[goal.goal_id]
             self._registry.accept(goal)
-            begin = self._dispatcher is None and not self._is_closed
-            log = self._runs.add(goal, request, offer.goal, begin=begin, context=context)
+            log = self._runs.add(goal, request, offer.goal, begin=False, context=context)
             acceptance.stream = log.follow(feedback=offer.feedback, own=True)
             if acceptance.is_left:
                 acceptance.stream.close()
             self._tell_decision(goal.goal_id)
             if self._dispatcher is not None:
                 self._dispatcher.accepted(goal.goal_id)
+            elif not self._is_closed:
+                self._runs.begin(goal.goal_id)
 
         def reject(error: RecordTooLarge) -> None:
             del self._writing[goal.goal_id]
+            goal.happen(Event.TOO_LARGE)
             acceptance.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
             if self._dispatcher is not None:
                 self._dispatcher.withdraw(goal.goal_id)
 
         self._writing[goal.goal_id] = goal
         meta = None if offer.meta is None else dict(offer.meta)
-        write = keeper.accept(
+                write = self._keeper.accept(
             goal, offer.goal, meta, is_running=is_running, then=accept, too_large=reject
         )
-        return self._await_acceptance(keeper, offer, write, acceptance)
+        return acceptance.stream or self._await_acceptance(offer, write, acceptance)
 
     async def _await_acceptance(
-        self, keeper: GoalKeeper, offer: GoalRequest, write: int, acceptance: _AcceptanceInWriting
+        self, offer: GoalRequest, write: int, acceptance: _AcceptanceInWriting
     ) -> FeedbackCursor:
         try:
-            await keeper.kept(write)
+            await self._keeper.kept(write)
         except StoreError:
-            raise keeper.stopped() from None
+            raise self._keeper.stopped() from None
         except BaseException:
             acceptance.leave()
             raise
@@ -316,14 +309,19 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Return the record of a goal whose acceptance is being written."""
         return self._writing.get(goal_id)
 
-    def lose(self, goal: GoalRecord) -> None:
-        """Let go of a goal that another server has, if its acceptance is being written here."""
-        if self._writing.get(goal.goal_id) is goal:
-            del self._writing[goal.goal_id]
-            self._withdraw(goal.goal_id)
-            self._tell_rejection(goal.goal_id, GOAL_IS_TAKEN)
-            if self._dispatcher is not None:
-                self._dispatcher.withdraw(goal.goal_id)
+    def lose(self, goal: GoalRecord) -> bool:
+        """Let go of a goal that another server has, if its acceptance is being written here; return
+        whether it was.
+        """
+        if self._writing.get(goal.goal_id) is not goal:
+            return False
+        goal.happen(Event.LOSE)
+        del self._writing[goal.goal_id]
+        self._withdraw(goal.goal_id)
+        self._tell_rejection(goal.goal_id, GOAL_IS_TAKEN)
+        if self._dispatcher is not None:
+            self._dispatcher.withdraw(goal.goal_id)
+        return True
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
         """Reject a goal, and return the error to raise."""
@@ -370,8 +368,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             GoalKept: The store has failed, or has not answered before the server has stopped.
         """
         while self._registry.is_undecided(goal_id):
-            if self._keeper is not None:
-                self._keeper.check()
+            self._keeper.check()
             self._callbacks.check_not_within("on_goal", goal_id, "cancels, or sends again,")
             await self._decisions.setdefault(goal_id, Notifier()).wait()
 

@@ -1,1 +1,1 @@
-"""The goals that a store keeps: writes in order, checkpoints and recovery."""
+"""The durability of goals: what a server writes to its store, and what it does without one."""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from fibaction._runtime.text import excerpt
-from fibaction.border.goal_store import GoalTaken
-from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN
+from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
 from fibaction.words.errors import ProtocolError
 
 if TYPE_CHECKING:
-    from fibaction.server.durability.goal_keeper import GoalKeeper
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import Codec
 
@@ -21,8 +20,8 @@ class Checkpoints:
     def __init__(self, action: str, codec: Codec[Any] | None) -> None:
         self._action = action
         self._codec = codec
-        self.keeper: GoalKeeper | None = None
-        """The way to the store; None without one, and then nothing is kept."""
+        self.keeper: Keeper = NoStoreKeeper()
+        """The way to the store."""
 
     async def keep(self, goal: GoalRecord, state: object) -> None:
         """Keep the state of a goal, and wait until it is kept.
@@ -32,7 +31,7 @@ class Checkpoints:
             RuntimeError: The goal has ended.
             StoreError: It cannot be kept, or the goal belongs to another server by now.
         """
-        codec, keeper = self._codec, self.keeper
+        codec = self._codec
         if codec is None:
             raise TypeError(
                 f"action {self._action!r} has no checkpoints: give their type to its Action, as"
@@ -43,13 +42,7 @@ class Checkpoints:
                 f"a checkpoint of action {self._action!r} is of type"
                 f" {_name_of(codec.type)}, not {excerpt(repr(state))}"
             )
-        if keeper is None:
-            return
-        if goal.is_over or goal.stored is None:
-            raise RuntimeError(f"goal {goal.goal_id} has ended, and keeps no checkpoint")
-        await keeper.kept(keeper.checkpoint(goal, codec.encode(state)))
-        if goal.is_lost:
-            raise GoalTaken(GOAL_IS_TAKEN)
+        await self.keeper.keep_state(goal, partial(codec.encode, state))
 
     def restored(self, goal: GoalRecord) -> Any:
         """Return the last checkpoint of a goal; None if there is none.

@@ -18,7 +18,7 @@ A goal that belongs to another server by now is lost for this one alone: a write
 answers that wait: those about a lost goal change nothing any more. The same goal may come back as
 another record, so a refusal is about a record, and not about an ID.
 
-Without a store, a server has no keeper.
+Without a store, a server has a `NoStoreKeeper`.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ from fibaction.border.goal_store import (
     StoredGoal,
     Then,
 )
+from fibaction.server.durability.keeper import Keeper, Kept, TooLarge
+from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.errors import GoalKept, StoreError, copy_of
 from fibaction.words.goals import GoalID, Outcome
@@ -64,11 +66,6 @@ LONGEST = 1e9
 
 logger = clean_logger("fibaction.server")
 
-Kept = Callable[[], None]
-"""A function that is called when a write is durable."""
-TooLarge = Callable[[RecordTooLarge], None]
-"""A function that is called when something is too large for the store."""
-
 
 class _Answer(NamedTuple):
     """The answer of the store to a write."""
@@ -79,7 +76,7 @@ class _Answer(NamedTuple):
     error: StoreError | None
 
 
-class GoalKeeper:
+class GoalKeeper(Keeper):
     """The writes of one server to its store."""
 
     def __init__(self, store: GoalStore, action: str, *, keep_for: float, max_results: int) -> None:
@@ -127,12 +124,12 @@ class GoalKeeper:
         self._journal.set_room(running, waiting)
 
     @property
-    def has_lease(self) -> bool:
+    def has_lease(self) -> bool:  # type: ignore[override]  # it can only be read
         """True if the goals belong to this server only until a time, `valid_until`."""
         return type(self._journal).valid_until is not GoalJournal.valid_until
 
     @property
-    def is_valid(self) -> bool:
+    def is_valid(self) -> bool:  # type: ignore[override]  # as above
         """True if the goals belong to this server for certain."""
         return current_time() < self._journal.valid_until
 
@@ -165,9 +162,12 @@ class GoalKeeper:
         )
         return self._write(self._journal.accept, goal, goal.stored, then, too_large)
 
-    def begin(self, goal: GoalRecord, then: Kept | None = None) -> None:
-        """Keep that an attempt at the goal begins."""
+    def begin(self, goal: GoalRecord, then: Kept) -> None:
+        """Keep that an attempt at the goal begins, unless its acceptance has said so."""
         stored = _stored(goal)
+        if stored.is_running:
+            then()
+            return
         stored.is_running, stored.attempt = True, goal.attempt
         self._write(self._journal.begin, goal, stored, then)
 
@@ -189,6 +189,14 @@ class GoalKeeper:
                 stored.checkpoint = earlier
 
         return self._write(self._journal.checkpoint, goal, stored, None, too_large)
+
+    async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
+        """See `Keeper.keep_state`."""
+        if not goal.phase.is_open or goal.stored is None:
+            raise RuntimeError(f"goal {goal.goal_id} has ended, and keeps no checkpoint")
+        await self.kept(self.checkpoint(goal, encode()))
+        if goal.phase is Phase.LOST:
+            raise GoalTaken(GOAL_IS_TAKEN)
 
     def end(
         self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
@@ -241,7 +249,7 @@ class GoalKeeper:
         too_large: TooLarge | None,
         error: StoreError | None,
     ) -> None:
-        if isinstance(error, GoalTaken) and not (goal.is_lost or self._is_closed):
+        if isinstance(error, GoalTaken) and not (goal.phase is Phase.LOST or self._is_closed):
             self.on_refused(goal)  # at once, as the store may hand it over again
         self._answers.append(_Answer(goal, then, too_large, error))
         if len(self._answers) == 1:
@@ -265,7 +273,7 @@ class GoalKeeper:
         error = answer.error
         if error is not None and not isinstance(error, GoalTaken | RecordTooLarge):
             self._fail(error)
-        elif not answer.goal.is_lost:
+        elif answer.goal.phase is not Phase.LOST:
             if isinstance(error, RecordTooLarge):
                 assert answer.too_large is not None  # only what can grow is too large
                 answer.too_large(error)

@@ -217,7 +217,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             stored.is_running = False
             stored.lost += 1
             ending = await self._ending_of(goal, stored)
-            if goal.is_over:
+            if not goal.phase.is_open:
                 return  # it was canceled while the function decided
             if ending is not None:
                 self._end(goal, ending)
@@ -234,7 +234,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
     async def _begin_later(self, goal: GoalRecord, request: GoalT) -> None:
         """Let a goal go on when the executor that it had here before is gone."""
         await self._runs.lost.left(goal.goal_id)
-        if not (goal.is_over or self._is_closed):
+        if goal.phase.is_open and not self._is_closed:
             self._begin(goal, request)
 
     def _begin(self, goal: GoalRecord, request: GoalT) -> None:

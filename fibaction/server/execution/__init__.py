@@ -1,1 +1,1 @@
-"""Executors from their first step to their end: tasks, turns, interruption, watchdog."""
+"""The execution of goals: executors, and the tasks in which they run."""

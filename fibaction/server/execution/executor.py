@@ -41,9 +41,14 @@ from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.log import clean_logger
+from fibaction.server.execution.executor_life import EXECUTOR_LIFE
+from fibaction.server.execution.executor_life import ExecutorEvent
+from fibaction.server.execution.executor_life import ExecutorPhase
+from fibaction.server.execution.executor_life import ScopesEvent
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.current_goal import CurrentGoal, current_goal
@@ -86,8 +91,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "fence",
         "goal",
         "handle",
-        "has_ended",
-        "is_interrupted",
+        "phase",
     )
 
     def __init__(
@@ -116,10 +120,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._context.run(current_goal.set, self._current)
         self.fence: Fence | None = None
         """The function that is asked before each step; None if the executor may always go on."""
-        self.is_interrupted = False
-        """True if a cancellation was sent to the executor."""
-        self.has_ended = False
-        """True when the executor is gone, with its clean-up."""
+        self.phase = ExecutorPhase.PREPARED
+        """The phase of the executor's life; it is gone with its clean-up."""
         self._scopes: CancelOnce | None = None
         self._steps: Steps[Ending]
 
@@ -136,7 +138,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             watch.current,
         )
         watch.begin(self._steps, self)
-        if self.is_interrupted:
+        if self.phase is ExecutorPhase.INTERRUPTED:
             self._steps.interrupt()
         return self._steps
 
@@ -144,10 +146,14 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         """Raise the backend's cancellation in the generator, once, at its current or next `await`
         or `yield`. Each `await` after that is clean-up, and is not canceled.
         """
-        if not self.is_interrupted:
-            self.is_interrupted = True
-            if self._scopes is not None:
-                self._steps.interrupt()
+        before = self.phase
+        self.happen(ExecutorEvent.INTERRUPT)
+        if self.phase is not before and self._scopes is not None:
+            self._steps.interrupt()
+
+    def happen(self, event: ExecutorEvent) -> None:
+        """Note an event in the life of the executor."""
+        self.phase = EXECUTOR_LIFE[self.phase, event]
 
     def kill(self, *, for_good: bool = True) -> None:
         """Cancel every `await` from now on, those of the clean-up included, and discard feedback,
@@ -218,7 +224,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         cause = _cause(exc)
         if cause is None:
             assert self._scopes is not None
-            self._scopes.is_spent = True  # the task itself may have been canceled
+            self._scopes.happen(ScopesEvent.INTERRUPT)  # the task itself may have been canceled
             return Ending(EndKind.CANCELED, self._result)
         if isinstance(cause, GoalCanceled):
             return self._part(EndKind.CANCELED, cause)
@@ -301,7 +307,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         return Ending(EndKind.FAILED, self._result, reason)
 
     def _log_failure(self, reason: str, exc: BaseException) -> None:
-        if self.goal.is_lost:
+        if self.goal.phase is Phase.LOST:
             return  # it was interrupted, and could not keep its checkpoint
         logger.error(
             "goal %s of action %r failed: %s",

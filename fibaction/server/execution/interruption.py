@@ -34,7 +34,7 @@ task, the coroutine has then returned. The coroutine is kept for ever, because P
 otherwise close it, and run its clean-up in the middle of something else (`_keep_for_ever`).
 
 Giving up may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
-So it is done at the end of a server only (`is_for_good`). Before that, a coroutine that survives
+So it is done at the end of a server only (`DOOMED`). Before that, a coroutine that survives
 MOST_KILLS cancellations is spared: it runs on, and gets no further one.
 """
 
@@ -51,6 +51,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
+from fibaction.server.execution.executor_life import SCOPES_LIFE, ScopesEvent, ScopesPhase
 from fibaction.server.execution.turns import Turns
 
 T = TypeVar("T")
@@ -85,11 +86,8 @@ class CancelOnce:
 
     __slots__ = (
         "_task",
-        "is_abandoned",
-        "is_for_good",
-        "is_killed",
-        "is_spent",
         "on_wait",
+        "phase",
         "rest",
         "steps",
         "turns",
@@ -101,14 +99,8 @@ class CancelOnce:
         """The turns of all executors of the server that do not wait."""
         self._task: TaskHandle[None] | CancelScope | None = None
         self.rest = CancelScope(shield=True)
-        self.is_spent = False
-        """True if the scopes are canceled, so that no other job can run in them."""
-        self.is_killed = False
-        """True if every `await` is canceled from now on."""
-        self.is_for_good = False
-        """True if a coroutine that survives being killed is given up."""
-        self.is_abandoned = False
-        """True if a coroutine was given up inside, whose own scopes are still open."""
+        self.phase = ScopesPhase.USABLE
+        """The phase of the scopes; no other job can run in them unless they are usable."""
         self.on_wait = on_wait
         """The function that is called when the coroutine inside begins to wait."""
         self.steps: Steps[Any] | None = None
@@ -127,21 +119,24 @@ class CancelOnce:
 
     def interrupt(self) -> None:
         """Deliver a cancellation."""
-        self.is_spent = True
+        self.happen(ScopesEvent.INTERRUPT)
         self.rest.shield = False
         if self._task is not None:
             self._task.cancel()
 
     def kill(self, *, for_good: bool = True) -> None:
         """Cancel every `await` from now on; give a coroutine up that survives it, if `for_good`."""
-        self.is_killed = True
-        self.is_for_good |= for_good
+        self.happen(ScopesEvent.KILL_FOR_GOOD if for_good else ScopesEvent.KILL)
         self.interrupt()
 
     def spare(self) -> None:
         """Cancel nothing more, until `kill` is called again."""
-        self.is_killed = False
+        self.happen(ScopesEvent.SPARE)
         self.rest.shield = True
+
+    def happen(self, event: ScopesEvent) -> None:
+        """Note an event in the life of the scopes."""
+        self.phase = SCOPES_LIFE[self.phase, event]
 
     def abandon(self) -> None:
         """Give up the coroutine inside, and end the wait of its task, if anything can."""
@@ -220,11 +215,11 @@ class Steps(Generator[Any, Any, T], Generic[T]):
     def give_up(self) -> None:
         """Never resume the coroutine again; the next step ends the wait for it."""
         scopes = self._scopes
-        if scopes.is_abandoned:
+        if scopes.phase is ScopesPhase.ABANDONED:
             return  # its last cancellation arrives after its time was over
         _keep_for_ever(self._coroutine)
         scopes.steps = None
-        scopes.is_spent = scopes.is_abandoned = True
+        scopes.happen(ScopesEvent.ABANDON)
         scopes.rest.shield = True  # or tasks that the coroutine has started were canceled for ever
         self._coroutine = _GivenUp(self._on_given_up())
 
@@ -300,13 +295,13 @@ class Steps(Generator[Any, Any, T], Generic[T]):
                 if self._detour is not None:
                     self._detour.close()
                     self._detour = self._delayed = None
-            elif self._scopes.is_killed:
+            elif self._scopes.phase >= ScopesPhase.KILLED:
                 self._kills += 1
                 if self._kills > MOST_KILLS:
                     self._survive()
 
     def _survive(self) -> None:
-        if self._scopes.is_for_good:
+        if self._scopes.phase >= ScopesPhase.DOOMED:
             self.give_up()
         else:
             self._kills = 0
@@ -315,7 +310,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
 
     def _suspend(self, waiting_for: Any) -> Any:
         self._scopes.on_wait()
-        if self._arrived and not self._scopes.is_killed:
+        if self._arrived and self._scopes.phase < ScopesPhase.KILLED:
             rest = self._scopes.rest
             rest.shield = True
             self._arrived = self._by_outcome and self._is_unwinding()

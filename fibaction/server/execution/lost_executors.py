@@ -16,6 +16,7 @@ from anyio import current_time, sleep_until
 
 from fibaction._runtime.notify import Notifier
 from fibaction.server.execution.executor import Execution, warn_of_kill
+from fibaction.server.execution.executor_life import ExecutorPhase
 from fibaction.words.goals import GoalID
 
 AnyExecution: TypeAlias = Execution[Any, Any, Any]
@@ -76,10 +77,10 @@ class LostExecutors:
     async def _kill_first(self) -> None:
         # Its own function, as `run` would reference the last executor until the next one is lost.
         at, execution = self._due[0]
-        if not execution.has_ended:
+        if execution.phase is not ExecutorPhase.GONE:
             await sleep_until(at)
         self._due.popleft()
-        if not execution.has_ended:
+        if execution.phase is not ExecutorPhase.GONE:
             warn_of_kill(execution.goal.goal_id, self._action, self._kill_after)
             self._kill(execution)
 

@@ -10,13 +10,14 @@ if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog
     from fibaction.server.execution.executor import Execution
     from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.words.errors import ConnectionLost
     from fibaction.words.goals import Outcome
 
 
 class Run(Generic[GoalT, FeedbackT, ResultT]):
     """An active goal: its record, its log with the followers, and its executor."""
 
-    __slots__ = ("execution", "goal", "has_begun", "is_waiting", "log", "outcome")
+    __slots__ = ("error", "execution", "goal", "log", "outcome")
 
     def __init__(
         self,
@@ -27,9 +28,7 @@ class Run(Generic[GoalT, FeedbackT, ResultT]):
         self.goal = goal
         self.log = log
         self.execution = execution
-        self.is_waiting = True
-        """True until the executor is to begin."""
-        self.has_begun = False
-        """True when the executor begins: with a store, when its begin is kept."""
+        self.error: ConnectionLost | None = None
+        """The error for the followers of a goal that leaves without an end."""
         self.outcome: Outcome[bytes] | None = None
         """The outcome once it is fixed; the goal's record has it once it is told."""

@@ -5,13 +5,14 @@ Theory of operation
 
 Each active goal has a `Run`: its record in the registry, its `FeedbackLog` and its `Execution`.
 `add` makes the run. `begin` adds it to the task pool, in which `_run` awaits the executor; with a
-schedule, a run may have to wait before that (`is_waiting`).
+schedule, a run may have to wait before that. What happens to a goal goes through `_step`, which
+looks its effects up in the table of a goal's life, and carries them out.
 
 The end of a goal has two steps, in `_finish` and nowhere else. `_fix_outcome` decides the outcome,
 which never changes afterwards. `_tell_end` makes it the goal's, moves the goal from the active to
-the ended ones, and notifies followers. Without a store, one follows the other at once. With one,
-the outcome is written between them, and told when it is kept; no task waits for that. In the same
-way the begin of an attempt is written before the executor starts, and a cancel before it is told.
+the ended ones, and notifies followers. Between them, the outcome is written, and no task waits for
+that; without a store, one follows the other at once. In the same way the begin of an attempt is
+written before the executor starts, and a cancel before it is told.
 
 A goal that is not to end here (`_let_go`) just leaves, and its streams fail. If the server stops
 and keeps its goals, or its store has failed, clients are told nothing (`GoalKept`), and come back.
@@ -48,13 +49,10 @@ from anyio.abc import TaskGroup
 from fibaction.border.goal_store import RecordTooLarge
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.goal_keeper import (
-    GOAL_IS_TAKEN,
-    STORE_FAILED,
-    STORE_IS_LATE,
-    GoalKeeper,
-)
+from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN, STORE_FAILED, STORE_IS_LATE
+from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
 from fibaction.server.execution.executor import Execution, Executor, Fence
+from fibaction.server.execution.executor_life import ExecutorEvent, ExecutorPhase
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.lost_executors import LostExecutors
 from fibaction.server.execution.run import Run
@@ -62,6 +60,7 @@ from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.goal_logs import GoalLogs
+from fibaction.server.life import Effect, Event, Phase, next_step
 from fibaction.server.registry.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
@@ -93,7 +92,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._executor = executor
         self._registry = registry
         self._logs = logs
-        self._keeper: GoalKeeper | None = None
+        self._keeper: Keeper = NoStoreKeeper()
         self.checkpoints = Checkpoints(action.name, action.checkpoint)
         """The checkpoints of the goals."""
         self.lost = LostExecutors(action.name, kill_after=kill_after, kill=self._kill_late)
@@ -121,17 +120,16 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """True if there are active goals, or executors of lost ones."""
         return bool(self._runs or self.lost)
 
-    def keep_by(self, keeper: GoalKeeper) -> None:
+    def keep_by(self, keeper: Keeper) -> None:
         """Write through this keeper."""
         self._keeper = self.checkpoints.keeper = keeper
 
     def open(self, tasks: TaskGroup) -> None:
         """Use these tasks for executors; the store is open."""
         self._pool = TaskPool(tasks, f"goal of {self._action.name}")
-        if self._keeper is not None:
-            tasks.start_soon(self.lost.run, name=f"lost goals of {self._action.name}")
-            if self._keeper.has_lease:
-                self._fence = self._is_fenced
+        tasks.start_soon(self.lost.run, name=f"lost goals of {self._action.name}")
+        if self._keeper.has_lease:
+            self._fence = self._is_fenced
 
     # Start
 
@@ -159,28 +157,62 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._logs.tell_status(log)
         if begin:
-            self._begin(run)
+            self._step(run, Event.BEGIN)
         return log
 
     def begin(self, goal_id: GoalID) -> None:
         """Run the executor of a goal that waits, beginning in the next turn of the event loop."""
         run = self._runs.get(goal_id)
-        if run is None or run.goal.is_over:
-            return  # its end is being written
-        run.goal.place = NO_PLACE
-        keeper, stored = self._keeper, run.goal.stored
-        if keeper is None or stored is None or stored.is_running:
-            self._begin(run)
-        else:
-            run.is_waiting = False  # it has its place, and gives it back by `_leave`
-            keeper.begin(run.goal, partial(self._begin, run))
+        if run is not None:
+            run.goal.place = NO_PLACE
+            self._step(run, Event.BEGIN)
 
     def _begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        if run.goal.is_over:  # it was killed while its begin was written
-            self._leave(run.goal.goal_id)
-            return
-        run.is_waiting, run.has_begun = False, True
+        run.execution.happen(ExecutorEvent.CALL)
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
+
+    # The table
+
+    def _step(self, run: Run[GoalT, FeedbackT, ResultT], event: Event) -> None:
+        """Let a goal make the step that follows from an event: see `life`."""
+        run.goal.phase, effects = next_step(run.goal.phase, event)
+        for effect in effects:
+            self._carry_out(run, effect)
+
+    def _carry_out(self, run: Run[GoalT, FeedbackT, ResultT], effect: Effect) -> None:
+        match effect:
+            case Effect.WRITE_BEGIN:
+                self._keeper.begin(run.goal, partial(self._step, run, Event.BEGIN_KEPT))
+            case Effect.CALL:
+                self._begin(run)
+            case Effect.TELL_EXECUTING:
+                self._tell_executing(run)
+            case Effect.WRITE_END:
+                self._write_end(run)
+            case Effect.TELL_END:
+                self._tell_end(run)
+            case Effect.WRITE_CANCEL:
+                self._keeper.cancel(run.goal, partial(self._step, run, Event.CANCEL_KEPT))
+            case Effect.TELL_CANCELING:
+                self._tell(run, run.goal.status)
+            case Effect.INTERRUPT:
+                run.execution.interrupt()
+            case Effect.END_UNBEGUN:
+                self._finish(run, Ending(EndKind.CANCELED))
+            case Effect.END_AND_LEAVE:
+                self._end(run.execution, Ending(EndKind.CANCELED))
+            case Effect.WRITE_TAKE_OVER:
+                self._write_take_over(run)
+            case Effect.TELL_TAKE_OVER:
+                self._tell_take_over(run)
+            case Effect.WRITE_RELEASE:
+                self._release(run)
+            case Effect.TELL_GONE:
+                self._tell_gone(run)
+            case Effect.LEAVE:
+                self._leave(run.goal.goal_id)
+            case _:
+                self._part(run)
 
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
         execution = run.execution
@@ -190,7 +222,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             if execution.handle.cancel_requested:
                 ending = Ending(EndKind.CANCELED)
             else:
-                self._execute(run)
+                self._step(run, Event.EXECUTE)
                 ending = await execution.run(scopes)
         except BaseException as exc:
             # KeyboardInterrupt or SystemExit, which end the program.
@@ -201,10 +233,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _end(self, execution: Execution[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Finish the goal that an executor has run last, unless it was killed."""
         goal_id = execution.goal.goal_id
-        execution.has_ended = True
+        execution.happen(ExecutorEvent.LEAVE)
         run = self._runs.get(goal_id)
         # The ID of a goal that was killed, or lost, may be that of another one by now.
-        if run is not None and run.execution is execution and not run.goal.is_over:
+        if run is not None and run.execution is execution and run.goal.phase.is_open:
             self._finish(run, ending)
         was_lost = self.lost.discard(execution)
         self._leave(goal_id)
@@ -216,10 +248,15 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if self.on_left is not None and goal_id not in self.lost:
             self.on_left(goal_id)
 
-    def _execute(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+    def _tell_executing(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         if run.goal.status is GoalStatus.ACCEPTED:  # else an earlier attempt has begun
             self._registry.execute(run.goal)
-            self._logs.tell_status(run.log)
+            self._tell(run, run.goal.status)
+
+    def _tell(self, run: Run[GoalT, FeedbackT, ResultT], status: GoalStatus) -> None:
+        """Tell a status that is kept by now."""
+        run.goal.told_status = status
+        self._logs.tell_status(run.log)
 
     def _log_of(self, goal_id: GoalID) -> FeedbackLog[GoalRecord] | None:
         run = self._runs.get(goal_id)
@@ -237,7 +274,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def is_interrupted(self, goal_id: GoalID) -> bool:
         """Return whether the executor of a goal was interrupted, or is gone."""
         run = self._runs.get(goal_id)
-        return run is None or run.execution.is_interrupted
+        if run is None or run.goal.stop_reason:
+            return True
+        return run.execution.phase is ExecutorPhase.INTERRUPTED
 
     def take_over(self, goal_id: GoalID, successor: GoalID) -> None:
         """Let the executor of a goal go on as its successor, which waits, and end the goal.
@@ -247,62 +286,37 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """
         old, new = self._runs[goal_id], self._runs[successor]
         old.execution.go_on_as(new.execution.handle, new.log)
-        new.execution, new.is_waiting, new.has_begun = old.execution, False, True
-        if self._keeper is not None:
-            # The executor runs already. Nothing of this attempt may be told before it is kept: the
-            # next attempt would have the same number.
-            new.log.is_hidden = True
-            self._keeper.begin(new.goal, partial(self._tell_begin, new))
+        new.execution = old.execution
         self._finish(old, Ending(EndKind.CANCELED, reason=f"preempted by {successor}"))
-        if self._keeper is None:
-            self._execute(new)
-        else:
-            new.goal.earlier_status = new.goal.status
-            self._registry.execute(new.goal)
+        self._step(new, Event.TAKE_OVER)
 
-    def _tell_begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        """Tell of an attempt that is kept by now, and has begun before."""
-        # A cancel may have been accepted since, and not be kept yet.
-        is_newest = run.goal.status is GoalStatus.EXECUTING
-        run.goal.earlier_status = None if is_newest else GoalStatus.EXECUTING
-        self._logs.tell_status(run.log)
+    def _write_take_over(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        # The executor runs already. Nothing of this attempt may be told before it is kept: the next
+        # attempt would have the same number.
+        self._registry.execute(run.goal)
+        run.log.is_hidden = True
+        self._keeper.begin(run.goal, partial(self._step, run, Event.TAKE_OVER_KEPT))
+
+    def _tell_take_over(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        self._tell(run, GoalStatus.EXECUTING)  # a cancel of it may not be kept yet
         run.log.reveal()
 
     # Stop
 
-    def cancel(self, goal: GoalRecord, before: GoalStatus, *, interrupt: bool) -> None:
-        """Tell followers that a goal is CANCELING, which was `before`, and interrupt its executor
-        if `interrupt`.
+    def cancel(self, goal: GoalRecord, *, interrupt: bool) -> None:
+        """Write and tell that a goal is CANCELING, and interrupt its executor if `interrupt`.
 
         A goal that waits ends at once.
         """
         run = self._runs[goal.goal_id]
-        if self._keeper is None:
-            self._logs.tell_status(run.log)
-        else:
-            if goal.earlier_status is None:
-                goal.earlier_status = before
-            self._keeper.cancel(goal, partial(self._tell_status, run))
-        if run.is_waiting:
-            self._end(run.execution, Ending(EndKind.CANCELED))
-        elif interrupt:
-            run.execution.interrupt()
-
-    def _tell_status(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        """Tell a status that is kept by now."""
-        run.goal.earlier_status = None
-        self._logs.tell_status(run.log)
+        self._step(run, Event.CANCEL if interrupt else Event.CANCEL_GENTLY)
 
     def interrupt(self, goal_id: GoalID, reason: str) -> None:
         """End a goal as ABORTED for that reason: interrupt its executor if it has begun."""
         run = self._runs.get(goal_id)
-        if run is None or run.goal.is_over:
-            return  # it has ended since it was chosen
-        run.goal.stop_reason = run.goal.stop_reason or reason
-        if run.is_waiting:
-            self._finish(run, Ending(EndKind.CANCELED))
-        else:
-            run.execution.interrupt()
+        if run is not None and run.goal.phase.is_open:  # else it has ended since it was chosen
+            run.goal.stop_reason = run.goal.stop_reason or reason
+            self._step(run, Event.STOP)
 
     def end(self, goal_id: GoalID, ending: Ending) -> None:
         """End a goal that waits."""
@@ -312,33 +326,36 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Let go of a goal that another server has taken over, and interrupt its executor."""
         run = self._runs.get(goal.goal_id)
         if run is None or run.goal is not goal:
+            goal.happen(Event.LOSE)
             return
         goal.stop_reason = goal.stop_reason or GOAL_IS_TAKEN  # its executor may look for that
-        self._let_go(run, ConnectionLost(GOAL_IS_TAKEN))
-        execution = run.execution
-        if not run.has_begun:
+        run.error = ConnectionLost(GOAL_IS_TAKEN)
+        self._step(run, Event.LOSE)
+
+    def _part(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        execution, goal = run.execution, run.goal
+        if execution.phase in (ExecutorPhase.PREPARED, ExecutorPhase.GONE):
             self._leave(goal.goal_id)
-        elif execution.goal is goal and not execution.has_ended:  # else it runs another goal
+        elif execution.goal is goal:  # else it runs another goal
             self.on_lost(goal.goal_id)
             self.lost.add(execution)
 
     def _is_fenced(self, execution: Execution[GoalT, FeedbackT, ResultT]) -> bool:
         """Interrupt an executor, and return True, if its goal may be another server's by now."""
-        assert self._keeper is not None
         if self._keeper.is_valid:
             return False
         goal = execution.goal
-        if not (goal.is_over or execution.is_interrupted):
+        if goal.phase.is_open and execution.phase is not ExecutorPhase.INTERRUPTED:
             goal.stop_reason = goal.stop_reason or LEASE_IS_OVER
             self.lost.interrupt(execution)
         return True
 
     def _kill_late(self, execution: Execution[GoalT, FeedbackT, ResultT]) -> None:
         goal = execution.goal
-        if goal.is_over:
-            execution.kill(for_good=False)
-        else:
+        if goal.phase.is_open:
             self.kill(goal.goal_id, for_good=False)
+        else:
+            execution.kill(for_good=False)
 
     def kill(self, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
         """Kill the executor of a goal that was interrupted, and end the goal, for that reason if it
@@ -347,14 +364,14 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         An executor that survives this is given up if `for_good`; otherwise it runs on.
         """
         run = self._runs.get(goal_id)
-        if run is not None and not run.goal.is_over:
+        if run is not None and run.goal.phase.is_open:
             run.goal.stop_reason = run.goal.stop_reason or reason
             self._finish(run, Ending(EndKind.FAILED, reason=run.goal.stop_reason), killed=True)
             run.execution.kill(for_good=for_good)
 
     def active(self) -> tuple[GoalID, ...]:
         """Return the goals whose end is not fixed."""
-        return tuple(goal_id for goal_id, run in self._runs.items() if not run.goal.is_over)
+        return tuple(goal_id for goal_id, run in self._runs.items() if run.goal.phase.is_open)
 
     def close(self) -> None:
         """End the tasks for executors, after the last goal."""
@@ -367,7 +384,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def abandon_ends(self) -> None:
         """Let go of goals whose begin or end is being written: the store has failed."""
         for run in tuple(self._runs.values()):
-            if run.goal.is_over or not (run.is_waiting or run.has_begun):
+            if run.goal.phase is Phase.BEGIN_IN_WRITING or not run.goal.phase.is_open:
                 self._let_go(run, GoalKept(STORE_FAILED))
 
     def let_go(self) -> None:
@@ -380,27 +397,24 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _finish(
         self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending, *, killed: bool = False
     ) -> None:
-        keeper = self._keeper
-        if keeper is None:
-            self._fix_outcome(run, ending)
-            self._tell_end(run)
-        elif keeper.failure is not None:
+        goal = run.goal
+        if self._keeper.failure is not None:
             self._let_go(run, GoalKept(STORE_FAILED))
-        elif self._is_kept(run.goal, ending, killed=killed):
-            self._release(keeper, run)
+        elif goal.stop_reason and self._is_kept(goal, ending, killed=killed):
+            self._step(run, Event.RELEASE)
         else:
             self._fix_outcome(run, ending)
-            self._keep_end(keeper, run)
+            self._step(run, Event.END)
 
-    def _keep_end(self, keeper: GoalKeeper, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+    def _write_end(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         """Write the outcome; one that is too large is replaced by the reason."""
-
-        def replace_result(error: RecordTooLarge) -> None:
-            run.outcome = Outcome(GoalStatus.ABORTED, None, f"the result is not kept: {error}")
-            self._keep_end(keeper, run)
-
         assert run.outcome is not None
-        keeper.end(run.goal, run.outcome, partial(self._tell_end, run), replace_result)
+        then, too_large = partial(self._step, run, Event.END_KEPT), partial(self._shorten, run)
+        self._keeper.end(run.goal, run.outcome, then, too_large)
+
+    def _shorten(self, run: Run[GoalT, FeedbackT, ResultT], error: RecordTooLarge) -> None:
+        run.outcome = Outcome(GoalStatus.ABORTED, None, f"the result is not kept: {error}")
+        self._step(run, Event.TOO_LARGE)
 
     def _is_kept(self, goal: GoalRecord, ending: Ending, *, killed: bool) -> bool:
         """Return whether a goal stays in the store: it has not ended by itself."""
@@ -410,17 +424,21 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             and (killed or ending.kind is EndKind.CANCELED)
         )
 
-    def _release(self, keeper: GoalKeeper, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        run.goal.is_over = True
+    def _release(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         # Also one that waits: in a store that servers share, it is free for the others from now on.
-        error: ConnectionLost = GoalKept(GOAL_IS_KEPT)
+        run.error = GoalKept(GOAL_IS_KEPT)
         if run.goal.stop_reason == LEASE_IS_OVER:
-            error = ConnectionLost(LEASE_IS_OVER)
-        keeper.release(run.goal, partial(self._let_go, run, error))
+            run.error = ConnectionLost(LEASE_IS_OVER)
+        self._keeper.release(run.goal, partial(self._step, run, Event.RELEASE_KEPT))
 
     def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:
+        run.error = error
+        self._step(run, Event.LET_GO)
+
+    def _tell_gone(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         """End the streams of a goal that does not end here, and forget it."""
-        run.goal.is_over = True
+        error = run.error
+        assert error is not None
         del self._runs[run.goal.goal_id]
         self._registry.release(run.goal)
         if isinstance(error, GoalKept):
@@ -431,22 +449,18 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Decide the outcome, which never changes afterwards."""
         goal = run.goal
-        if self._keeper is None:
-            self._execute(run)  # the table has no edge from ACCEPTED to an end
-        elif goal.status is GoalStatus.ACCEPTED:
-            goal.earlier_status = goal.status  # it is told together with the end
-            self._registry.execute(goal)
+        if goal.status is GoalStatus.ACCEPTED:  # its table has no edge from ACCEPTED to an end
+            self._registry.execute(goal)  # which is told together with the end
         if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
             reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
             ending = Ending(EndKind.CANCELED, ending.result, reason)
         run.outcome = self._registry.outcome_for(goal, ending)
-        goal.is_over = True
 
     def _tell_end(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         """Make the outcome the goal's, for as long as results are kept, and tell it."""
         assert run.outcome is not None
-        if run.goal.earlier_status is not None:
-            self._tell_status(run)
+        if run.goal.told_status is not run.goal.status:
+            self._tell(run, run.goal.status)
         now = current_time()
         self._registry.finish(run.goal, run.outcome, now=now, stamp=time.time_ns())
         del self._runs[run.goal.goal_id]

@@ -30,6 +30,7 @@ from anyio.lowlevel import cancel_shielded_checkpoint
 
 from fibaction._runtime.detached import DetachedGroup, waker
 from fibaction._runtime.notify import Notifier
+from fibaction.server.execution.executor_life import ScopesPhase
 from fibaction.server.execution.fair_queue import FairQueue
 from fibaction.server.execution.interruption import EXECUTOR_SLICE, CancelOnce
 from fibaction.server.execution.turns import Turns
@@ -111,13 +112,17 @@ class TaskPool:
                 while True:
                     self._begin_slice()
                     await self._work_off(scopes)
-                    if scopes.is_spent or self._closed or len(self._idle) >= MOST_IDLE:
+                    if (
+                        scopes.phase > ScopesPhase.USABLE
+                        or self._closed
+                        or len(self._idle) >= MOST_IDLE
+                    ):
                         break
                     self._idle.append(news)
                     await news.wait()
         finally:
             self._working.discard(scopes)
-            self._group.has_abandoned |= scopes.is_abandoned
+            self._group.has_abandoned |= scopes.phase is ScopesPhase.ABANDONED
             self._call()
 
     def _begin_slice(self) -> None:
@@ -127,7 +132,7 @@ class TaskPool:
 
     async def _work_off(self, scopes: CancelOnce) -> None:
         """Run jobs until none waits, or until another task is to run them."""
-        while self._jobs.count and not scopes.is_spent:
+        while self._jobs.count and scopes.phase is ScopesPhase.USABLE:
             if perf_counter() >= self._slice_end:
                 if self._is_coming:
                     return

@@ -31,7 +31,7 @@ class Cancellation:
 
     def accept(self, goal: GoalRecord) -> bool:
         """Move the goal to CANCELING, and return True; return False if its end is fixed by now."""
-        if goal.is_over or not goal.status.is_active:
+        if not (goal.phase.is_open and goal.status.is_active):
             return False
         if goal.status is not GoalStatus.CANCELING:
             goal.status = transition(goal.status, GoalEvent.CANCEL_GOAL)
@@ -82,7 +82,7 @@ def cancellation_of(
         goal = find(goal_id)
         if goal is None:
             return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
-        candidates = () if goal.is_over or not goal.status.is_active else (goal,)
+        candidates = (goal,) if goal.phase.is_open and goal.status.is_active else ()
         return Cancellation(candidates, CancelCode.GOAL_TERMINATED)
     if not stamp:
         return Cancellation(tuple(active), CancelCode.NONE)

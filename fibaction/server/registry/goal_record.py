@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fibaction._runtime.budget import CountedBytes
+from fibaction.server.life import Event, Phase, next_step
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import INITIAL, GoalStatus
 
@@ -31,14 +32,12 @@ class GoalRecord:
         "changed",
         "deadline",
         "digest",
-        "earlier_status",
         "ended_at",
         "feedback_count",
         "goal_id",
         "held",
-        "is_lost",
-        "is_over",
         "outcome",
+        "phase",
         "place",
         "remember_until",
         "sender",
@@ -46,6 +45,7 @@ class GoalRecord:
         "status",
         "stop_reason",
         "stored",
+        "told_status",
     )
 
     def __init__(
@@ -68,16 +68,14 @@ class GoalRecord:
         self.attempt = 1
         """Number of the attempt that runs, or that comes next. A server without a store makes one.
         """
+        self.phase = Phase.DECIDING
+        """The phase of the goal's life at the server: see `life`."""
         self.status: GoalStatus = INITIAL
-        self.earlier_status: GoalStatus | None = None
-        """The status before a change that is still being written; None if none is."""
+        self.told_status: GoalStatus = INITIAL
+        """The status that followers may know: the last one that the store has acknowledged."""
         self.outcome: Outcome[bytes] | None = None
         """The outcome; None while the goal is active, and again after the server has forgotten it.
         The log of the goal has its own reference, for those that still follow it."""
-        self.is_over = False
-        """True as soon as the outcome is fixed. The status follows when the end is kept."""
-        self.is_lost = False
-        """True if the goal belongs to another server by now: nothing is told or kept of it here."""
         self.stored: StoredGoal | None = None
         """The goal as its store has it; None without a store, and after the end."""
         self.held = held
@@ -95,10 +93,13 @@ class GoalRecord:
         self.stop_reason = ""
         """The reason for which the server ends the goal by itself; empty if it does not."""
 
-    @property
-    def told_status(self) -> GoalStatus:
-        """The status that followers may know: without a change that is still being written."""
-        return self.status if self.earlier_status is None else self.earlier_status
+    def happen(self, event: Event) -> None:
+        """Note an event after which the server has nothing more to do for the goal.
+
+        Raises:
+            InvalidStep: The event cannot happen in this phase.
+        """
+        self.phase = next_step(self.phase, event).phase
 
     @property
     def info(self) -> GoalInfo:

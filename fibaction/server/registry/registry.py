@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from fibaction._runtime.budget import ByteBudget, CountedBytes
+from fibaction.server.life import Event
 from fibaction.server.registry.cancellation import Cancellation, cancellation_of
 from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
@@ -180,11 +181,14 @@ class GoalRegistry:
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
         digest, held = self._undecided[goal_id]
-        return GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
+        goal = GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
+        goal.happen(Event.ACCEPT)
+        return goal
 
     def accept(self, goal: GoalRecord) -> None:
         """Accept an undecided goal with its record."""
         del self._undecided[goal.goal_id]
+        goal.happen(Event.ACCEPTANCE_KEPT)
         earlier = self._ended.discard(goal.goal_id)  # it may have expired without being freed yet
         if earlier is not None:
             self._forget(earlier)
@@ -207,8 +211,9 @@ class GoalRegistry:
         goal.attempt, goal.remember_until = max(stored.attempt, 1), until
         self._listing = None
         if status.is_terminal:
-            goal.status = status
-            goal.is_over, goal.outcome = True, Outcome(status, stored.result, stored.reason)
+            goal.happen(Event.RESTORE_ENDED)
+            goal.status = goal.told_status = status
+            goal.outcome = Outcome(status, stored.result, stored.reason)
             goal.feedback_count, goal.ended_at = stored.feedback_count, stored.ended_at
             earlier = self._ended.discard(goal_id)
             if earlier is not None:
@@ -216,8 +221,9 @@ class GoalRegistry:
             self._kept_bytes += size
             self._ended.put_until(goal_id, goal, until)
             return goal
+        goal.happen(Event.RESTORE)
         goal.stored = stored
-        goal.status = stored.told_status  # a status never goes back
+        goal.status = goal.told_status = stored.told_status  # a status never goes back
         self._active[goal_id] = goal
         return goal
 
@@ -276,7 +282,7 @@ class GoalRegistry:
 
         `stamp` is the wall clock's time in nanoseconds. Call `expire` afterwards to keep the limit.
         """
-        goal.status = outcome.status
+        goal.status = goal.told_status = outcome.status
         goal.outcome = outcome
         goal.ended_at = stamp
         assert goal.held is not None

@@ -1,0 +1,266 @@
+"""The life of a goal at its server, as one table.
+
+Theory of operation
+-------------------
+
+The record of a goal is in one `Phase` at a time. What happens to the goal is an `Event`, and
+`LIFE` says for each phase which events may happen, which phase comes next, and which `Effect`s are
+to be carried out, in their order. An event that may happen but changes nothing has a row, too; any
+other one is a bug, and `next_step` raises `InvalidStep`. This module carries nothing out: it does
+not wait, write, or depend on executors, clients or stores.
+
+A goal that was sent is *deciding*. If it is accepted, the acceptance is written, then the goal is
+*waiting* for its turn. When that comes, the begin of the attempt is written, the executor is
+*called*, and from its first step the goal is *running*. The end is fixed before it is written:
+from then on it never changes, and a cancel comes too late. When it is kept, the goal has *ended*.
+
+All that clients are told is kept first. So each thing that is told has two events: one that fixes
+and writes it, and one, `..._KEPT`, that tells it. A server without a store goes the same way: its
+keeper answers at once, within the call that writes.
+
+Clients are told a status only by the effects `TELL_...`. It is ACCEPTED from the acceptance,
+EXECUTING from the first step, CANCELING when an accepted cancel is kept, and terminal when the end
+is kept. `TOLD` says which statuses clients may have been told in a phase. A cancel does not change
+the phase: the executor may still clean up, or yield its result.
+
+A goal may be taken over by the executor of another one, which runs already. It is *running ahead*
+until its begin is kept; that has an event of its own, because the goal may have ended by then.
+
+A goal may also leave without an end here. It is *released* to be run again later, or because the
+store or the server has stopped; or it is *lost*, because another server has it. Only the first of
+these is written.
+
+The status itself has a table of its own: see `fibaction.words.statuses`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from fibaction.words.action_error import ActionError
+from fibaction.words.statuses import GoalStatus
+
+
+class Phase(IntEnum):
+    """A phase of a goal's life, in the order in which they come."""
+
+    DECIDING = 0
+    ACCEPTANCE_IN_WRITING = 1
+    WAITING = 2
+    """Accepted; the executor has no turn yet."""
+    BEGIN_IN_WRITING = 3
+    """The goal has its turn."""
+    CALLED = 4
+    """The executor takes its first step soon."""
+    RUNNING_AHEAD = 5
+    """An executor that runs already has taken the goal over, and the begin is being written."""
+    RUNNING = 6
+    END_IN_WRITING = 7
+    RELEASE_IN_WRITING = 8
+    ENDED = 9
+    RELEASED = 10
+    REJECTED = 11
+    LOST = 12
+    """Another server has the goal: nothing is told or written about it here."""
+
+    @property
+    def is_open(self) -> bool:
+        """True until the end of the goal is fixed, or the goal leaves without one."""
+        return self < 7
+
+
+class Event(IntEnum):
+    """An event in the life of a goal."""
+
+    ACCEPT = 0
+    ACCEPTANCE_KEPT = 1
+    RESTORE = 2
+    """An earlier process, or another server, has accepted the goal."""
+    RESTORE_ENDED = 3
+    BEGIN = 4
+    """The goal has its turn."""
+    BEGIN_KEPT = 5
+    EXECUTE = 6
+    """The executor takes its first step."""
+    TAKE_OVER = 7
+    """The executor of another goal goes on as this one."""
+    TAKE_OVER_KEPT = 8
+    CANCEL = 9
+    """A client's cancel was accepted."""
+    CANCEL_GENTLY = 10
+    """The same, on a server whose executors look for themselves whether they are to stop."""
+    CANCEL_KEPT = 11
+    STOP = 12
+    """The server ends the goal for a reason of its own."""
+    END = 13
+    """The outcome is fixed."""
+    END_KEPT = 14
+    TOO_LARGE = 15
+    """The store cannot keep what is being written."""
+    RELEASE = 16
+    """The goal is to be run again later."""
+    RELEASE_KEPT = 17
+    LET_GO = 18
+    """The store has failed, or the server has stopped before it has answered."""
+    LOSE = 19
+    """Another server turns out to have the goal."""
+
+
+class Effect(IntEnum):
+    """An act that follows an event."""
+
+    WRITE_BEGIN = 0
+    WRITE_TAKE_OVER = 1
+    WRITE_CANCEL = 2
+    WRITE_END = 3
+    WRITE_RELEASE = 4
+    CALL = 5
+    """Let the executor begin."""
+    INTERRUPT = 6
+    """Raise a cancellation in the executor."""
+    END_UNBEGUN = 7
+    """End the goal as canceled, in place of an executor. It has no place in the schedule."""
+    END_AND_LEAVE = 8
+    """The same for a goal that has a place, and gives it back."""
+    TELL_EXECUTING = 9
+    TELL_TAKE_OVER = 10
+    TELL_CANCELING = 11
+    TELL_END = 12
+    TELL_GONE = 13
+    """End the streams of the goal with an error, and forget it."""
+    LEAVE = 14
+    """Give back the goal's place in the schedule."""
+    PART = 15
+    """Stop the executor of a lost goal; without one, give back the place."""
+
+
+class Step(NamedTuple):
+    """The answer of the table to an event."""
+
+    phase: Phase
+    effects: tuple[Effect, ...]
+
+
+class InvalidStep(ActionError):
+    """An event that a phase does not allow: a bug in fibaction, not in the code that uses it."""
+
+    def __init__(self, phase: Phase, event: Event) -> None:
+        super().__init__(phase, event)
+        self.phase = phase
+        self.event = event
+
+    def __str__(self) -> str:
+        return f"{self.event.name} cannot happen to a goal in the phase {self.phase.name}"
+
+
+_HAS_TURN = (Phase.CALLED, Phase.RUNNING_AHEAD, Phase.RUNNING)
+_OPEN = (Phase.WAITING, Phase.BEGIN_IN_WRITING, *_HAS_TURN)
+_IN_WRITING = (Phase.END_IN_WRITING, Phase.RELEASE_IN_WRITING)
+_OVER = (*_IN_WRITING, Phase.ENDED, Phase.RELEASED, Phase.LOST)
+
+_Table = dict[tuple[Phase, Event], Step]
+
+
+def _same(phases: tuple[Phase, ...], event: Event, *effects: Effect) -> _Table:
+    """Return rows for an event that leaves each of these phases as it is."""
+    return {(phase, event): Step(phase, effects) for phase in phases}
+
+
+def _to(target: Phase, phases: tuple[Phase, ...], event: Event, *effects: Effect) -> _Table:
+    """Return rows for an event that leads from each of these phases to the same one."""
+    return {(phase, event): Step(target, effects) for phase in phases}
+
+
+LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
+    # Acceptance: `Admission` and `Recovery` carry out what follows.
+    _to(Phase.ACCEPTANCE_IN_WRITING, (Phase.DECIDING,), Event.ACCEPT)
+    | _to(Phase.WAITING, (Phase.ACCEPTANCE_IN_WRITING,), Event.ACCEPTANCE_KEPT)
+    | _to(Phase.REJECTED, (Phase.ACCEPTANCE_IN_WRITING,), Event.TOO_LARGE)
+    | _to(Phase.LOST, (Phase.ACCEPTANCE_IN_WRITING,), Event.LOSE)
+    | _to(Phase.WAITING, (Phase.DECIDING,), Event.RESTORE)
+    | _to(Phase.ENDED, (Phase.DECIDING,), Event.RESTORE_ENDED)
+    # Begin: a goal may have ended before its turn comes, or while that is written.
+    | _to(Phase.BEGIN_IN_WRITING, (Phase.WAITING,), Event.BEGIN, Effect.WRITE_BEGIN)
+    | _same(_OVER, Event.BEGIN)
+    | _to(Phase.CALLED, (Phase.BEGIN_IN_WRITING,), Event.BEGIN_KEPT, Effect.CALL)
+    | _same(_IN_WRITING, Event.BEGIN_KEPT)
+    | _to(Phase.RUNNING, (Phase.CALLED,), Event.EXECUTE, Effect.TELL_EXECUTING)
+    | _same(_OVER, Event.EXECUTE)  # it was killed before its first step
+    | _to(Phase.RUNNING_AHEAD, (Phase.WAITING,), Event.TAKE_OVER, Effect.WRITE_TAKE_OVER)
+    | _to(Phase.RUNNING, (Phase.RUNNING_AHEAD,), Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
+    | _same(_IN_WRITING, Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
+    # Cancel, and stop. An executor that was not called yet sees both before its first step.
+    | _same((Phase.WAITING,), Event.CANCEL, Effect.WRITE_CANCEL, Effect.END_AND_LEAVE)
+    | _same((Phase.WAITING,), Event.CANCEL_GENTLY, Effect.WRITE_CANCEL, Effect.END_AND_LEAVE)
+    | _same((Phase.BEGIN_IN_WRITING,), Event.CANCEL, Effect.WRITE_CANCEL)
+    | _same(_HAS_TURN, Event.CANCEL, Effect.WRITE_CANCEL, Effect.INTERRUPT)
+    | _same((Phase.BEGIN_IN_WRITING, *_HAS_TURN), Event.CANCEL_GENTLY, Effect.WRITE_CANCEL)
+    | _same((*_OPEN, Phase.END_IN_WRITING), Event.CANCEL_KEPT, Effect.TELL_CANCELING)
+    | _same((Phase.WAITING,), Event.STOP, Effect.END_UNBEGUN)
+    | _same((Phase.BEGIN_IN_WRITING,), Event.STOP)
+    | _same(_HAS_TURN, Event.STOP, Effect.INTERRUPT)
+    # The end. A goal that is killed while its begin is written has no executor that leaves later.
+    | _to(Phase.END_IN_WRITING, _OPEN, Event.END, Effect.WRITE_END)
+    | _to(
+        Phase.END_IN_WRITING,
+        (Phase.BEGIN_IN_WRITING,),
+        Event.END,
+        Effect.WRITE_END,
+        Effect.LEAVE,
+    )
+    | _to(Phase.END_IN_WRITING, (Phase.END_IN_WRITING,), Event.TOO_LARGE, Effect.WRITE_END)
+    | _to(Phase.ENDED, (Phase.END_IN_WRITING,), Event.END_KEPT, Effect.TELL_END)
+    # Without an end here.
+    | _to(Phase.RELEASE_IN_WRITING, _OPEN, Event.RELEASE, Effect.WRITE_RELEASE)
+    | _to(
+        Phase.RELEASE_IN_WRITING,
+        (Phase.BEGIN_IN_WRITING,),
+        Event.RELEASE,
+        Effect.WRITE_RELEASE,
+        Effect.LEAVE,
+    )
+    | _to(Phase.RELEASED, (Phase.RELEASE_IN_WRITING,), Event.RELEASE_KEPT, Effect.TELL_GONE)
+    | _to(Phase.RELEASED, (*_OPEN, *_IN_WRITING), Event.LET_GO, Effect.TELL_GONE)
+    | _to(Phase.LOST, (*_OPEN, *_IN_WRITING), Event.LOSE, Effect.TELL_GONE, Effect.PART)
+    # A write about a goal may be refused when it is not here any more.
+    | _to(Phase.LOST, (Phase.ENDED, Phase.RELEASED, Phase.LOST, Phase.REJECTED), Event.LOSE)
+)
+"""Every step that may happen; all others are bugs."""
+
+_STARTED = frozenset({GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING})
+_ENDS = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
+
+TOLD: Final[Mapping[Phase, frozenset[GoalStatus]]] = MappingProxyType(
+    {
+        Phase.DECIDING: frozenset(),
+        Phase.ACCEPTANCE_IN_WRITING: frozenset(),
+        Phase.WAITING: _STARTED,  # more than ACCEPTED only if an earlier attempt was told
+        Phase.BEGIN_IN_WRITING: _STARTED,
+        Phase.CALLED: _STARTED,
+        Phase.RUNNING_AHEAD: frozenset({GoalStatus.ACCEPTED}),
+        Phase.RUNNING: frozenset({GoalStatus.EXECUTING, GoalStatus.CANCELING}),
+        Phase.END_IN_WRITING: _STARTED,
+        Phase.RELEASE_IN_WRITING: _STARTED,
+        Phase.ENDED: _ENDS,
+        Phase.RELEASED: _STARTED,
+        Phase.LOST: _STARTED,
+        Phase.REJECTED: frozenset(),
+    }
+)
+"""The statuses that clients may have been told, for each phase. Which of them it is depends on the
+writes that the store has answered: the record of the goal has it (`told_status`)."""
+
+
+def next_step(phase: Phase, event: Event) -> Step:
+    """Return the step that follows from an event.
+
+    Raises:
+        InvalidStep: The table has no such row.
+    """
+    try:
+        return LIFE[phase, event]
+    except KeyError:
+        raise InvalidStep(phase, event) from None

@@ -1,0 +1,1112 @@
+from __future__ import annotations
+
+import gc
+import math
+import weakref
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+from time import process_time
+
+import anyio
+import pytest
+import trio.testing
+from fibaction.server.execution.stall import MOST, SHARE
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.feedback_log import FeedbackLog
+from hypothesis import example, given, strategies
+
+from fibaction._runtime.budget import ByteBudget
+from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.words.errors import ConnectionLost, GoalKept
+from fibaction.words.goals import UNKNOWN_SENDER, GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
+from tests.support.virtual_time import in_virtual_time
+
+GOAL_ID = GoalID(bytes(range(16)))
+OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")
+
+
+def new_log(window: int = 1000, *, latest: bool = False) -> FeedbackLog:
+    return FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=window, latest=latest)
+
+
+def append(log: FeedbackLog, count: int) -> None:
+    """Add feedback, each of which is its own number as text."""
+    for _ in range(count):
+        log.append(b"%d" % (log.count + 1))
+
+
+def change(log: FeedbackLog, status: GoalStatus) -> None:
+    log.goal.status = log.goal.told_status = status
+    log.tell_status()
+
+
+def end(log: FeedbackLog) -> None:
+    log.goal.outcome = OUTCOME
+    change(log, GoalStatus.SUCCEEDED)
+    log.finish()
+
+
+async def numbers(stream: FeedbackCursor) -> list[int]:
+    """The numbers of all feedback up to the end of the stream."""
+    seen: list[int] = []
+    while (item := await stream.receive()) is not None:
+        assert item.payload == b"%d" % item.number
+        seen.append(item.number)
+    return seen
+
+
+async def while_waiting(waiting: Callable[[], Awaitable[object]], then: Callable[[], None]) -> None:
+    """See that something waits, do something about it, and see that it waits no longer."""
+    done = anyio.Event()
+
+    async def wait() -> None:
+        await waiting()
+        done.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            assert not done.is_set()
+            then()
+
+
+# What a follower reads
+
+
+@pytest.mark.asyncio
+async def test_feedback_is_numbered_from_one_and_comes_in_order() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 3)
+    end(log)
+    with anyio.fail_after(5):
+        assert await stream.receive() == FeedbackItem(1, b"1")
+        assert await numbers(stream) == [2, 3]
+    assert log.count == log.goal.feedback_count == 3
+    assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+async def test_a_follower_knows_its_goal() -> None:
+    log = new_log()
+    stream = log.follow()
+    assert (stream.goal_id, stream.stamp) == (GOAL_ID, 7)
+    assert stream.status.name == "ACCEPTED"
+    end(log)
+    assert stream.status.name == "SUCCEEDED"
+
+
+@pytest.mark.asyncio
+async def test_a_follower_needs_no_change_of_status_to_hear_of_the_end() -> None:
+    log = new_log()
+    stream = log.follow()
+
+    def end_without_a_change() -> None:
+        log.goal.outcome = OUTCOME
+        log.finish()
+
+    await while_waiting(stream.receive, end_without_a_change)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("after", "expected"),
+    [(None, [4]), (0, [1, 2, 3, 4]), (2, [3, 4]), (3, [4]), (99, [4]), (-1, [1, 2, 3, 4])],
+)
+async def test_a_follower_begins_where_it_asks_to(after: int | None, expected: list[int]) -> None:
+    log = new_log()
+    append(log, 3)
+    stream = log.follow(after=after)
+    append(log, 1)
+    end(log)
+    with anyio.fail_after(5):
+        assert await numbers(stream) == expected
+    assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("attempt", "expected"), [(1, [1, 2, 3, 4]), (2, [3, 4]), (3, [1, 2, 3, 4]), (None, [3, 4])]
+)
+async def test_a_number_of_another_attempt_is_not_one_to_begin_behind(
+    attempt: int | None, expected: list[int]
+) -> None:
+    log = new_log()
+    log.goal.attempt = 2
+    append(log, 3)
+    stream = log.follow(after=2, attempt=attempt)
+    append(log, 1)
+    end(log)
+    with anyio.fail_after(5):
+        assert await numbers(stream) == expected
+    assert (stream.attempt, stream.dropped) == (2, 0)
+
+
+def test_feedback_says_which_attempt_it_is_of() -> None:
+    log = new_log()
+    log.goal.attempt = 3
+    stream = log.follow()
+    append(log, 1)
+    assert stream.take() == [FeedbackItem(1, b"1", 3)]
+
+
+KEPT = GoalKept("the server keeps the goal")
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("feedback", [True, False])
+async def test_a_log_that_fails_fails_all_that_follow_it_now_or_later(feedback: bool) -> None:
+    log = new_log()
+    stream, closed, gone = (log.follow(feedback=feedback) for _ in range(3))
+    closed.close()
+    del gone
+    append(log, 1)
+
+    async def outcome() -> None:
+        with pytest.raises(GoalKept, match=r"^the server keeps the goal$"):
+            await stream.outcome()
+
+    await while_waiting(outcome, lambda: log.fail(KEPT))
+    for other in (stream, closed):
+        with pytest.raises(GoalKept):
+            other.take()
+    with pytest.raises(GoalKept):
+        log.follow()
+
+
+@pytest.mark.asyncio
+async def test_an_executor_waits_for_no_follower_of_a_log_that_has_failed() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    append(log, 1)
+    await while_waiting(lambda: log.wait_for_room(math.inf), lambda: log.fail(KEPT))
+    assert not stream.holding
+    append(log, 2)
+    assert not log.is_full
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_what_a_closed_follower_has_not_read_is_missed_if_it_wanted_any(reads: bool) -> None:
+    log = new_log()
+    stream = log.follow(feedback=reads)
+    append(log, 2)
+    stream.take()
+    stream.close()
+    append(log, 1)
+    assert not stream.take()
+    assert stream.dropped == 0  # it is told with the end
+    end(log)
+    for _ in range(2):
+        assert stream.take() == (OUTCOME,)
+        assert (stream.cursor, stream.dropped) == ((3, 2) if reads else (0, 0))
+
+
+def test_a_follower_that_leaves_a_goal_that_has_ended_is_not_remembered() -> None:
+    log = new_log()
+    stream = log.follow()
+    end(log)
+    stream.close()
+    assert log._others is None
+
+
+@pytest.mark.asyncio
+async def test_closing_a_follower_ends_the_wait_for_feedback() -> None:
+    stream = new_log().follow()
+    await while_waiting(stream.receive, stream.close)
+
+
+@pytest.mark.asyncio
+async def test_a_log_is_followed_as_long_as_a_cursor_reads() -> None:
+    log = new_log()
+    assert not log.is_followed
+    one, other = log.follow(), log.follow()
+    one.close()
+    assert log.is_followed
+    other.close()
+    assert not log.is_followed
+
+
+@given(
+    window=strategies.integers(1, 5),
+    latest=strategies.booleans(),
+    after=strategies.none() | strategies.integers(0, 10),
+    steps=strategies.lists(strategies.sampled_from(["append", "read"]), max_size=30),
+)
+def test_what_was_read_and_what_was_dropped_is_all_there_was(
+    window: int, latest: bool, after: int | None, steps: list[str]
+) -> None:
+    async def check() -> None:
+        log = new_log(window, latest=latest)
+        append(log, 4)
+        stream = log.follow(after=after)
+        start = 4 if after is None else min(after, 4)
+        seen: list[int] = []
+        for step in steps:
+            if step == "append":
+                append(log, 1)
+            elif stream.cursor < log.count:
+                item = await stream.receive()
+                assert item is not None
+                seen.append(item.number)
+        end(log)
+        seen += await numbers(stream)
+        assert seen == sorted(set(seen))
+        assert len(seen) + stream.dropped == log.count - start
+        if log.count > start:
+            assert seen[-1] == log.count
+
+    anyio.run(check)
+
+
+# What is there already
+
+
+def numbers_of(taken: Sequence[GoalUpdate]) -> list[int]:
+    return [update.number for update in taken if isinstance(update, FeedbackItem)]
+
+
+def test_what_is_there_already_is_given_at_once_up_to_a_limit() -> None:
+    log = new_log()
+    stream = log.follow()
+    assert not stream.take(10)
+    append(log, 6)
+    assert stream.take() == [FeedbackItem(1, b"1")]
+    assert numbers_of(stream.take(3)) == [2, 3, 4]
+    assert numbers_of(stream.take(10)) == [5, 6]
+    assert not stream.take(10)
+    append(log, 1)
+    assert not stream.take(0)
+    assert stream.cursor == 6
+
+
+def test_larger_pieces_count_what_was_dropped_and_make_room() -> None:
+    log = new_log(window=4)
+    stream = log.follow(own=True)
+    append(log, 10)
+    assert log.is_full
+    assert numbers_of(stream.take(2)) == [7, 8]
+    assert (stream.dropped, stream.cursor, log.is_full) == (6, 8, False)
+    assert numbers_of(stream.take(9)) == [9, 10]
+    assert stream.dropped == 6
+
+
+@pytest.mark.parametrize("limit", [1, 10])
+def test_with_latest_a_piece_is_the_newest_whatever_its_limit(limit: int) -> None:
+    log = new_log(latest=True)
+    stream = log.follow()
+    append(log, 5)
+    assert not stream.take(0)
+    assert numbers_of(stream.take(limit)) == [5]
+    assert stream.dropped == 4
+    assert not stream.take(limit)
+
+
+def test_no_feedback_is_taken_before_a_status_or_after_closing() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 2)
+    change(log, GoalStatus.EXECUTING)
+    change(log, GoalStatus.CANCELING)
+    assert stream.take(10) == (GoalStatus.EXECUTING,)
+    assert stream.cursor == 0
+    assert stream.take(10) == (GoalStatus.CANCELING,)
+    assert numbers_of(stream.take(1)) == [1]
+    stream.close()
+    assert not stream.take(10)
+    assert stream.cursor == 1
+
+
+def test_statuses_are_taken_also_by_a_reader_that_wants_no_feedback_now() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 1)
+    change(log, GoalStatus.EXECUTING)
+    assert stream.take(0) == (GoalStatus.EXECUTING,)
+    assert not stream.take(0)
+    assert numbers_of(stream.take(9)) == [1]
+    end(log)
+    # The last one is not a change to tell: it is the end.
+    assert stream.take(0) == (OUTCOME,)
+
+
+@pytest.mark.parametrize("latest", [False, True])
+def test_a_goal_that_has_ended_has_no_end_for_a_reader_with_feedback_left_to_take(
+    latest: bool,
+) -> None:
+    log = new_log(latest=latest)
+    stream = log.follow()
+    append(log, 1)
+    assert stream.known_outcome() is None
+    end(log)
+    assert not stream.take(0)
+    assert stream.known_outcome() is OUTCOME
+    assert (stream.cursor, stream.dropped) == (0, 0)
+    assert numbers_of(stream.take(5)) == [1]
+    assert stream.take(5) == (OUTCOME,)
+    assert stream.take(0) == (OUTCOME,)
+    assert (stream.cursor, stream.dropped) == (1, 0)
+
+
+def test_feedback_that_an_ended_goal_no_longer_has_counts_as_dropped_also_if_none_is_taken() -> (
+    None
+):
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    goal.feedback_count = 3
+    goal.outcome = OUTCOME
+    stream = FeedbackLog(goal).follow(after=1)
+    assert stream.take(0) == (OUTCOME,)
+    assert (stream.cursor, stream.dropped) == (3, 2)
+
+
+@given(
+    window=strategies.integers(1, 5),
+    latest=strategies.booleans(),
+    steps=strategies.lists(
+        strategies.sampled_from(["append", "status"]) | strategies.integers(0, 4), max_size=30
+    ),
+)
+def test_pieces_of_any_size_are_in_order_and_leave_nothing_out_but_what_is_counted(
+    window: int, latest: bool, steps: list[str | int]
+) -> None:
+    log = new_log(window, latest=latest)
+    stream = log.follow()
+    seen: list[int] = []
+    statuses = told = 0
+
+    def take(limit: int) -> bool:
+        nonlocal told
+        taken = stream.take(limit)
+        if taken and isinstance(taken[0], GoalStatus):
+            told += 1
+        else:
+            assert told == statuses
+            assert len(numbers_of(taken)) <= limit
+            seen.extend(numbers_of(taken))
+            assert stream.cursor == len(seen) + stream.dropped
+        return taken == (OUTCOME,)
+
+    for step in steps:
+        if step == "append":
+            append(log, 1)
+        elif step == "status":
+            change(log, GoalStatus.EXECUTING)
+            statuses += 1
+        else:
+            assert isinstance(step, int)
+            assert not take(step)
+    end(log)
+    while not take(2):
+        pass
+    assert seen == sorted(set(seen))
+    assert len(seen) + stream.dropped == log.count
+
+
+# Who is told that there is something
+
+
+def count_wakes(stream: FeedbackCursor) -> list[None]:
+    """A list that grows at each of the stream's wakes."""
+    wakes: list[None] = []
+    stream.news.on_next = lambda: wakes.append(None)
+    return wakes
+
+
+def test_a_reader_is_told_of_feedback_of_statuses_of_the_end_and_of_its_being_closed() -> None:
+    for happens in (
+        lambda log, stream: append(log, 1),
+        lambda log, stream: change(log, GoalStatus.EXECUTING),
+        lambda log, stream: log.finish(),
+        lambda log, stream: stream.close(),
+    ):
+        log = new_log()
+        stream = log.follow()
+        wakes = count_wakes(stream)
+        happens(log, stream)
+        assert len(wakes) == 1
+
+
+@pytest.mark.parametrize("reads", [True, False], ids=["closed", "without feedback"])
+def test_a_follower_that_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(
+    reads: bool,
+) -> None:
+    log = new_log()
+    stream = log.follow(feedback=reads)
+    if reads:
+        stream.close()
+    wakes = count_wakes(stream)
+    append(log, 3)
+    change(log, GoalStatus.EXECUTING)
+    assert wakes == []
+    end(log)
+    assert len(wakes) == 1
+    assert stream.known_outcome() is OUTCOME
+
+
+def test_a_log_keeps_its_readers_alive_and_no_other_cursor() -> None:
+    log = new_log()
+    reader, closed = log.follow(), log.follow()
+    without = log.follow(feedback=False)
+    closed.close()
+    streams = [weakref.ref(stream) for stream in (reader, closed, without)]
+    wakes = count_wakes(reader)
+    del reader, closed, without
+    gc.collect()
+    assert [stream() is not None for stream in streams] == [True, False, False]
+    end(log)  # and it does not stumble over those that are gone
+    assert wakes
+
+
+def test_a_log_that_has_ended_is_freed_with_the_last_of_its_streams() -> None:
+    log = new_log()
+    one, other = log.follow(own=True), log.follow()
+    append(log, 2)
+    end(log)
+    gone = weakref.ref(log)
+    del log
+    assert numbers_of(one.take(9)) == [1, 2]
+    one.hold(False)
+    del one
+    assert gone() is not None
+    del other
+    assert gone() is None
+
+
+def test_a_log_forgets_those_that_waited_for_the_end_and_are_gone() -> None:
+    log = new_log()
+    waiting = [log.follow(feedback=False) for _ in range(10)]
+    for _ in range(1000):
+        log.follow(feedback=False)
+        log.follow().close()
+    assert log._others is not None
+    assert len(log._others) <= 40
+    wakes = [count_wakes(stream) for stream in waiting]
+    end(log)
+    assert all(wakes)
+
+
+def test_a_follower_that_leaves_as_it_is_told_does_not_keep_others_from_being_told() -> None:
+    for happens in (lambda log: append(log, 1), end):
+        log = new_log()
+        streams = [log.follow() for _ in range(3)]
+        for stream in streams[:2]:
+            stream.news.on_next = streams[1].close
+        wakes = count_wakes(streams[2])
+        happens(log)
+        assert wakes
+
+
+def test_following_reading_and_leaving_take_the_same_time_with_ten_thousand_followers() -> None:
+    log = new_log()
+    began = process_time()
+    for hold in (False, True):
+        streams = [log.follow(own=hold) for _ in range(10_000)]
+        append(log, 1)
+        for stream in streams:
+            assert numbers_of(stream.take(9)) == [log.count]
+        for stream in streams:
+            stream.close()
+    # It takes a tenth of a second; some ten, if each of them looked at all others.
+    assert process_time() - began < 2
+
+
+# What a follower hears of the status
+
+
+async def events(stream: FeedbackCursor) -> list[int | str]:
+    """The numbers of all feedback and the names of all statuses, up to the end of the stream."""
+    seen: list[int | str] = []
+    async for update in stream:
+        if isinstance(update, Outcome):
+            assert update is OUTCOME
+        else:
+            seen.append(update.name if isinstance(update, GoalStatus) else update.number)
+    return seen
+
+
+async def next_update(stream: FeedbackCursor) -> GoalUpdate:
+    return await anext(aiter(stream))
+
+
+@pytest.mark.asyncio
+async def test_a_follower_hears_of_each_status_until_the_end_and_of_all_feedback() -> None:
+    log = new_log()
+    stream = log.follow()
+    heard: list[int | str] = []
+
+    async def listen() -> None:
+        heard.extend(await events(stream))
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listen)
+            for happens in (
+                partial(change, log, GoalStatus.EXECUTING),
+                partial(append, log, 2),
+                partial(change, log, GoalStatus.CANCELING),
+                partial(append, log, 1),
+                partial(end, log),
+            ):
+                await anyio.wait_all_tasks_blocked()
+                happens()
+        assert await next_update(stream) is OUTCOME
+    assert heard == ["EXECUTING", 1, 2, "CANCELING", 3]
+
+
+@pytest.mark.asyncio
+async def test_what_was_not_listened_to_is_heard_later_the_statuses_first() -> None:
+    log = new_log()
+    stream = log.follow()
+    change(log, GoalStatus.EXECUTING)
+    append(log, 2)
+    change(log, GoalStatus.CANCELING)
+    end(log)
+    with anyio.fail_after(5):
+        assert await events(stream) == ["EXECUTING", "CANCELING", 1, 2]
+
+
+@pytest.mark.asyncio
+async def test_a_follower_hears_of_no_status_before_it_came() -> None:
+    log = new_log()
+    change(log, GoalStatus.EXECUTING)
+    stream = log.follow()
+    change(log, GoalStatus.CANCELING)
+    end(log)
+    with anyio.fail_after(5):
+        assert await events(stream) == ["CANCELING"]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "happens",
+    [
+        lambda log, stream: change(log, GoalStatus.EXECUTING),
+        lambda log, stream: append(log, 1),
+        lambda log, stream: end(log),
+    ],
+    ids=["a status", "feedback", "the end"],
+)
+async def test_a_listener_waits_until_something_happens(
+    happens: Callable[[FeedbackLog, FeedbackCursor], None],
+) -> None:
+    log = new_log()
+    stream = log.follow()
+    await while_waiting(lambda: next_update(stream), lambda: happens(log, stream))
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("late", [True, False], ids=["canceled after", "canceled before"])
+async def test_nothing_is_lost_if_the_wait_is_canceled(late: bool) -> None:
+    log = new_log()
+    stream = log.follow()
+    heard: list[GoalUpdate] = []
+
+    async def listen() -> None:
+        heard.append(await next_update(stream))
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listen)
+            await anyio.wait_all_tasks_blocked()
+            if not late:
+                tasks.cancel_scope.cancel()
+            change(log, GoalStatus.EXECUTING)
+            append(log, 1)
+            if late:
+                tasks.cancel_scope.cancel()
+        heard += [await next_update(stream) for _ in range(2 - len(heard))]
+    assert heard == [GoalStatus.EXECUTING, FeedbackItem(1, b"1")]
+
+
+@pytest.mark.asyncio
+async def test_a_cursor_without_feedback_or_closed_gives_the_outcome_only() -> None:
+    log = new_log()
+    cursors = [log.follow(feedback=False), log.follow(), log.follow()]
+    cursors[1].close()
+
+    async def only_the_outcome() -> None:
+        for cursor in cursors:
+            assert await next_update(cursor) is OUTCOME
+
+    def close_and_go_on() -> None:
+        cursors[2].close()
+        change(log, GoalStatus.EXECUTING)
+        append(log, 1)
+        end(log)
+
+    await while_waiting(only_the_outcome, close_and_go_on)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("wait", [GoalStream.receive, GoalStream.outcome])
+async def test_a_cursor_that_has_failed_raises_its_error_anew_for_each_wait(
+    wait: Callable[[GoalStream], Awaitable[object]],
+) -> None:
+    log, error = new_log(), ConnectionLost("gone")
+    stream, ended = log.follow(own=True), log.follow()
+    raised: list[ConnectionLost] = []
+
+    async def fails() -> None:
+        with pytest.raises(ConnectionLost, match=r"^gone$") as caught:
+            await wait(stream)
+        raised.append(caught.value)
+
+    await while_waiting(fails, lambda: stream.fail(error))
+    await fails()
+    assert len({id(one) for one in (*raised, error)}) == 3
+    append(log, 2000)
+    assert not log.is_full
+    end(log)
+    ended.fail(error)
+    assert ended.known_outcome() is OUTCOME, "an outcome that is known stays"
+
+
+@pytest.mark.parametrize("latest", [True, False])
+def test_a_follower_knows_whether_late_readers_want_the_newest_only(latest: bool) -> None:
+    assert new_log(latest=latest).follow().latest is latest
+
+
+# Making the executor wait
+
+
+def test_a_follower_holds_nothing_up_unless_told_to_and_a_log_keeps_one_feedback() -> None:
+    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER))
+    assert not log.follow().holding
+    assert log.follow(own=True).holding
+    append(log, 2)
+    assert log.after(0, 10) == [FeedbackItem(2, b"2")]
+
+
+@pytest.mark.parametrize(
+    ("place", "limit", "expected"),
+    [
+        (0, 1, [4]),
+        (0, 2, [4, 5]),
+        (3, 9, [4, 5, 6]),
+        (4, 1, [5]),
+        (4, 2, [5, 6]),
+        (5, 9, [6]),
+        (6, 9, []),
+        (0, 0, []),
+        (0, -1, []),
+    ],
+)
+def test_a_log_gives_what_there_still_is_behind_a_place(
+    place: int, limit: int, expected: list[int]
+) -> None:
+    log = new_log(window=3)
+    assert not log.has_after(0)
+    append(log, 6)
+    assert [item.number for item in log.after(place, limit)] == expected
+    assert log.has_after(place) is (place < 6)
+
+
+def test_a_cursor_is_set_to_any_number_as_far_as_the_log_remembers() -> None:
+    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=3)
+    stream = log.follow(after=0)
+    for number in range(1, 6):
+        log.append(b"%d" % number)
+        stream.take()
+    for after, first in ((-1, 3), (0, 3), (4, 5)):
+        stream.seek(after)
+        assert numbers_of(stream.take(9)) == list(range(first, 6))
+    stream.seek(9)
+    assert stream.cursor == 5
+
+
+def test_a_log_whose_feedback_is_all_gone_has_nothing_behind_any_place() -> None:
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    goal.feedback_count = 3
+    log = FeedbackLog(goal)
+    assert not log.has_after(0)
+    assert log.after(0, 10) == []
+
+
+@pytest.mark.asyncio
+async def test_a_log_is_full_when_its_client_has_a_window_to_read() -> None:
+    log = new_log(window=2)
+    stream = log.follow(own=True)
+    append(log, 1)
+    assert not log.is_full
+    append(log, 1)
+    assert log.is_full
+    with anyio.fail_after(5):
+        await stream.receive()
+    assert not log.is_full
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("hold", "latest"), [(False, False), (False, True), (True, True)], ids=repr
+)
+async def test_an_observer_never_fills_a_log_and_with_latest_no_reader_does(
+    hold: bool, latest: bool
+) -> None:
+    log = new_log(window=2, latest=latest)
+    stream = log.follow(own=hold)
+    stream.hold(True)
+    append(log, 5)
+    assert not log.is_full
+    assert not stream.holding
+
+
+def read_one(log: FeedbackLog, stream: FeedbackCursor) -> None:
+    assert stream.take()
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "make_room",
+    [read_one, lambda log, stream: stream.hold(False), lambda log, stream: stream.close()],
+    ids=["reading", "not holding", "closing"],
+)
+async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
+    make_room: Callable[[FeedbackLog, FeedbackCursor], None],
+) -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    append(log, 1)
+    await while_waiting(lambda: log.wait_for_room(math.inf), lambda: make_room(log, stream))
+    assert not log.is_full
+
+
+@pytest.mark.asyncio
+async def test_the_wait_for_room_goes_on_when_an_observer_reads_or_leaves() -> None:
+    log = new_log(window=1)
+    client, observer = log.follow(own=True), log.follow()
+    append(log, 1)
+    done = anyio.Event()
+
+    async def wait() -> None:
+        await log.wait_for_room(math.inf)
+        done.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            await observer.receive()
+            observer.close()
+            await anyio.wait_all_tasks_blocked()
+            assert not done.is_set()
+            await client.receive()
+    assert done.is_set()
+
+
+@pytest.mark.asyncio
+async def test_each_feedback_waits_until_the_one_before_was_read() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    for number in range(1, 4):
+        append(log, 1)
+        await while_waiting(lambda: log.wait_for_room(math.inf), lambda: read_one(log, stream))
+        assert stream.cursor == number
+
+
+@pytest.mark.asyncio
+async def test_there_is_no_wait_where_there_is_room() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    with anyio.fail_after(5):
+        await log.wait_for_room(math.inf)
+    assert stream.holding
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_stalls_holds_up_nothing_until_it_has_caught_up() -> None:
+    log = new_log(window=2)
+    stream = log.follow(own=True)
+    append(log, 2)
+    with anyio.fail_after(5):
+        await log.wait_for_room(0)
+        assert not log.is_full
+        append(log, 1)
+        await stream.receive()
+        assert not stream.holding
+        await stream.receive()
+        assert stream.holding
+    assert stream.dropped == 1
+    append(log, 2)
+    assert log.is_full
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_stalls_does_not_hold_again_by_asking_for_it() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    append(log, 1)
+    with anyio.fail_after(5):
+        await log.wait_for_room(0)
+    stream.hold(True)
+    assert not log.is_full
+
+
+@pytest.mark.asyncio
+async def test_only_the_client_that_was_not_read_stalls() -> None:
+    log = new_log(window=2)
+    slow, quick = log.follow(own=True), log.follow(own=True)
+    append(log, 2)
+    with anyio.fail_after(5):
+        await quick.receive()
+        await log.wait_for_room(0)
+    assert not slow.holding
+    assert quick.holding
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_let_go_can_hold_again() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    append(log, 1)
+    stream.hold(False)
+    assert not log.is_full
+    stream.hold(True)
+    assert log.is_full
+
+
+@pytest.mark.parametrize("hold", [True, False])
+def test_those_that_read_in_step_are_looked_at_once_for_each_feedback(
+    monkeypatch: pytest.MonkeyPatch, hold: bool
+) -> None:
+    log = new_log()
+    streams = [log.follow(own=hold) for _ in range(100)]
+    looks: list[None] = []
+    real = FeedbackLog.make_room
+
+    def look(log: FeedbackLog) -> None:
+        looks.append(None)
+        real(log)
+
+    monkeypatch.setattr(FeedbackLog, "make_room", look)
+    for number in range(1, 6):
+        append(log, 1)
+        for stream in streams:
+            assert numbers_of(stream.take()) == [number]
+    assert len(looks) == (5 if hold else 0)
+
+
+a_follower = strategies.integers(0, 3)
+
+
+@given(
+    window=strategies.integers(1, 4),
+    steps=strategies.lists(
+        strategies.tuples(strategies.sampled_from(["append", "stall"]), strategies.just(0))
+        | strategies.tuples(
+            strategies.sampled_from(["take", "close", "hold", "let go", "seek"]), a_follower
+        )
+        | strategies.tuples(strategies.sampled_from(["follow"]), a_follower),
+        max_size=60,
+    ),
+)
+@example(1, [("follow", 0), ("append", 0), ("take", 0), ("take", 1)])
+def test_a_log_is_full_exactly_if_a_holding_follower_is_a_window_behind(
+    window: int, steps: list[tuple[str, int]]
+) -> None:
+    async def check() -> None:
+        log = new_log(window)
+        streams = [log.follow(own=True), log.follow(own=True), log.follow(), log.follow()]
+        everyone = set(streams)
+        for step, number in steps:
+            stream = streams[number]
+            match step:
+                case "append":
+                    append(log, 1)
+                case "stall":
+                    await log.wait_for_room(0)
+                case "follow":
+                    streams[number] = log.follow(own=number != 3, after=log.count - 1)
+                case "take":
+                    stream.take(2)
+                case "close":
+                    stream.close()
+                case "seek":
+                    stream.seek(log.count - 2)
+                case _:
+                    stream.hold(step == "hold")
+            # A follower that was replaced still holds: nobody has closed it.
+            everyone.update(streams)
+            behind = [log.count - one.cursor for one in everyone if one.holding]
+            assert log.is_full is (max(behind, default=-1) >= window)
+
+    anyio.run(check)
+
+
+# The bytes of feedback
+
+
+def log_within(budget: ByteBudget, *, window: int = 4) -> FeedbackLog:
+    return FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=window, budget=budget)
+
+
+def test_the_bytes_of_remembered_feedback_are_counted_and_given_back() -> None:
+    budget = ByteBudget(1000)
+    log = log_within(budget, window=3)
+    for size in (1, 10, 100):
+        log.append(bytes(size))
+    assert budget.used == 111
+    log.append(bytes(5))
+    assert budget.used == 115
+    del log
+    assert budget.used == 0
+
+
+def test_a_log_without_holding_readers_keeps_its_newest_feedback_when_bytes_are_used_up() -> None:
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    observer = log.follow()
+    for size in (8, 8, 8):
+        log.append(bytes(size))
+    assert (budget.used, log.is_full) == (16, False)
+    log.append(bytes(30))
+    assert budget.used == 30
+    assert numbers_of(observer.take(9)) == [4]
+    assert observer.dropped == 3
+
+
+def test_a_holding_reader_loses_nothing_when_bytes_are_used_up_and_the_executor_waits() -> None:
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    client = log.follow(own=True)
+    log.append(bytes(8))
+    log.append(bytes(8))
+    assert not log.is_full
+    log.append(bytes(8))
+    assert log.is_full
+    assert numbers_of(client.take(2)) == [1, 2]
+    assert log.is_full
+    assert numbers_of(client.take(2)) == [3]
+    assert not log.is_full
+    log.append(bytes(8))
+    assert (budget.used, log.is_full) == (16, False)
+    assert client.dropped == 0
+
+
+@pytest.mark.asyncio
+async def test_a_wait_for_bytes_ends_soon_after_others_have_given_them_back() -> None:
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    client = log.follow(own=True)
+    log.append(bytes(8))
+    budget.take(15)
+    await while_waiting(lambda: log.wait_for_room(math.inf), lambda: budget.give_back(15))
+    assert client.holding
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_does_not_read_stalls_also_when_it_is_the_bytes_that_are_used_up() -> (
+    None
+):
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    slow, quick = log.follow(own=True), log.follow(own=True)
+    log.append(bytes(21))
+    quick.take()
+    with anyio.fail_after(5):
+        await log.wait_for_room(0)
+    assert (slow.holding, quick.holding, log.is_full) == (False, True, False)
+
+
+def test_a_client_stalls_after_exactly_the_time_that_it_was_given() -> None:
+    async def check() -> None:
+        log = new_log(window=1)
+        stream = log.follow(own=True)
+        append(log, 1)
+        start = anyio.current_time()
+        await log.wait_for_room(10.0)
+        assert anyio.current_time() - start == pytest.approx(10.0)
+        assert not stream.holding
+
+    # In virtual time: it goes on as soon as all tasks wait.
+    clock = trio.testing.MockClock(autojump_threshold=0)
+    anyio.run(check, backend="trio", backend_options={"clock": clock})
+
+
+@pytest.mark.anyio
+@in_virtual_time()
+async def test_a_client_that_may_hold_briefly_stalls_after_half_a_second() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    stream.hold_briefly()
+    append(log, 1)
+    start = anyio.current_time()
+    await log.wait_for_room(10.0)
+    assert anyio.current_time() - start == pytest.approx(MOST)
+    assert not stream.holding
+
+
+@pytest.mark.anyio
+@in_virtual_time()
+async def test_a_client_that_reads_slowly_takes_a_tenth_of_the_time_at_most() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    stream.hold_briefly()
+    waited, start = 0.0, anyio.current_time()
+
+    async def read_slowly() -> None:
+        while True:
+            stream.take(1000)
+            await anyio.sleep(0.1)
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(read_slowly)
+        for number in range(1, 1000):
+            before = anyio.current_time()
+            if log.is_full:
+                await log.wait_for_room(10.0)
+            waited += anyio.current_time() - before
+            append(log, number)
+            await anyio.sleep(0.01)
+        tasks.cancel_scope.cancel()
+    assert waited <= MOST + SHARE * (anyio.current_time() - start)
+    assert waited > MOST, "it is waited for again after a while"
+
+
+@pytest.mark.anyio
+@in_virtual_time()
+async def test_a_client_that_may_hold_for_long_does_so_beside_one_that_may_not() -> None:
+    log = new_log(window=1)
+    short, long = log.follow(own=True), log.follow(own=True)
+    short.hold_briefly()
+    append(log, 1)
+    start = anyio.current_time()
+    await log.wait_for_room(10.0)
+    assert anyio.current_time() - start == pytest.approx(10.0)
+    assert (short.holding, long.holding) == (False, False)
+
+
+# The payload of the goal
+
+
+def test_the_payload_of_an_ended_goal_counts_until_its_log_is_gone() -> None:
+    budget = ByteBudget(1000)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    log = FeedbackLog(goal, budget=budget, payload=bytes(100))
+    stream = log.follow()
+    assert (stream.goal, budget.used) == (bytes(100), 0)  # active goals are counted elsewhere
+    goal.outcome = OUTCOME
+    log.finish()
+    assert budget.used == 100
+    del log, stream
+    assert budget.used == 0
+
+
+def test_the_payload_of_an_active_goal_is_not_given_back_by_its_log() -> None:
+    budget = ByteBudget(1000)
+    log = FeedbackLog(
+        GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), budget=budget, payload=bytes(100)
+    )
+    del log
+    assert budget.used == 0
+
+
+def test_a_payload_that_is_not_kept_any_longer_is_not_told_or_counted() -> None:
+    budget = ByteBudget(1000)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    log = FeedbackLog(goal, budget=budget, payload=bytes(100))
+    log.forget_payload()
+    goal.outcome = OUTCOME
+    log.finish()
+    assert (log.follow().goal, budget.used) == (None, 0)

@@ -1,0 +1,219 @@
+"""`fibaction.server.life`: the table of a goal's life, alone and beside servers that follow it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+from unittest.mock import patch
+
+import anyio
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from trio.testing import MockClock
+
+from fibaction import Action, ActionServer, GoalHandle, GoalID, GoalStatus, Schedule
+from fibaction.server.execution.executor_life import (
+    EXECUTOR_LIFE,
+    SCOPES_LIFE,
+    ExecutorEvent,
+    ExecutorPhase,
+    ScopesEvent,
+    ScopesPhase,
+)
+from fibaction.server.execution.runs import Runs
+from fibaction.server.life import LIFE, TOLD, Effect, Event, InvalidStep, Phase, next_step
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.words.errors import ActionError, StoreError
+from fibaction.words.goals import UNKNOWN_SENDER
+from tests.support.memory_store import Fate, MemoryStore
+
+STEPS = Action("steps", goal=int, feedback=int, result=str)
+LEFT = (Phase.ENDED, Phase.RELEASED, Phase.LOST, Phase.REJECTED)
+NO_TURN = (Phase.DECIDING, Phase.ACCEPTANCE_IN_WRITING)
+
+
+# The table alone
+
+
+def test_an_event_that_a_phase_does_not_allow_is_a_bug() -> None:
+    with pytest.raises(InvalidStep, match="END cannot happen to a goal in the phase ENDED"):
+        next_step(Phase.ENDED, Event.END)
+
+
+def test_a_goal_that_runs_is_called_first_and_ends_when_its_end_is_kept() -> None:
+    goal = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
+    effects: list[Effect] = []
+    for event in (
+        Event.ACCEPT,
+        Event.ACCEPTANCE_KEPT,
+        Event.BEGIN,
+        Event.BEGIN_KEPT,
+        Event.EXECUTE,
+        Event.END,
+        Event.END_KEPT,
+    ):
+        effects += next_step(goal.phase, event).effects
+        goal.happen(event)
+    assert goal.phase is Phase.ENDED
+    assert effects == [
+        Effect.WRITE_BEGIN,
+        Effect.CALL,
+        Effect.TELL_EXECUTING,
+        Effect.WRITE_END,
+        Effect.TELL_END,
+    ]
+
+
+def test_a_goal_never_goes_back_and_stays_where_it_has_left() -> None:
+    for (before, _), (after, _) in LIFE.items():
+        assert after >= before
+        assert not (before in LEFT and after is not before and after is not Phase.LOST)
+        assert before.is_open or not after.is_open
+
+
+def test_every_phase_is_reached_and_can_be_left_unless_the_goal_has_gone() -> None:
+    reached = {Phase.DECIDING} | {step.phase for step in LIFE.values()}
+    assert reached == set(Phase) == set(TOLD)
+    for phase in Phase:
+        leads_on = any(one is phase and to.phase is not phase for (one, _), to in LIFE.items())
+        assert leads_on or phase is Phase.LOST
+
+
+def test_an_open_goal_can_always_be_ended_lost_and_let_go() -> None:
+    for phase in Phase:
+        if phase.is_open and phase not in NO_TURN:
+            assert next_step(phase, Event.END).phase is Phase.END_IN_WRITING
+            assert next_step(phase, Event.RELEASE).phase is Phase.RELEASE_IN_WRITING
+            assert next_step(phase, Event.LOSE).phase is Phase.LOST
+            assert next_step(phase, Event.LET_GO).phase is Phase.RELEASED
+
+
+def test_what_is_fixed_is_not_changed_by_a_cancel_or_a_stop() -> None:
+    for phase in Phase:
+        if not phase.is_open:
+            for event in (Event.CANCEL, Event.CANCEL_GENTLY, Event.STOP, Event.END):
+                assert (phase, event) not in LIFE
+
+
+def test_an_executor_is_called_once_and_interrupted_once() -> None:
+    assert ExecutorPhase.CALLED not in {
+        EXECUTOR_LIFE[phase, event]
+        for phase, event in EXECUTOR_LIFE
+        if phase is not ExecutorPhase.PREPARED
+    }
+    assert (ExecutorPhase.GONE, ExecutorEvent.LEAVE) not in EXECUTOR_LIFE
+
+
+def test_scopes_that_are_spent_are_never_used_again() -> None:
+    for (phase, event), after in SCOPES_LIFE.items():
+        assert after is not ScopesPhase.USABLE
+        assert after >= phase or event is ScopesEvent.SPARE
+
+
+# Beside a server
+
+
+class Walk:
+    """A server with a schedule of one place, and a record of the steps of its goals."""
+
+    def __init__(self, store: MemoryStore | None, at_stop: Any) -> None:
+        self.store = store
+        self.doors: dict[int, anyio.Event] = {}
+        self.steps: set[tuple[Phase, Event]] = set()
+        self.server = ActionServer(
+            STEPS,
+            self.execute,
+            store=store,
+            at_stop=at_stop,
+            recovery="rerun",
+            shutdown_timeout=1,
+            schedule=Schedule(concurrency=1, queue=2),
+        )
+
+    async def execute(self, goal: GoalHandle[int]) -> AsyncIterator[int | str]:
+        yield goal.request
+        await self.doors.setdefault(goal.request, anyio.Event()).wait()
+        yield "done"
+
+    def check(self, goal: GoalRecord) -> None:
+        """Check that the status that clients are told is one of the phase."""
+        assert goal.told_status in TOLD[goal.phase], (goal.phase, goal.told_status)
+        assert goal.told_status <= goal.status or goal.status.is_terminal
+
+    async def walk(self, acts: list[tuple[str, int]]) -> None:
+        real = Runs._step
+
+        def step(runs: Any, run: Any, event: Event) -> None:
+            before = run.goal.phase
+            real(runs, run, event)
+            self.steps.add((before, event))
+            self.check(run.goal)
+
+        with patch.object(Runs, "_step", step):
+            try:
+                async with self.server, anyio.create_task_group() as tasks:
+                    for act, number in acts:
+                        tasks.start_soon(self._act, act, number)
+                        await anyio.sleep(1)
+                    if self.store is not None:
+                        self.store.release()
+                    tasks.cancel_scope.cancel()
+            except StoreError:
+                assert self.store is not None
+        assert self.steps <= set(LIFE)
+
+    async def _act(self, act: str, number: int) -> None:
+        goal_id = GoalID(number.to_bytes(16, "big"))
+        try:
+            if act == "send":
+                stream = await self.server.send_goal(goal_id, STEPS.goal.encode(number))
+                await stream.outcome()
+            elif act == "cancel":
+                await self.server.cancel_goals(goal_id)
+            elif act == "end":
+                self.doors.setdefault(number, anyio.Event()).set()
+            elif self.store is not None:
+                self.store.take("steps", goal_id) if act == "lose" else self._hold()
+        except ActionError:
+            pass  # whatever the client is told, the walk goes on
+
+    def _hold(self) -> None:
+        assert self.store is not None
+        if self.store.is_holding:
+            self.store.release()
+        else:
+            self.store.hold()
+
+
+AN_ACT = st.tuples(
+    st.sampled_from(["send", "send", "send", "cancel", "end", "lose", "hold"]),
+    st.integers(1, 4),
+)
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    acts=st.lists(AN_ACT, max_size=12),
+    kind=st.sampled_from(["memory", "store", "slow", "fails"]),
+    at_stop=st.sampled_from(["abort", "keep"]),
+    fails_at=st.integers(1, 12),
+)
+def test_a_server_takes_only_steps_of_the_table_and_tells_the_statuses_of_the_phase(
+    acts: list[tuple[str, int]], kind: str, at_stop: str, fails_at: int
+) -> None:
+    store: MemoryStore | None = None
+    if kind == "memory":
+        at_stop = "abort"
+    else:
+        store = MemoryStore(
+            lambda number, _: Fate.FAILED if kind == "fails" and number >= fails_at else Fate.KEPT
+        )
+        if kind == "slow":
+            store.delay = lambda: 1.5
+    options = {"clock": MockClock(autojump_threshold=0)}
+    anyio.run(Walk(store, at_stop).walk, acts, backend="trio", backend_options=options)
+
+
+def test_the_statuses_of_an_end_are_those_that_have_ended() -> None:
+    assert TOLD[Phase.ENDED] == {one for one in GoalStatus if one.is_terminal}
