@@ -60,7 +60,7 @@ from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import Effect, Event, Phase, next_step
+from fibaction.server.life import LIFE, Effect, Event, Phase, next_step
 from fibaction.server.registry.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
@@ -175,44 +175,43 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def _step(self, run: Run[GoalT, FeedbackT, ResultT], event: Event) -> None:
         """Let a goal make the step that follows from an event: see `life`."""
-        run.goal.phase, effects = next_step(run.goal.phase, event)
+        goal = run.goal
+        step = LIFE.get((goal.phase, event)) or next_step(goal.phase, event)
+        goal.phase, effects = step
         for effect in effects:
-            self._carry_out(run, effect)
-
-    def _carry_out(self, run: Run[GoalT, FeedbackT, ResultT], effect: Effect) -> None:
-        match effect:
-            case Effect.WRITE_BEGIN:
-                self._keeper.begin(run.goal, partial(self._step, run, Event.BEGIN_KEPT))
-            case Effect.CALL:
-                self._begin(run)
-            case Effect.TELL_EXECUTING:
-                self._tell_executing(run)
-            case Effect.WRITE_END:
-                self._write_end(run)
-            case Effect.TELL_END:
-                self._tell_end(run)
-            case Effect.WRITE_CANCEL:
-                self._keeper.cancel(run.goal, partial(self._step, run, Event.CANCEL_KEPT))
-            case Effect.TELL_CANCELING:
-                self._tell(run, run.goal.status)
-            case Effect.INTERRUPT:
-                run.execution.interrupt()
-            case Effect.END_UNBEGUN:
-                self._finish(run, Ending(EndKind.CANCELED))
-            case Effect.END_AND_LEAVE:
-                self._end(run.execution, Ending(EndKind.CANCELED))
-            case Effect.WRITE_TAKE_OVER:
-                self._write_take_over(run)
-            case Effect.TELL_TAKE_OVER:
-                self._tell_take_over(run)
-            case Effect.WRITE_RELEASE:
-                self._release(run)
-            case Effect.TELL_GONE:
-                self._tell_gone(run)
-            case Effect.LEAVE:
-                self._leave(run.goal.goal_id)
-            case _:
-                self._part(run)
+            match effect:
+                case Effect.WRITE_BEGIN:
+                    self._keeper.begin(run.goal, partial(self._step, run, Event.BEGIN_KEPT))
+                case Effect.CALL:
+                    self._begin(run)
+                case Effect.TELL_EXECUTING:
+                    self._tell_executing(run)
+                case Effect.WRITE_END:
+                    self._write_end(run)
+                case Effect.TELL_END:
+                    self._tell_end(run)
+                case Effect.WRITE_CANCEL:
+                    self._keeper.cancel(run.goal, partial(self._step, run, Event.CANCEL_KEPT))
+                case Effect.TELL_CANCELING:
+                    self._tell(run, run.goal.status)
+                case Effect.INTERRUPT:
+                    run.execution.interrupt()
+                case Effect.END_UNBEGUN:
+                    self._finish(run, Ending(EndKind.CANCELED))
+                case Effect.END_AND_LEAVE:
+                    self._end(run.execution, Ending(EndKind.CANCELED))
+                case Effect.WRITE_TAKE_OVER:
+                    self._write_take_over(run)
+                case Effect.TELL_TAKE_OVER:
+                    self._tell_take_over(run)
+                case Effect.WRITE_RELEASE:
+                    self._release(run)
+                case Effect.TELL_GONE:
+                    self._tell_gone(run)
+                case Effect.LEAVE:
+                    self._leave(run.goal.goal_id)
+                case _:
+                    self._part(run)
 
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
         execution = run.execution

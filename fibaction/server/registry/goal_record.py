@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fibaction._runtime.budget import CountedBytes
-from fibaction.server.life import Event, Phase, next_step
+from fibaction.server.life import LIFE, Event, Phase, next_step
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import INITIAL, GoalStatus
 
@@ -99,7 +99,8 @@ class GoalRecord:
         Raises:
             InvalidStep: The event cannot happen in this phase.
         """
-        self.phase = next_step(self.phase, event).phase
+        step = LIFE.get((self.phase, event)) or next_step(self.phase, event)
+        self.phase = step.phase
 
     @property
     def info(self) -> GoalInfo:

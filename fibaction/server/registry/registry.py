@@ -151,11 +151,12 @@ class GoalRegistry:
     @property
     def busy(self) -> str:
         """The reason for which a goal that was admitted last must be rejected; empty if none."""
-        if self.goals_left < 0:
-            active = self._max_goals - self.goals_left - 1
+        # Without the properties below, since it is read for each goal.
+        active = len(self._undecided) + len(self._active) - 1
+        if active >= self._max_goals:
             return f"busy: {active} goals are active, the limit is {self._max_goals}"
-        if self.has_too_many_bytes:
-            needed, limit = self.budget.used - self._kept_bytes, self.budget.limit
+        needed, limit = self.budget.used - self._kept_bytes, self.budget.limit
+        if needed > limit:
             return f"busy: goals and feedback would take {needed} bytes, the limit is {limit}"
         return ""
 
