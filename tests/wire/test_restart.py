@@ -299,7 +299,8 @@ class Kept(ForwardingEndpoint):
             self.log.append(b"")
 
     def end(self) -> None:
-        self.goal.status, self.goal.outcome = SUCCEEDED, Outcome(SUCCEEDED, b"result")
+        self.goal.status = self.goal.told_status = SUCCEEDED
+        self.goal.outcome = Outcome(SUCCEEDED, b"result")
         self.log.finish()
 
     async def offer_goal(self, request: GoalRequest) -> GoalStream:
