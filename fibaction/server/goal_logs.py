@@ -212,9 +212,10 @@ class GoalLogs:
 
         Return whether there may be more of them.
         """
-        is_over = self._registry.budget.is_over
-        while self._recent and (is_over or self._recent[0][0] <= now):
-            self._recent.popleft()
+        if self._recent:
+            is_over = self._registry.budget.is_over
+            while self._recent and (is_over or self._recent[0][0] <= now):
+                self._recent.popleft()
         gone = self._registry.expire(now, MOST_AT_ONCE)
         for goal_id in gone:
             self._tell_unknown(goal_id)

@@ -66,10 +66,9 @@ class Phase(IntEnum):
     LOST = 12
     """Another server has the goal: nothing is told or written about it here."""
 
-    @property
-    def is_open(self) -> bool:
+    def __init__(self, number: int) -> None:
+        self.is_open = number < 7
         """True until the end of the goal is fixed, or the goal leaves without one."""
-        return self < 7
 
 
 class Event(IntEnum):

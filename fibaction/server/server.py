@@ -26,7 +26,7 @@ from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
-from fibaction.server.admission.admission import Admission
+from fibaction.server.admission.admission import Admission, Offer
 from fibaction.server.admission.argument_checks import (
     check_is_executor,
     check_is_schedule,
@@ -462,9 +462,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """See `Endpoint.offer_goal`; only an async `on_goal` makes it return a coroutine."""
         self._check_running()
-        if request.meta is not None:  # the caller may change its own later
-            request = msgspec.structs.replace(request, meta=checked_meta(request.meta))
-        return self._admission.offer(request)
+        # A copy of the meta: the caller may change its own later.
+        meta = None if request.meta is None else checked_meta(request.meta)
+        return self._admission.offer(Offer(request, meta))
 
     async def feedback(
         self,

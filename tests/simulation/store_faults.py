@@ -11,19 +11,21 @@ from fibaction.server.cancels import Cancels
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.durability.recovery import Recovery
-from fibaction.server.execution.run import Run
-from fibaction.server.execution.runs import GOAL_IS_KEPT, Runs
+from fibaction.server.execution.runs import Runs
+from fibaction.server.life import Event
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
-from fibaction.words.errors import GoalKept
 from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 from tests.simulation.faults import mistake
 
 AnyAdmission = Admission[Any, Any, Any]
 AnyRecovery = Recovery[Any, Any, Any]
-AnyRun = Run[Any, Any, Any]
 AnyRuns = Runs[Any, Any, Any]
+
+
+def _tell_nothing(*_: object) -> None:
+    """Do nothing when a write is kept: it was told before."""
 
 
 # Told before it is kept
@@ -34,10 +36,8 @@ def an_acceptance_is_told_before_it_is_kept(real: Any) -> Any:
     """Accept a goal as soon as its acceptance is handed to the store."""
 
     def accept(self: GoalKeeper, *args: Any, then: Any, **keywords: Any) -> int:
-        write: int = real(self, *args, then=lambda: None, **keywords)
-        then()
-        self._answered += 1  # the wait for the write is over, too
-        return write
+        real(self, *args, then=_tell_nothing, **keywords)
+        return 0
 
     return accept
 
@@ -46,9 +46,9 @@ def an_acceptance_is_told_before_it_is_kept(real: Any) -> Any:
 def an_end_is_told_before_it_is_kept(real: Any) -> Any:
     """Tell the outcome as soon as it is handed to the store."""
 
-    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], then: Any) -> None:
-        real(self, goal, outcome, lambda: None)
-        then()
+    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], *_: Any) -> bool:
+        real(self, goal, outcome, _tell_nothing, _tell_nothing)
+        return True
 
     return end
 
@@ -57,9 +57,9 @@ def an_end_is_told_before_it_is_kept(real: Any) -> Any:
 def a_cancel_is_told_before_it_is_kept(real: Any) -> Any:
     """Tell followers CANCELING as soon as it is handed to the store."""
 
-    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
-        real(self, goal, lambda: None)
-        then()
+    def cancel(self: GoalKeeper, goal: GoalRecord, _then: Any) -> bool:
+        real(self, goal, _tell_nothing)
+        return True
 
     return cancel
 
@@ -78,10 +78,9 @@ def a_cancel_is_answered_before_it_is_kept(_real: Any) -> Any:
 def an_executor_starts_before_its_attempt_is_kept(real: Any) -> Any:
     """Start an executor as soon as its begin is handed to the store."""
 
-    def begin(self: GoalKeeper, goal: GoalRecord, then: Any = None) -> None:
-        real(self, goal)
-        if then is not None:
-            then()
+    def begin(self: GoalKeeper, goal: GoalRecord, event: Event, _then: Any) -> bool:
+        real(self, goal, event, _tell_nothing)
+        return True
 
     return begin
 
@@ -114,8 +113,8 @@ def a_failed_write_is_taken_for_kept(_real: Any) -> Any:
 def a_cancel_is_not_written(_real: Any) -> Any:
     """Accept a cancel, and keep it nowhere."""
 
-    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
-        then()
+    def cancel(self: GoalKeeper, goal: GoalRecord, _then: Any) -> bool:
+        return True
 
     return cancel
 
@@ -124,8 +123,9 @@ def a_cancel_is_not_written(_real: Any) -> Any:
 def the_result_is_not_written(real: Any) -> Any:
     """Keep the end of a goal without its result."""
 
-    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], then: Any) -> None:
-        real(self, goal, Outcome(outcome.status, None, outcome.reason), then)
+    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], *then: Any) -> bool:
+        is_kept: bool = real(self, goal, Outcome(outcome.status, None, outcome.reason), *then)
+        return is_kept
 
     return end
 
@@ -272,11 +272,11 @@ def a_goal_that_is_kept_is_told_as_aborted(_real: Any) -> Any:
     return _is_kept
 
 
-@mistake(Runs, "_release", 52, 192)
+@mistake(GoalKeeper, "release", 52, 192)
 def a_goal_that_is_kept_is_not_released(_real: Any) -> Any:
     """Leave goals that are kept at a planned restart as running."""
 
-    def _release(self: AnyRuns, keeper: GoalKeeper, run: AnyRun) -> None:
-        self._let_go(run, GoalKept(GOAL_IS_KEPT))
+    def release(self: GoalKeeper, goal: GoalRecord, _then: Any) -> bool:
+        return True
 
-    return _release
+    return release

@@ -16,8 +16,8 @@ goal, made by the first task that waits.
 
 With a store, an acceptance is written before the goal is accepted and anything is told. Until then
 the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
-meanwhile, the goal is accepted all the same. `_AcceptanceInWriting` has what is to be done when the
-write is durable. If another server turns out to have the goal (`lose`), the call is told so.
+meanwhile, the goal is accepted all the same. `_writing` has the offers whose acceptance is being
+written. If another server turns out to have the goal (`lose`), the call is told so.
 
 A server that drains rejects new goals as busy, so that clients of several servers go elsewhere.
 """
@@ -65,13 +65,37 @@ WITHDRAWN = "the call was canceled before the decision"
 logger = clean_logger("fibaction.server")
 
 
-class _AcceptanceInWriting:
-    """The acceptance of a goal that the store does not have yet."""
+class Offer(Generic[GoalT]):
+    """A goal that a client has sent."""
 
-    __slots__ = ("error", "goal", "is_left", "stream")
+    __slots__ = (
+        "context",
+        "deadline",
+        "error",
+        "feedback",
+        "goal",
+        "goal_id",
+        "is_left",
+        "meta",
+        "record",
+        "request",
+        "sender",
+        "stream",
+    )
 
-    def __init__(self, goal: GoalRecord) -> None:
-        self.goal = goal
+    def __init__(self, sent: GoalRequest, meta: dict[str, str] | None) -> None:
+        self.goal_id = sent.goal_id
+        self.goal = sent.goal
+        self.feedback = sent.feedback
+        self.sender = sent.sender
+        self.deadline = sent.deadline
+        self.meta = meta
+        self.request: GoalT
+        """The goal, decoded."""
+        self.context: Context | None = None
+        """The context for the goal's executor; None for that of the call that accepts it."""
+        self.record: GoalRecord
+        """The record of the goal, once it is to be accepted."""
         self.stream: FeedbackCursor | None = None
         """The stream of the goal, once it is accepted."""
         self.error: GoalRejected | None = None
@@ -82,7 +106,7 @@ class _AcceptanceInWriting:
     def leave(self) -> None:
         """Wait no longer: the call was canceled. Its client may come back, and send it again."""
         self.is_left = True
-        self.goal.remember_until = current_time() + LEAST_TIME
+        self.record.remember_until = current_time() + LEAST_TIME
         if self.stream is not None:
             self.stream.close()
 
@@ -112,7 +136,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
         self._callbacks = callbacks
         self._decisions: dict[GoalID, Notifier] = {}
-        self._writing: dict[GoalID, GoalRecord] = {}  # those that the store does not have yet
+        self._writing: dict[GoalID, Offer[GoalT]] = {}  # those that the store does not have yet
         self._is_draining = False
         self._is_closed = False
 
@@ -130,7 +154,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     # Goals
 
-    def offer(self, offer: GoalRequest) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+    def offer(self, offer: Offer[GoalT]) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Decide on a goal: return its stream, or a coroutine that waits for the decision.
 
         Raises:
@@ -146,15 +170,16 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
             return self._logs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
-        context = None if self.watchers is None else self._watched(self.watchers, offer)
+        if self.watchers is not None:
+            offer.context = self._watched(self.watchers, offer)
         self._check_room(goal_id)
         try:
-            request = self._decode(offer.goal)
+            offer.request = self._decode(offer.goal)
             if self._on_goal is not None:
-                asking = self._ask(self._on_goal, offer, request, context)
+                asking = self._ask(self._on_goal, offer)
                 if asking is not None:
-                    return self._accept_later(offer, request, asking, context)
-            return self._accept(offer, request, context)
+                    return self._accept_later(offer, asking)
+            return self._accept(offer)
         except GoalRejected as exc:
             raise self._reject(goal_id, exc.reason) from None
         except Busy as exc:
@@ -163,7 +188,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             self._withdraw_offer(goal_id)
             raise
 
-    def _watched(self, watchers: WatcherGroup, offer: GoalRequest) -> Context:
+    def _watched(self, watchers: WatcherGroup, offer: Offer[GoalT]) -> Context:
         """Tell the offer to the watchers, and return the context for the goal's executor."""
         context = copy_context()
         context.run(
@@ -174,15 +199,13 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def _ask(
         self,
         on_goal: Callable[[GoalT, Sender], Awaitable[None] | None],
-        offer: GoalRequest,
-        request: GoalT,
-        context: Context | None,
+        offer: Offer[GoalT],
     ) -> Coroutine[Any, Any, None] | None:
         """Call `on_goal`: see `Callbacks.ask`."""
-        asked = (request, offer.sender)
-        if context is None:
+        asked = (offer.request, offer.sender)
+        if offer.context is None:
             return self._callbacks.ask("on_goal", on_goal, asked, GoalRejected, offer.goal_id)
-        return context.run(
+        return offer.context.run(
             self._callbacks.ask, "on_goal", on_goal, asked, GoalRejected, offer.goal_id
         )
 
@@ -196,21 +219,15 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if busy:
             raise self._reject_for_now(goal_id, busy)
 
-    async def _offer_again(self, offer: GoalRequest) -> FeedbackCursor:
+    async def _offer_again(self, offer: Offer[GoalT]) -> FeedbackCursor:
         await self.decided(offer.goal_id)
         offered = self.offer(offer)
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
-    async def _accept_later(
-        self,
-        offer: GoalRequest,
-        request: GoalT,
-        asking: Awaitable[None],
-        context: Context | None,
-    ) -> FeedbackCursor:
+    async def _accept_later(self, offer: Offer[GoalT], asking: Awaitable[None]) -> FeedbackCursor:
         try:
             await asking
-            accepted = self._accept(offer, request, context)
+            accepted = self._accept(offer)
         except GoalRejected as exc:
             raise self._reject(offer.goal_id, exc.reason) from None
         except Busy as exc:
@@ -226,79 +243,77 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except ProtocolError as exc:
             raise GoalRejected(str(exc)) from exc
 
-    def _accept(
-        self, offer: GoalRequest, request: GoalT, context: Context | None
-    ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+    def _accept(self, offer: Offer[GoalT]) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING)
         if self._is_draining:
             raise Busy(DRAINING)
         goal_id, sender, dispatcher = offer.goal_id, offer.sender, self._dispatcher
-        orders = () if dispatcher is None else dispatcher.offer(goal_id, request, sender)
-        goal = self._registry.prepare(
+        orders = () if dispatcher is None else dispatcher.offer(goal_id, offer.request, sender)
+        record = offer.record = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
         )
         is_running = dispatcher is None or any(order.act is Act.START for order in orders)
         if dispatcher is not None:
             dispatcher.hold(goal_id, orders)
-        return self._write_acceptance(offer, request, goal, context, is_running=is_running)
+        self._writing[goal_id] = offer
+        write = self._keeper.accept(
+            record,
+            offer.goal,
+            offer.meta,
+            is_running=is_running,
+            then=self._note_kept,
+            too_large=self._note_too_large,
+        )
+        if not write:
+            return self._begin(offer)
+        offer.context = offer.context or copy_context()  # that of this call
+        return self._await_acceptance(offer, write)
+
+    def _begin(self, offer: Offer[GoalT]) -> FeedbackCursor:
+        """Begin the life of a goal whose acceptance is kept, and return its stream."""
+        goal_id, dispatcher = offer.goal_id, self._dispatcher
+        del self._writing[goal_id]
+        self._registry.accept(offer.record)
+        begin = dispatcher is None and not self._is_closed
+        log = self._runs.add(
+            offer.record, offer.request, offer.goal, begin=begin, context=offer.context
+        )
+        stream = log.follow(feedback=offer.feedback, own=True)
+        if self._decisions:
+            self._tell_decision(goal_id)
+        if dispatcher is not None:
+            dispatcher.accepted(goal_id)
+        return stream
 
     # Acceptance with a store
 
-    def _write_acceptance(
-        self,
-        offer: GoalRequest,
-        request: GoalT,
-        goal: GoalRecord,
-        context: Context | None,
-        *,
-        is_running: bool,
-    ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
-        """Write an acceptance, and return the stream of the goal, or the wait for it."""
-        acceptance, context = _AcceptanceInWriting(goal), context or copy_context()
+    def _note_kept(self, goal: GoalRecord, _event: Event) -> None:
+        offer = self._writing[goal.goal_id]
+        offer.stream = self._begin(offer)
+        if offer.is_left:
+            offer.stream.close()
 
-        def accept() -> None:
-            del self._writing[goal.goal_id]
-            self._registry.accept(goal)
-            log = self._runs.add(goal, request, offer.goal, begin=False, context=context)
-            acceptance.stream = log.follow(feedback=offer.feedback, own=True)
-            if acceptance.is_left:
-                acceptance.stream.close()
-            self._tell_decision(goal.goal_id)
-            if self._dispatcher is not None:
-                self._dispatcher.accepted(goal.goal_id)
-            elif not self._is_closed:
-                self._runs.begin(goal.goal_id)
+    def _note_too_large(self, goal: GoalRecord, error: RecordTooLarge) -> None:
+        offer = self._writing.pop(goal.goal_id)
+        goal.happen(Event.TOO_LARGE)
+        offer.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
+        if self._dispatcher is not None:
+            self._dispatcher.withdraw(goal.goal_id)
 
-        def reject(error: RecordTooLarge) -> None:
-            del self._writing[goal.goal_id]
-            goal.happen(Event.TOO_LARGE)
-            acceptance.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
-            if self._dispatcher is not None:
-                self._dispatcher.withdraw(goal.goal_id)
-
-        self._writing[goal.goal_id] = goal
-        meta = None if offer.meta is None else dict(offer.meta)
-                write = self._keeper.accept(
-            goal, offer.goal, meta, is_running=is_running, then=accept, too_large=reject
-        )
-        return acceptance.stream or self._await_acceptance(offer, write, acceptance)
-
-    async def _await_acceptance(
-        self, offer: GoalRequest, write: int, acceptance: _AcceptanceInWriting
-    ) -> FeedbackCursor:
+    async def _await_acceptance(self, offer: Offer[GoalT], write: int) -> FeedbackCursor:
         try:
             await self._keeper.kept(write)
         except StoreError:
             raise self._keeper.stopped() from None
         except BaseException:
-            acceptance.leave()
+            offer.leave()
             raise
-        if acceptance.error is not None:
-            raise acceptance.error
-        if acceptance.stream is not None:
-            return acceptance.stream
+        if offer.error is not None:
+            raise offer.error
+        if offer.stream is not None:
+            return offer.stream
         if self._registry.is_active(offer.goal_id):  # it has come here from the store meanwhile
             return self._logs.follow_again(
                 offer.goal_id, feedback=offer.feedback, sender=offer.sender
@@ -307,13 +322,14 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     def writing(self, goal_id: GoalID) -> GoalRecord | None:
         """Return the record of a goal whose acceptance is being written."""
-        return self._writing.get(goal_id)
+        offer = self._writing.get(goal_id)
+        return None if offer is None else offer.record
 
     def lose(self, goal: GoalRecord) -> bool:
         """Let go of a goal that another server has, if its acceptance is being written here; return
         whether it was.
         """
-        if self._writing.get(goal.goal_id) is not goal:
+        if self.writing(goal.goal_id) is not goal:
             return False
         goal.happen(Event.LOSE)
         del self._writing[goal.goal_id]

@@ -46,7 +46,7 @@ from fibaction.border.goal_store import (
     Then,
 )
 from fibaction.server.durability.keeper import Keeper, Kept, TooLarge
-from fibaction.server.life import Phase
+from fibaction.server.life import Event, Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.errors import GoalKept, StoreError, copy_of
 from fibaction.words.goals import GoalID, Outcome
@@ -71,8 +71,8 @@ class _Answer(NamedTuple):
     """The answer of the store to a write."""
 
     goal: GoalRecord
-    then: Kept | None
-    too_large: TooLarge | None
+    then: Callable[[], None] | None
+    too_large: Callable[[RecordTooLarge], None] | None
     error: StoreError | None
 
 
@@ -160,22 +160,24 @@ class GoalKeeper(Keeper):
             attempt=int(is_running),
             meta=meta,
         )
-        return self._write(self._journal.accept, goal, goal.stored, then, too_large)
+        kept = partial(then, goal, Event.ACCEPTANCE_KEPT)
+        return self._write(self._journal.accept, goal, goal.stored, kept, partial(too_large, goal))
 
-    def begin(self, goal: GoalRecord, then: Kept) -> None:
+    def begin(self, goal: GoalRecord, event: Event, then: Kept) -> bool:
         """Keep that an attempt at the goal begins, unless its acceptance has said so."""
         stored = _stored(goal)
         if stored.is_running:
-            then()
-            return
+            return True
         stored.is_running, stored.attempt = True, goal.attempt
-        self._write(self._journal.begin, goal, stored, then)
+        self._write(self._journal.begin, goal, stored, partial(then, goal, event))
+        return False
 
-    def cancel(self, goal: GoalRecord, then: Kept) -> None:
+    def cancel(self, goal: GoalRecord, then: Kept) -> bool:
         """Keep that a cancel of the goal was accepted."""
         stored = _stored(goal)
         stored.status = GoalStatus.CANCELING
-        self._write(self._journal.cancel, goal, stored, then)
+        self._write(self._journal.cancel, goal, stored, partial(then, goal, Event.CANCEL_KEPT))
+        return False
 
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
         """Keep a checkpoint, and return the number of the write."""
@@ -200,7 +202,7 @@ class GoalKeeper(Keeper):
 
     def end(
         self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
-    ) -> None:
+    ) -> bool:
         """Keep the end of the goal."""
         stored, goal.stored = _stored(goal), None
         now = time.time_ns()
@@ -216,23 +218,26 @@ class GoalKeeper(Keeper):
 
         def keep_without(error: RecordTooLarge) -> None:
             goal.stored = stored
-            too_large(error)
+            too_large(goal, error)
 
-        self._write(self._journal.end, goal, stored, then, keep_without)
+        kept = partial(then, goal, Event.END_KEPT)
+        self._write(self._journal.end, goal, stored, kept, keep_without)
+        return False
 
-    def release(self, goal: GoalRecord, then: Kept) -> None:
+    def release(self, goal: GoalRecord, then: Kept) -> bool:
         """Keep that the goal is free, to be run again."""
         stored = _stored(goal)
         stored.is_running = False
-        self._write(self._journal.release, goal, stored, then)
+        self._write(self._journal.release, goal, stored, partial(then, goal, Event.RELEASE_KEPT))
+        return False
 
     def _write(
         self,
         method: Callable[[StoredGoal, Then], None],
         goal: GoalRecord,
         stored: StoredGoal,
-        then: Kept | None,
-        too_large: TooLarge | None = None,
+        then: Callable[[], None] | None,
+        too_large: Callable[[RecordTooLarge], None] | None = None,
     ) -> int:
         self._written += 1
         if self.failure is None and not self._is_closed:
@@ -245,8 +250,8 @@ class GoalKeeper(Keeper):
     def _note(
         self,
         goal: GoalRecord,
-        then: Kept | None,
-        too_large: TooLarge | None,
+        then: Callable[[], None] | None,
+        too_large: Callable[[RecordTooLarge], None] | None,
         error: StoreError | None,
     ) -> None:
         if isinstance(error, GoalTaken) and not (goal.phase is Phase.LOST or self._is_closed):

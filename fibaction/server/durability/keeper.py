@@ -1,7 +1,8 @@
 """`Keeper`: the way in which a server keeps its goals, with a store or without one.
 
-Each write has a function that is called when it is kept. `GoalKeeper` writes to a store. A server
-without a store has a `NoStoreKeeper`, which calls the function at once, within the write.
+Each write says whether it is kept already. If it is not, it is followed by an event of the goal's
+life (see `life`): its function `then` is called with that event as soon as it is kept. `GoalKeeper`
+writes to a store. A server without a store has a `NoStoreKeeper`, for which all is kept at once.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from fibaction.border.goal_store import RecordTooLarge
+    from fibaction.server.life import Event
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.errors import GoalKept, StoreError
     from fibaction.words.goals import Outcome
 
-Kept: TypeAlias = Callable[[], None]
-"""A function that is called when a write is durable."""
-TooLarge: TypeAlias = Callable[["RecordTooLarge"], None]
-"""A function that is called when something is too large for the store."""
+Kept: TypeAlias = Callable[["GoalRecord", "Event"], None]
+"""A function that is called when a write about a goal is durable, with the event that follows."""
+TooLarge: TypeAlias = Callable[["GoalRecord", "RecordTooLarge"], None]
+"""A function that is called when something about a goal is too large for the store."""
 
 
 class Keeper(ABC):
@@ -43,15 +45,19 @@ class Keeper(ABC):
         then: Kept,
         too_large: TooLarge,
     ) -> int:
-        """Keep a goal that is about to be accepted, and return the number of the write."""
+        """Keep a goal that is about to be accepted, and return the number of the write; 0 if it is
+        kept already.
+        """
 
     @abstractmethod
-    def begin(self, goal: GoalRecord, then: Kept) -> None:
-        """Keep that an attempt at the goal begins, unless its acceptance has said so."""
+    def begin(self, goal: GoalRecord, event: Event, then: Kept) -> bool:
+        """Keep that an attempt at the goal begins, unless its acceptance has said so; `event`
+        follows. Return whether it is kept already.
+        """
 
     @abstractmethod
-    def cancel(self, goal: GoalRecord, then: Kept) -> None:
-        """Keep that a cancel of the goal was accepted."""
+    def cancel(self, goal: GoalRecord, then: Kept) -> bool:
+        """Keep that a cancel of the goal was accepted; return whether it is kept already."""
 
     @abstractmethod
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
@@ -65,12 +71,12 @@ class Keeper(ABC):
     @abstractmethod
     def end(
         self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
-    ) -> None:
-        """Keep the end of the goal."""
+    ) -> bool:
+        """Keep the end of the goal; return whether it is kept already."""
 
     @abstractmethod
-    def release(self, goal: GoalRecord, then: Kept) -> None:
-        """Keep that the goal is free, to be run again."""
+    def release(self, goal: GoalRecord, then: Kept) -> bool:
+        """Keep that the goal is free, to be run again; return whether it is kept already."""
 
     @abstractmethod
     def check(self) -> None:
@@ -114,25 +120,24 @@ class NoStoreKeeper(Keeper):
         then: Kept,
         too_large: TooLarge,
     ) -> int:
-        then()
         return 0
 
-    def begin(self, goal: GoalRecord, then: Kept) -> None:
-        then()
+    def begin(self, goal: GoalRecord, event: Event, then: Kept) -> bool:
+        return True
 
-    def cancel(self, goal: GoalRecord, then: Kept) -> None:
-        then()
+    def cancel(self, goal: GoalRecord, then: Kept) -> bool:
+        return True
 
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
         """Keep nothing: there is no next attempt."""
 
     def end(
         self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
-    ) -> None:
-        then()
+    ) -> bool:
+        return True
 
-    def release(self, goal: GoalRecord, then: Kept) -> None:
-        then()
+    def release(self, goal: GoalRecord, then: Kept) -> bool:
+        return True
 
     def check(self) -> None:
         """Do nothing: what is kept in memory does not fail."""

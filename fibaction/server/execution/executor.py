@@ -121,7 +121,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self.fence: Fence | None = None
         """The function that is asked before each step; None if the executor may always go on."""
         self.phase = ExecutorPhase.PREPARED
-        """The phase of the executor's life; it is gone with its clean-up."""
+        """The phase of the executor's life; it is gone with its clean-up. `Runs` says when."""
         self._scopes: CancelOnce | None = None
         self._steps: Steps[Ending]
 
@@ -147,13 +147,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         or `yield`. Each `await` after that is clean-up, and is not canceled.
         """
         before = self.phase
-        self.happen(ExecutorEvent.INTERRUPT)
+        self.phase = EXECUTOR_LIFE[before, ExecutorEvent.INTERRUPT]
         if self.phase is not before and self._scopes is not None:
             self._steps.interrupt()
-
-    def happen(self, event: ExecutorEvent) -> None:
-        """Note an event in the life of the executor."""
-        self.phase = EXECUTOR_LIFE[self.phase, event]
 
     def kill(self, *, for_good: bool = True) -> None:
         """Cancel every `await` from now on, those of the clean-up included, and discard feedback,
@@ -241,7 +237,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             if isinstance(items, Coroutine):
                 items.close()  # or Python warns that it was never awaited
             raise _Misuse(f"it is not an async generator: it returned {_a(cast('object', items))}")
-        return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
+        started: AsyncGenerator[FeedbackT | ResultT, None] = items
+        return started
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
         feedback, result, steps = self._action.feedback, self._action.result, self._steps

@@ -8,8 +8,8 @@ Each active goal has a `Run`: its record in the registry, its `FeedbackLog` and 
 schedule, a run may have to wait before that. What happens to a goal goes through `_step`, which
 looks its effects up in the table of a goal's life, and carries them out.
 
-The end of a goal has two steps, in `_finish` and nowhere else. `_fix_outcome` decides the outcome,
-which never changes afterwards. `_tell_end` makes it the goal's, moves the goal from the active to
+The end of a goal has two steps. `_finish`, and nothing else, decides the outcome, which never
+changes afterwards. `_tell_end` makes it the goal's, moves the goal from the active to
 the ended ones, and notifies followers. Between them, the outcome is written, and no task waits for
 that; without a store, one follows the other at once. In the same way the begin of an attempt is
 written before the executor starts, and a cancel before it is told.
@@ -25,7 +25,7 @@ and its goal is released in the store, unless it turns out to be lost.
 
 An executor may end by itself, or because of a cancel (`cancel`), or because the server ends the
 goal for a reason of its own (`interrupt`). Each interrupts it once. They differ in the
-reason, which `_fix_outcome` takes from the goal's record. An executor whose clean-up takes too long
+reason, which `_finish` takes from the goal's record. An executor whose clean-up takes too long
 is killed: its goal is finished first, so `_run` does not find it among the active ones any more.
 
 An executor may go on as another goal (`take_over`). The first goal is finished then. The run of the
@@ -52,7 +52,11 @@ from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN, STORE_FAILED, STORE_IS_LATE
 from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
 from fibaction.server.execution.executor import Execution, Executor, Fence
-from fibaction.server.execution.executor_life import ExecutorEvent, ExecutorPhase
+from fibaction.server.execution.executor_life import (
+    EXECUTOR_LIFE,
+    ExecutorEvent,
+    ExecutorPhase,
+)
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.lost_executors import LostExecutors
 from fibaction.server.execution.run import Run
@@ -60,7 +64,7 @@ from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import LIFE, Effect, Event, Phase, next_step
+from fibaction.server.life import LIFE, Effect, Event, InvalidStep, Phase
 from fibaction.server.registry.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
@@ -71,6 +75,11 @@ from fibaction.words.statuses import GoalStatus
 GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
 LEASE_IS_OVER = "the server was cut off from its store for too long"
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
+
+# The events of each goal as names of this module, since to look a member of an enum up takes long.
+BEGIN, BEGIN_KEPT, EXECUTE = Event.BEGIN, Event.BEGIN_KEPT, Event.EXECUTE
+END, END_KEPT = Event.END, Event.END_KEPT
+CALL, LEAVE = ExecutorEvent.CALL, ExecutorEvent.LEAVE
 
 
 class Runs(Generic[GoalT, FeedbackT, ResultT]):
@@ -103,6 +112,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._pool: TaskPool
+        acts = self._acts()
+        self._life = {
+            at: (step.phase, tuple(acts[effect] for effect in step.effects))
+            for at, step in LIFE.items()
+        }
         logs.find_active = self._log_of
         self.on_left: Callable[[GoalID], None] | None = None
         """The function that is called when an executor is gone; None without a schedule."""
@@ -157,7 +171,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._logs.tell_status(log)
         if begin:
-            self._step(run, Event.BEGIN)
+            self._step(run, BEGIN)
         return log
 
     def begin(self, goal_id: GoalID) -> None:
@@ -165,10 +179,15 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run = self._runs.get(goal_id)
         if run is not None:
             run.goal.place = NO_PLACE
-            self._step(run, Event.BEGIN)
+            self._step(run, BEGIN)
 
-    def _begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        run.execution.happen(ExecutorEvent.CALL)
+    def _write_begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        if self._keeper.begin(run.goal, BEGIN_KEPT, self._step_later):
+            self._step(run, BEGIN_KEPT)
+
+    def _call(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        execution = run.execution
+        execution.phase = EXECUTOR_LIFE[execution.phase, CALL]
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 
     # The table
@@ -176,52 +195,47 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _step(self, run: Run[GoalT, FeedbackT, ResultT], event: Event) -> None:
         """Let a goal make the step that follows from an event: see `life`."""
         goal = run.goal
-        step = LIFE.get((goal.phase, event)) or next_step(goal.phase, event)
-        goal.phase, effects = step
-        for effect in effects:
-            match effect:
-                case Effect.WRITE_BEGIN:
-                    self._keeper.begin(run.goal, partial(self._step, run, Event.BEGIN_KEPT))
-                case Effect.CALL:
-                    self._begin(run)
-                case Effect.TELL_EXECUTING:
-                    self._tell_executing(run)
-                case Effect.WRITE_END:
-                    self._write_end(run)
-                case Effect.TELL_END:
-                    self._tell_end(run)
-                case Effect.WRITE_CANCEL:
-                    self._keeper.cancel(run.goal, partial(self._step, run, Event.CANCEL_KEPT))
-                case Effect.TELL_CANCELING:
-                    self._tell(run, run.goal.status)
-                case Effect.INTERRUPT:
-                    run.execution.interrupt()
-                case Effect.END_UNBEGUN:
-                    self._finish(run, Ending(EndKind.CANCELED))
-                case Effect.END_AND_LEAVE:
-                    self._end(run.execution, Ending(EndKind.CANCELED))
-                case Effect.WRITE_TAKE_OVER:
-                    self._write_take_over(run)
-                case Effect.TELL_TAKE_OVER:
-                    self._tell_take_over(run)
-                case Effect.WRITE_RELEASE:
-                    self._release(run)
-                case Effect.TELL_GONE:
-                    self._tell_gone(run)
-                case Effect.LEAVE:
-                    self._leave(run.goal.goal_id)
-                case _:
-                    self._part(run)
+        try:
+            goal.phase, acts = self._life[goal.phase, event]
+        except KeyError:
+            raise InvalidStep(goal.phase, event) from None
+        for act in acts:
+            act(run)
+
+    def _step_later(self, goal: GoalRecord, event: Event) -> None:
+        """Let a goal make the step that follows from a write, which is kept by now."""
+        self._step(self._runs[goal.goal_id], event)
+
+    def _acts(self) -> dict[Effect, Callable[[Run[GoalT, FeedbackT, ResultT]], None]]:
+        """Return the methods that carry out the effects."""
+        return {
+            Effect.WRITE_BEGIN: self._write_begin,
+            Effect.WRITE_TAKE_OVER: self._write_take_over,
+            Effect.WRITE_CANCEL: self._write_cancel,
+            Effect.WRITE_END: self._write_end,
+            Effect.WRITE_RELEASE: self._write_release,
+            Effect.CALL: self._call,
+            Effect.INTERRUPT: lambda run: run.execution.interrupt(),
+            Effect.END_UNBEGUN: lambda run: self._finish(run, Ending(EndKind.CANCELED)),
+            Effect.END_AND_LEAVE: lambda run: self._end(run.execution, Ending(EndKind.CANCELED)),
+            Effect.TELL_EXECUTING: self._tell_executing,
+            Effect.TELL_TAKE_OVER: self._tell_take_over,
+            Effect.TELL_CANCELING: lambda run: self._tell(run, run.goal.status),
+            Effect.TELL_END: self._tell_end,
+            Effect.TELL_GONE: self._tell_gone,
+            Effect.LEAVE: lambda run: self._leave(run.goal.goal_id),
+            Effect.PART: self._part,
+        }
 
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
         execution = run.execution
         try:
             if self._fence is not None:
                 self._fence(execution)
-            if execution.handle.cancel_requested:
+            if run.goal.stop_reason or run.goal.status is GoalStatus.CANCELING:
                 ending = Ending(EndKind.CANCELED)
             else:
-                self._step(run, Event.EXECUTE)
+                self._step(run, EXECUTE)
                 ending = await execution.run(scopes)
         except BaseException as exc:
             # KeyboardInterrupt or SystemExit, which end the program.
@@ -232,13 +246,14 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _end(self, execution: Execution[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Finish the goal that an executor has run last, unless it was killed."""
         goal_id = execution.goal.goal_id
-        execution.happen(ExecutorEvent.LEAVE)
+        execution.phase = EXECUTOR_LIFE[execution.phase, LEAVE]
         run = self._runs.get(goal_id)
         # The ID of a goal that was killed, or lost, may be that of another one by now.
         if run is not None and run.execution is execution and run.goal.phase.is_open:
             self._finish(run, ending)
-        was_lost = self.lost.discard(execution)
-        self._leave(goal_id)
+        was_lost = execution.goal.phase is Phase.LOST and self.lost.discard(execution)
+        if self.on_left is not None:
+            self._leave(goal_id)
         if was_lost:
             self._logs.ended.notify()
 
@@ -250,7 +265,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _tell_executing(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         if run.goal.status is GoalStatus.ACCEPTED:  # else an earlier attempt has begun
             self._registry.execute(run.goal)
-            self._tell(run, run.goal.status)
+            run.goal.told_status = run.goal.status
+            self._logs.tell_status(run.log)
 
     def _tell(self, run: Run[GoalT, FeedbackT, ResultT], status: GoalStatus) -> None:
         """Tell a status that is kept by now."""
@@ -294,7 +310,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         # attempt would have the same number.
         self._registry.execute(run.goal)
         run.log.is_hidden = True
-        self._keeper.begin(run.goal, partial(self._step, run, Event.TAKE_OVER_KEPT))
+        if self._keeper.begin(run.goal, Event.TAKE_OVER_KEPT, self._step_later):
+            self._step(run, Event.TAKE_OVER_KEPT)
 
     def _tell_take_over(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         self._tell(run, GoalStatus.EXECUTING)  # a cancel of it may not be kept yet
@@ -309,6 +326,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """
         run = self._runs[goal.goal_id]
         self._step(run, Event.CANCEL if interrupt else Event.CANCEL_GENTLY)
+
+    def _write_cancel(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        if self._keeper.cancel(run.goal, self._step_later):
+            self._step(run, Event.CANCEL_KEPT)
 
     def interrupt(self, goal_id: GoalID, reason: str) -> None:
         """End a goal as ABORTED for that reason: interrupt its executor if it has begun."""
@@ -402,16 +423,22 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         elif goal.stop_reason and self._is_kept(goal, ending, killed=killed):
             self._step(run, Event.RELEASE)
         else:
-            self._fix_outcome(run, ending)
-            self._step(run, Event.END)
+            if goal.status is GoalStatus.ACCEPTED:  # its table has no edge from ACCEPTED to an end
+                self._registry.execute(goal)  # which is told together with the end
+            if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
+                reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
+                ending = Ending(EndKind.CANCELED, ending.result, reason)
+            run.outcome = self._registry.outcome_for(goal, ending)  # it never changes again
+            self._step(run, END)
 
     def _write_end(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         """Write the outcome; one that is too large is replaced by the reason."""
         assert run.outcome is not None
-        then, too_large = partial(self._step, run, Event.END_KEPT), partial(self._shorten, run)
-        self._keeper.end(run.goal, run.outcome, then, too_large)
+        if self._keeper.end(run.goal, run.outcome, self._step_later, self._shorten):
+            self._step(run, END_KEPT)
 
-    def _shorten(self, run: Run[GoalT, FeedbackT, ResultT], error: RecordTooLarge) -> None:
+    def _shorten(self, goal: GoalRecord, error: RecordTooLarge) -> None:
+        run = self._runs[goal.goal_id]
         run.outcome = Outcome(GoalStatus.ABORTED, None, f"the result is not kept: {error}")
         self._step(run, Event.TOO_LARGE)
 
@@ -423,12 +450,13 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             and (killed or ending.kind is EndKind.CANCELED)
         )
 
-    def _release(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+    def _write_release(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         # Also one that waits: in a store that servers share, it is free for the others from now on.
         run.error = GoalKept(GOAL_IS_KEPT)
         if run.goal.stop_reason == LEASE_IS_OVER:
             run.error = ConnectionLost(LEASE_IS_OVER)
-        self._keeper.release(run.goal, partial(self._step, run, Event.RELEASE_KEPT))
+        if self._keeper.release(run.goal, self._step_later):
+            self._step(run, Event.RELEASE_KEPT)
 
     def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:
         run.error = error
@@ -444,16 +472,6 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._logs.keep(run.log, error)
         else:
             self._logs.lose(run.log, error)
-
-    def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
-        """Decide the outcome, which never changes afterwards."""
-        goal = run.goal
-        if goal.status is GoalStatus.ACCEPTED:  # its table has no edge from ACCEPTED to an end
-            self._registry.execute(goal)  # which is told together with the end
-        if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
-            reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
-            ending = Ending(EndKind.CANCELED, ending.result, reason)
-        run.outcome = self._registry.outcome_for(goal, ending)
 
     def _tell_end(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         """Make the outcome the goal's, for as long as results are kept, and tell it."""

@@ -34,7 +34,8 @@ class ExpiringMap(Generic[T]):
 
     def put(self, goal_id: GoalID, value: T, now: float, *, at_least_until: float = 0.0) -> None:
         """Add an entry, whose time begins now. Call `pop` afterwards to keep the limit."""
-        self.put_until(goal_id, value, max(now + self._seconds, at_least_until))
+        self._entries.pop(goal_id, None)  # as in `put_until`, which another call would add to
+        self._entries[goal_id] = (max(now + self._seconds, at_least_until), value)
 
     def put_until(self, goal_id: GoalID, value: T, until: float) -> None:
         """Add an entry that expires then. It is freed after all entries that were added before."""

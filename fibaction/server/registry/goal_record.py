@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fibaction._runtime.budget import CountedBytes
-from fibaction.server.life import LIFE, Event, Phase, next_step
+from fibaction.server.life import LIFE, Event, InvalidStep, Phase
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import INITIAL, GoalStatus
 
@@ -99,8 +99,10 @@ class GoalRecord:
         Raises:
             InvalidStep: The event cannot happen in this phase.
         """
-        step = LIFE.get((self.phase, event)) or next_step(self.phase, event)
-        self.phase = step.phase
+        try:
+            self.phase = LIFE[self.phase, event].phase
+        except KeyError:
+            raise InvalidStep(self.phase, event) from None
 
     @property
     def info(self) -> GoalInfo:
