@@ -15,7 +15,6 @@ from types import TracebackType
 from typing import Any, Generic, Literal, Self
 
 import anyio
-import msgspec
 from anyio import CancelScope, create_task_group
 
 from fibaction._runtime.log import clean_logger

@@ -63,7 +63,7 @@ class Goals:
 
     def change(self, number: int, status: GoalStatus = GoalStatus.EXECUTING) -> None:
         record = self.records[number - 1]
-        record.status = status
+        record.status = record.told_status = status
         record.changed = self.feed.publish(record.info)
 
     def forget(self, number: int) -> None:

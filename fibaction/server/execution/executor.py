@@ -41,10 +41,12 @@ from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.log import clean_logger
-from fibaction.server.execution.executor_life import EXECUTOR_LIFE
-from fibaction.server.execution.executor_life import ExecutorEvent
-from fibaction.server.execution.executor_life import ExecutorPhase
-from fibaction.server.execution.executor_life import ScopesEvent
+from fibaction.server.execution.executor_life import (
+    EXECUTOR_LIFE,
+    ExecutorEvent,
+    ExecutorPhase,
+    ScopesEvent,
+)
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
