@@ -23,7 +23,7 @@ AnyRuns = Runs[Any, Any, Any]
 def schedule_wrappers(record: Record) -> Iterator[tuple[type, str, Callable[[Any], Any]]]:
     """Yield methods of the product to be wrapped, each with the function that makes the wrapper."""
     yield Dispatcher, "offer", lambda real: _offering(real, record)
-    yield Runs, "_begin", lambda real: _beginning(real, record)
+    yield Runs, "_call", lambda real: _beginning(real, record)
     yield Runs, "interrupt", lambda real: _interrupting(real, record)
     yield Runs, "kill", lambda real: _killing(real, record)
     yield Runs, "take_over", lambda real: _taking_over(real, record)
