@@ -76,10 +76,11 @@ GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next s
 LEASE_IS_OVER = "the server was cut off from its store for too long"
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
-# The events of each goal as names of this module, since to look a member of an enum up takes long.
+# Looked up for each goal: a name of this module is found faster than a member of an enum.
 BEGIN, BEGIN_KEPT, EXECUTE = Event.BEGIN, Event.BEGIN_KEPT, Event.EXECUTE
 END, END_KEPT = Event.END, Event.END_KEPT
 CALL, LEAVE = ExecutorEvent.CALL, ExecutorEvent.LEAVE
+LOST = Phase.LOST
 
 
 class Runs(Generic[GoalT, FeedbackT, ResultT]):
@@ -251,7 +252,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         # The ID of a goal that was killed, or lost, may be that of another one by now.
         if run is not None and run.execution is execution and run.goal.phase.is_open:
             self._finish(run, ending)
-        was_lost = execution.goal.phase is Phase.LOST and self.lost.discard(execution)
+        was_lost = execution.goal.phase is LOST and self.lost.discard(execution)
         if self.on_left is not None:
             self._leave(goal_id)
         if was_lost:
