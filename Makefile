@@ -10,9 +10,6 @@ BIN := $(VENV)/bin
 # Many tests wait for timeouts, so three of them share two cores.
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
 
-# Those of `make elsewhere` run beside the tests with ROS 2.
-BESIDE := $(shell getconf _NPROCESSORS_ONLN)
-
 # mutmut has an environment of its own, since the tests must pass without its dependencies.
 MUTANTS_VENV := .venv-mutants
 
@@ -64,9 +61,9 @@ QUICK := tests/server tests/wire tests/interfaces tests/words tests/types tests/
 test: lint $(VENV)/.docs $(JAVASCRIPT)/.installed chromium promtool  ## Run all checks, but those with ROS 2 or other versions
 	@$(stages) "unit" "imports, types, docs"
 
-# Two lanes, since ROS 2 and the tests wait for other processes half of the time.
+# One after the other: tests with ROS 2 wait for real time, and fail beside others on a busy machine.
 elsewhere:  ## Run the tests with ROS 2, with the wheel, the other Pythons and the lowest versions
-	@$(stages) "test-ros ROS=kilted, test-ros ROS=jazzy" "test-wheel, test-pythons, test-lowest"
+	@$(stages) "test-ros ROS=kilted, test-ros ROS=jazzy, test-wheel, test-pythons, test-lowest"
 
 stages = MAKE="$(MAKE)" $(PYTHON) -m tests.tools.stages
 
@@ -169,7 +166,7 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	FIBACTION_BUILT=1 $(BIN)/python -m pytest tests/packaging
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
-	cd build && $(no_other_ros) wheel/bin/python -m pytest -q -n $(BESIDE) --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
+	cd build && $(no_other_ros) wheel/bin/python -m pytest -q -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache $(ways_elsewhere) $(addprefix ../,$(OF_A_WHEEL))
 OF_A_WHEEL := tests/contract tests/test_examples.py tests/test_init.py tests/test_main.py tests/transports/web/test_assets.py
 
@@ -184,7 +181,7 @@ PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.ver
 # - rules without I/O, virtual time, and most examples of property tests;
 # - trials, attacks and floods of servers, browsers and Node, which load what is tested already;
 # - pages, examples and the project itself.
-test_elsewhere = FIBACTION_EXAMPLES=10 $(no_other_ros) $(1)/bin/python -m pytest -q -n $(BESIDE) --dist worksteal \
+test_elsewhere = FIBACTION_EXAMPLES=10 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
     -o cache_dir=$(1)/.pytest_cache $(ways_elsewhere) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
 ways_elsewhere := -k "(not trio or trio-tcp) and not asyncio-gateway and not asyncio-unix and not asyncio-wss and not asyncio-asgi"
 NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak tools \

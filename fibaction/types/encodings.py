@@ -19,7 +19,7 @@ import msgspec
 from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
-from fibaction.types.encoding import Encoding
+from fibaction.types.base import Encoding
 
 _encode = msgspec.msgpack.Encoder().encode
 

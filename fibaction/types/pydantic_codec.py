@@ -19,7 +19,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from fibaction._runtime.plain_data import is_list, is_map
-from fibaction.types.encoding import Encoding
+from fibaction.types.base import Encoding
 
 MAX_VALIDATION_ERRORS = 3
 """Problems of one message that the text of an error names."""

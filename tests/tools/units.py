@@ -12,7 +12,7 @@ UNITS = {
     "fibaction/words/action_error.py": ["tests/words/test_errors.py"],
     "fibaction/_runtime/connection_counts.py": ["tests/observe/test_metrics.py"],
     "fibaction/words/current_goal.py": ["tests/observe/test_log_records.py"],
-    "fibaction/types/encoding.py": [
+    "fibaction/types/base.py": [
         "tests/types/test_action.py",
         "tests/types/test_pydantic_codec.py",
     ],
