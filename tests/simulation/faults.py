@@ -18,6 +18,7 @@ from fibaction._runtime.budget import CountedBytes
 from fibaction._runtime.notify import Notifier
 from fibaction.client.events import _Merger
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.feeds.feedback_window import FeedbackWindow
 from fibaction.feeds.status_broadcast import StatusBroadcast
 from fibaction.server.admission.admission import Admission
 from fibaction.server.registry.cancellation import Cancellation
@@ -155,11 +156,11 @@ def a_decision_is_not_told(_real: Any) -> Any:
     return _tell_decision
 
 
-@mistake(FeedbackLog, "append", 6)
+@mistake(FeedbackWindow, "append", 6)
 def feedback_is_numbered_twice(real: Any) -> Any:
     """Give every fifth message the number of the one before."""
 
-    def append(self: FeedbackLog[Any], payload: bytes) -> None:
+    def append(self: FeedbackWindow[Any], payload: bytes) -> None:
         if self.goal.feedback_count % 5 == 4:
             self.goal.feedback_count -= 1
         real(self, payload)

@@ -23,7 +23,7 @@ from fibaction import (
     serve,
 )
 from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import Connection, Endpoint, Transport
+from fibaction.border.abc import Connection, Endpoint, GoalRequest, Transport
 from fibaction.client.goal import ClientGoal
 from fibaction.observe import followed_servers
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
@@ -329,7 +329,7 @@ async def test_a_goal_that_cannot_be_sent_says_why() -> None:
                 def __init__(self) -> None:
                     pass
 
-                async def send_goal(self, *_: Any, **__: Any) -> Any:
+                async def offer_goal(self, request: GoalRequest) -> Any:
                     raise broken.error_of_goal
 
             return Sends()
