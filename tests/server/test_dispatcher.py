@@ -650,6 +650,7 @@ async def test_an_executor_goes_on_as_its_successor_and_the_first_goal_is_aborte
         await arm.until_begun(2)
         assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
         third = await site.send(3)
+        await settled()
         arm.looks[2].set()
         await arm.until_begun(3)
         assert (await second.outcome()).reason == site.preempted_by(3)
