@@ -38,7 +38,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from fibaction.words.action_error import ActionError
 from fibaction.words.statuses import GoalStatus
@@ -155,6 +155,8 @@ class InvalidStep(ActionError):
         return f"{self.event.name} cannot happen to a goal in the phase {self.phase.name}"
 
 
+T = TypeVar("T")
+
 _HAS_TURN = (Phase.CALLED, Phase.RUNNING_AHEAD, Phase.RUNNING)
 _OPEN = (Phase.WAITING, Phase.BEGIN_IN_WRITING, *_HAS_TURN)
 _IN_WRITING = (Phase.END_IN_WRITING, Phase.RELEASE_IN_WRITING)
@@ -173,59 +175,72 @@ def _to(target: Phase, phases: tuple[Phase, ...], event: Event, *effects: Effect
     return {(phase, event): Step(target, effects) for phase in phases}
 
 
+class LifeTable(dict[tuple[Phase, Event], T]):
+    """A table by phase and event, such as `LIFE` with the effects as functions.
+
+    A pair without a row raises `InvalidStep`.
+    """
+
+    def __missing__(self, step: tuple[Phase, Event]) -> T:
+        raise InvalidStep(*step)
+
+
 LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
-    # Acceptance: `Admission` and `Recovery` carry out what follows.
-    _to(Phase.ACCEPTANCE_IN_WRITING, (Phase.DECIDING,), Event.ACCEPT)
-    | _to(Phase.WAITING, (Phase.ACCEPTANCE_IN_WRITING,), Event.ACCEPTANCE_KEPT)
-    | _to(Phase.REJECTED, (Phase.ACCEPTANCE_IN_WRITING,), Event.TOO_LARGE)
-    | _to(Phase.LOST, (Phase.ACCEPTANCE_IN_WRITING,), Event.LOSE)
-    | _to(Phase.WAITING, (Phase.DECIDING,), Event.RESTORE)
-    | _to(Phase.ENDED, (Phase.DECIDING,), Event.RESTORE_ENDED)
-    # Begin: a goal may have ended before its turn comes, or while that is written.
-    | _to(Phase.BEGIN_IN_WRITING, (Phase.WAITING,), Event.BEGIN, Effect.WRITE_BEGIN)
-    | _same(_OVER, Event.BEGIN)
-    | _to(Phase.CALLED, (Phase.BEGIN_IN_WRITING,), Event.BEGIN_KEPT, Effect.CALL)
-    | _same(_IN_WRITING, Event.BEGIN_KEPT)
-    | _to(Phase.RUNNING, (Phase.CALLED,), Event.EXECUTE, Effect.TELL_EXECUTING)
-    | _same(_OVER, Event.EXECUTE)  # it was killed before its first step
-    | _to(Phase.RUNNING_AHEAD, (Phase.WAITING,), Event.TAKE_OVER, Effect.WRITE_TAKE_OVER)
-    | _to(Phase.RUNNING, (Phase.RUNNING_AHEAD,), Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
-    | _same(_IN_WRITING, Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
-    # Cancel, and stop. An executor that was not called yet sees both before its first step.
-    | _same((Phase.WAITING,), Event.CANCEL, Effect.WRITE_CANCEL, Effect.END_AND_LEAVE)
-    | _same((Phase.WAITING,), Event.CANCEL_GENTLY, Effect.WRITE_CANCEL, Effect.END_AND_LEAVE)
-    | _same((Phase.BEGIN_IN_WRITING,), Event.CANCEL, Effect.WRITE_CANCEL)
-    | _same(_HAS_TURN, Event.CANCEL, Effect.WRITE_CANCEL, Effect.INTERRUPT)
-    | _same((Phase.BEGIN_IN_WRITING, *_HAS_TURN), Event.CANCEL_GENTLY, Effect.WRITE_CANCEL)
-    | _same((*_OPEN, Phase.END_IN_WRITING), Event.CANCEL_KEPT, Effect.TELL_CANCELING)
-    | _same((Phase.WAITING,), Event.STOP, Effect.END_UNBEGUN)
-    | _same((Phase.BEGIN_IN_WRITING,), Event.STOP)
-    | _same(_HAS_TURN, Event.STOP, Effect.INTERRUPT)
-    # The end. A goal that is killed while its begin is written has no executor that leaves later.
-    | _to(Phase.END_IN_WRITING, _OPEN, Event.END, Effect.WRITE_END)
-    | _to(
-        Phase.END_IN_WRITING,
-        (Phase.BEGIN_IN_WRITING,),
-        Event.END,
-        Effect.WRITE_END,
-        Effect.LEAVE,
+    LifeTable(
+        # Acceptance: `Admission` and `Recovery` carry out what follows.
+        _to(Phase.ACCEPTANCE_IN_WRITING, (Phase.DECIDING,), Event.ACCEPT)
+        | _to(Phase.WAITING, (Phase.ACCEPTANCE_IN_WRITING,), Event.ACCEPTANCE_KEPT)
+        | _to(Phase.REJECTED, (Phase.ACCEPTANCE_IN_WRITING,), Event.TOO_LARGE)
+        | _to(Phase.LOST, (Phase.ACCEPTANCE_IN_WRITING,), Event.LOSE)
+        | _to(Phase.WAITING, (Phase.DECIDING,), Event.RESTORE)
+        | _to(Phase.ENDED, (Phase.DECIDING,), Event.RESTORE_ENDED)
+        # Begin: a goal may have ended before its turn comes, or while that is written.
+        | _to(Phase.BEGIN_IN_WRITING, (Phase.WAITING,), Event.BEGIN, Effect.WRITE_BEGIN)
+        | _same(_OVER, Event.BEGIN)
+        | _to(Phase.CALLED, (Phase.BEGIN_IN_WRITING,), Event.BEGIN_KEPT, Effect.CALL)
+        | _same(_IN_WRITING, Event.BEGIN_KEPT)
+        | _to(Phase.RUNNING, (Phase.CALLED,), Event.EXECUTE, Effect.TELL_EXECUTING)
+        | _same(_OVER, Event.EXECUTE)  # it was killed before its first step
+        | _to(Phase.RUNNING_AHEAD, (Phase.WAITING,), Event.TAKE_OVER, Effect.WRITE_TAKE_OVER)
+        | _to(Phase.RUNNING, (Phase.RUNNING_AHEAD,), Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
+        | _same(_IN_WRITING, Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
+        # Cancel, and stop. An executor that was not called yet sees both before its first step.
+        | _same((Phase.WAITING,), Event.CANCEL, Effect.WRITE_CANCEL, Effect.END_AND_LEAVE)
+        | _same((Phase.WAITING,), Event.CANCEL_GENTLY, Effect.WRITE_CANCEL, Effect.END_AND_LEAVE)
+        | _same((Phase.BEGIN_IN_WRITING,), Event.CANCEL, Effect.WRITE_CANCEL)
+        | _same(_HAS_TURN, Event.CANCEL, Effect.WRITE_CANCEL, Effect.INTERRUPT)
+        | _same((Phase.BEGIN_IN_WRITING, *_HAS_TURN), Event.CANCEL_GENTLY, Effect.WRITE_CANCEL)
+        | _same((*_OPEN, Phase.END_IN_WRITING), Event.CANCEL_KEPT, Effect.TELL_CANCELING)
+        | _same((Phase.WAITING,), Event.STOP, Effect.END_UNBEGUN)
+        | _same((Phase.BEGIN_IN_WRITING,), Event.STOP)
+        | _same(_HAS_TURN, Event.STOP, Effect.INTERRUPT)
+        # The end. A goal that is killed while its begin is written has no executor that leaves
+        # later.
+        | _to(Phase.END_IN_WRITING, _OPEN, Event.END, Effect.WRITE_END)
+        | _to(
+            Phase.END_IN_WRITING,
+            (Phase.BEGIN_IN_WRITING,),
+            Event.END,
+            Effect.WRITE_END,
+            Effect.LEAVE,
+        )
+        | _to(Phase.END_IN_WRITING, (Phase.END_IN_WRITING,), Event.TOO_LARGE, Effect.WRITE_END)
+        | _to(Phase.ENDED, (Phase.END_IN_WRITING,), Event.END_KEPT, Effect.TELL_END)
+        # Without an end here.
+        | _to(Phase.RELEASE_IN_WRITING, _OPEN, Event.RELEASE, Effect.WRITE_RELEASE)
+        | _to(
+            Phase.RELEASE_IN_WRITING,
+            (Phase.BEGIN_IN_WRITING,),
+            Event.RELEASE,
+            Effect.WRITE_RELEASE,
+            Effect.LEAVE,
+        )
+        | _to(Phase.RELEASED, (Phase.RELEASE_IN_WRITING,), Event.RELEASE_KEPT, Effect.TELL_GONE)
+        | _to(Phase.RELEASED, (*_OPEN, *_IN_WRITING), Event.LET_GO, Effect.TELL_GONE)
+        | _to(Phase.LOST, (*_OPEN, *_IN_WRITING), Event.LOSE, Effect.TELL_GONE, Effect.PART)
+        # A write about a goal may be refused when it is not here any more.
+        | _to(Phase.LOST, (Phase.ENDED, Phase.RELEASED, Phase.LOST, Phase.REJECTED), Event.LOSE)
     )
-    | _to(Phase.END_IN_WRITING, (Phase.END_IN_WRITING,), Event.TOO_LARGE, Effect.WRITE_END)
-    | _to(Phase.ENDED, (Phase.END_IN_WRITING,), Event.END_KEPT, Effect.TELL_END)
-    # Without an end here.
-    | _to(Phase.RELEASE_IN_WRITING, _OPEN, Event.RELEASE, Effect.WRITE_RELEASE)
-    | _to(
-        Phase.RELEASE_IN_WRITING,
-        (Phase.BEGIN_IN_WRITING,),
-        Event.RELEASE,
-        Effect.WRITE_RELEASE,
-        Effect.LEAVE,
-    )
-    | _to(Phase.RELEASED, (Phase.RELEASE_IN_WRITING,), Event.RELEASE_KEPT, Effect.TELL_GONE)
-    | _to(Phase.RELEASED, (*_OPEN, *_IN_WRITING), Event.LET_GO, Effect.TELL_GONE)
-    | _to(Phase.LOST, (*_OPEN, *_IN_WRITING), Event.LOSE, Effect.TELL_GONE, Effect.PART)
-    # A write about a goal may be refused when it is not here any more.
-    | _to(Phase.LOST, (Phase.ENDED, Phase.RELEASED, Phase.LOST, Phase.REJECTED), Event.LOSE)
 )
 """Every step that may happen; all others are bugs."""
 
@@ -259,7 +274,4 @@ def next_step(phase: Phase, event: Event) -> Step:
     Raises:
         InvalidStep: The table has no such row.
     """
-    try:
-        return LIFE[phase, event]
-    except KeyError:
-        raise InvalidStep(phase, event) from None
+    return LIFE[phase, event]

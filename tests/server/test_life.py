@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from fibaction import Action, ActionServer, GoalHandle, GoalID, GoalStatus, Schedule
+from fibaction.server.durability.keeper import NoStoreKeeper
 from fibaction.server.execution.executor_life import (
     EXECUTOR_LIFE,
     SCOPES_LIFE,
@@ -34,6 +35,14 @@ NO_TURN = (Phase.DECIDING, Phase.ACCEPTANCE_IN_WRITING)
 
 
 # The table alone
+
+
+def test_without_a_store_no_goal_is_kept_for_later_and_nothing_fails() -> None:
+    keeper, goal = NoStoreKeeper(), GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
+    with pytest.raises(NotImplementedError, match="only a store keeps a goal"):
+        keeper.release(goal, lambda *_: None)
+    with pytest.raises(NotImplementedError, match="only a store can fail"):
+        keeper.stopped()
 
 
 def test_an_event_that_a_phase_does_not_allow_is_a_bug() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import AsyncGenerator
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 from weakref import ref
 
@@ -29,6 +30,8 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.border.goal_store import GoalTaken, StoredGoal
+from fibaction.server.life import Phase
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time
@@ -673,3 +676,17 @@ async def test_a_lost_goal_is_interrupted_at_once_when_a_frozen_server_goes_on()
         with pytest.raises(ConnectionLost, match=TAKEN):
             await goal.result()
     assert steps == []
+
+
+async def test_the_loss_of_a_goal_that_has_ended_here_is_only_noted() -> None:
+    async with server_with(MemoryStore()) as server:
+        record = GoalRecord(ID, b"", 1, UNKNOWN_SENDER)
+        record.phase = Phase.ENDED
+        server._runs.lose(record)
+        assert record.phase is Phase.LOST
+
+
+async def test_an_executor_whose_loss_was_not_noted_is_none_of_the_lost_ones() -> None:
+    async with server_with(MemoryStore()) as server:
+        execution: Any = SimpleNamespace(goal=SimpleNamespace(goal_id=ID))
+        assert not server._runs.lost.discard(execution)

@@ -19,7 +19,7 @@ from hypothesis.stateful import (
 )
 
 from fibaction.border.goal_store import StoredGoal
-from fibaction.server.life import Phase
+from fibaction.server.life import Event, InvalidStep, Phase
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict
@@ -118,7 +118,26 @@ def rejection_of(registry: GoalRegistry, goal_id: GoalID, payload: bytes, *, now
     return caught.value.reason
 
 
+# The phase
+
+
+def test_an_event_that_follows_the_end_of_the_servers_part_is_noted() -> None:
+    goal = accepted(GoalRegistry(), A)
+    goal.phase = Phase.ENDED
+    goal.happen(Event.LOSE)
+    assert goal.phase is Phase.LOST
+    with pytest.raises(InvalidStep, match="END cannot happen to a goal in the phase LOST"):
+        goal.happen(Event.END)
+
+
 # Accepting
+
+
+def test_goals_may_be_admitted_up_to_the_limit_of_undecided_and_active_ones() -> None:
+    registry = GoalRegistry(max_goals=3)
+    accepted(registry, A)
+    registry.admit(B, b"", now=0.0)
+    assert registry.goals_left == 1
 
 
 def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:

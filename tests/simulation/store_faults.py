@@ -276,7 +276,7 @@ def a_goal_that_is_kept_is_told_as_aborted(_real: Any) -> Any:
 def a_goal_that_is_kept_is_not_released(_real: Any) -> Any:
     """Leave goals that are kept at a planned restart as running."""
 
-    def release(self: GoalKeeper, goal: GoalRecord, _then: Any) -> bool:
-        return True
+    def release(self: GoalKeeper, goal: GoalRecord, _then: Any) -> None:
+        pass
 
     return release

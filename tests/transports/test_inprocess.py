@@ -163,6 +163,15 @@ async def test_an_endpoint_hands_everything_on() -> None:
             assert first.goal_id == stream.goal_id
 
 
+async def test_a_goal_that_is_decided_upon_later_is_open_once_it_is_accepted() -> None:
+    async def accept(goal: Goal) -> None:
+        await anyio.lowlevel.checkpoint()
+
+    server = ActionServer(FIBONACCI, fibonacci, on_goal=accept)
+    async with serve(server, "inproc://later"), connect("inproc://later", FIBONACCI) as client:
+        assert await client.call(Goal(1)) == Result([0, 1])
+
+
 async def test_a_gateway_names_the_owner_of_a_goal_and_any_other_sender_is_its_connection() -> None:
     server = ActionServer(FIBONACCI, fibonacci)
     async with serve(server, "inproc://owned"), connect("inproc://owned") as connection:

@@ -303,6 +303,16 @@ async def test_a_cancel_is_asked_and_answered() -> None:
             assert await asking.answer() == CancelAnswer(CancelCode.NONE, (goal,), "x")
 
 
+async def test_a_client_that_was_away_follows_its_own_goal() -> None:
+    async with reached() as (connection, server):
+        endpoint = endpoint_of(connection)
+        async with Running(lambda: endpoint.feedback(GOAL_ID, own=True)) as asking:
+            asked = await server.hear(Follow)
+            assert asked.own
+            await server.say(Following(asked.id, 4, GoalStatus.EXECUTING, False, 0))
+            assert (await asking.answer()).status is GoalStatus.EXECUTING
+
+
 async def test_the_actions_and_the_peers_of_one_are_asked_of_the_server() -> None:
     async with reached() as (connection, server):
         async with Running(connection.actions) as asking:

@@ -224,12 +224,11 @@ class GoalKeeper(Keeper):
         self._write(self._journal.end, goal, stored, kept, keep_without)
         return False
 
-    def release(self, goal: GoalRecord, then: Kept) -> bool:
+    def release(self, goal: GoalRecord, then: Kept) -> None:
         """Keep that the goal is free, to be run again."""
         stored = _stored(goal)
         stored.is_running = False
         self._write(self._journal.release, goal, stored, partial(then, goal, Event.RELEASE_KEPT))
-        return False
 
     def _write(
         self,

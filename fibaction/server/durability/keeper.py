@@ -75,8 +75,8 @@ class Keeper(ABC):
         """Keep the end of the goal; return whether it is kept already."""
 
     @abstractmethod
-    def release(self, goal: GoalRecord, then: Kept) -> bool:
-        """Keep that the goal is free, to be run again; return whether it is kept already."""
+    def release(self, goal: GoalRecord, then: Kept) -> None:
+        """Keep that the goal is free, to be run again. Only a store has such goals."""
 
     @abstractmethod
     def check(self) -> None:
@@ -136,8 +136,8 @@ class NoStoreKeeper(Keeper):
     ) -> bool:
         return True
 
-    def release(self, goal: GoalRecord, then: Kept) -> bool:
-        return True
+    def release(self, goal: GoalRecord, then: Kept) -> None:
+        raise NotImplementedError("only a store keeps a goal to be run again")
 
     def check(self) -> None:
         """Do nothing: what is kept in memory does not fail."""

@@ -64,7 +64,7 @@ from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import LIFE, Effect, Event, InvalidStep, Phase
+from fibaction.server.life import LIFE, Effect, Event, LifeTable, Phase
 from fibaction.server.registry.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
@@ -114,10 +114,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._pool: TaskPool
         acts = self._acts()
-        self._life = {
-            at: (step.phase, tuple(acts[effect] for effect in step.effects))
+        self._life = LifeTable(
+            (at, (step.phase, tuple(acts[effect] for effect in step.effects)))
             for at, step in LIFE.items()
-        }
+        )
         logs.find_active = self._log_of
         self.on_left: Callable[[GoalID], None] | None = None
         """The function that is called when an executor is gone; None without a schedule."""
@@ -196,10 +196,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _step(self, run: Run[GoalT, FeedbackT, ResultT], event: Event) -> None:
         """Let a goal make the step that follows from an event: see `life`."""
         goal = run.goal
-        try:
-            goal.phase, acts = self._life[goal.phase, event]
-        except KeyError:
-            raise InvalidStep(goal.phase, event) from None
+        goal.phase, acts = self._life[goal.phase, event]
         for act in acts:
             act(run)
 
@@ -456,8 +453,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run.error = GoalKept(GOAL_IS_KEPT)
         if run.goal.stop_reason == LEASE_IS_OVER:
             run.error = ConnectionLost(LEASE_IS_OVER)
-        if self._keeper.release(run.goal, self._step_later):
-            self._step(run, Event.RELEASE_KEPT)
+        self._keeper.release(run.goal, self._step_later)
 
     def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:
         run.error = error

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fibaction._runtime.budget import CountedBytes
-from fibaction.server.life import LIFE, Event, InvalidStep, Phase
+from fibaction.server.life import LIFE, Event, Phase
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import INITIAL, GoalStatus
 
@@ -102,10 +102,7 @@ class GoalRecord:
         Raises:
             InvalidStep: The event cannot happen in this phase.
         """
-        try:
-            self.phase = LIFE[self.phase, event].phase
-        except KeyError:
-            raise InvalidStep(self.phase, event) from None
+        self.phase = LIFE[self.phase, event].phase
 
     @property
     def info(self) -> GoalInfo:

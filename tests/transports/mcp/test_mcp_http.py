@@ -106,6 +106,7 @@ async def test_each_client_is_told_that_the_list_has_changed() -> None:
             await one.told.wait()
             await two.told.wait()
         assert "arm-drive" in await two.tools()
+        assert "arm-drive" in gateway.names
 
 
 # What is let in

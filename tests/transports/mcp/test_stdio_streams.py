@@ -99,6 +99,11 @@ async def test_a_bridge_that_waits_for_a_line_can_be_canceled(
         pipes.write.close()  # for the thread that still waits
 
 
+async def test_it_has_no_clients_but_language_models() -> None:
+    with pytest.raises(TransportError, match=r"clients of mcp\+stdio:// are language models"):
+        McpStdioTransport().connect()
+
+
 async def test_a_server_is_served_over_them_by_a_url(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = Robot()
     transport = transport_for("mcp+stdio://?unasked=*")
