@@ -208,7 +208,7 @@ class Takeover:
     async def _take_left(self, journal: FleetJournal, tasks: TaskGroup) -> None:
         limit = CapacityLimiter(AT_ONCE)
         async with aclosing(self._broker.notes(self._names.left(journal.action))) as notes:
-            async for note in notes:
+            async for note in notes:  # pragma: no branch  # they go on until the task is canceled
                 await limit.acquire_on_behalf_of(note)
                 tasks.start_soon(self._take_one_left, journal, note, limit)
 
