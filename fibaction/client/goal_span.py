@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any, Protocol
 
 from fibaction.border.abc import GoalStream, Meta
@@ -36,5 +37,6 @@ NO_SPAN = GoalSpan()
 class GoalTracer(Protocol):
     """A maker of spans for goals that are sent, such as `fibaction.otel.Tracing`."""
 
+    @abstractmethod
     def sending(self, action: str, goal_id: GoalID) -> GoalSpan:
         """Return the span of a goal that is about to be sent. It raises no error."""

@@ -242,8 +242,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             if isinstance(items, Coroutine):
                 items.close()  # or Python warns that it was never awaited
             raise _Misuse(f"it is not an async generator: it returned {_a(cast('object', items))}")
-        started: AsyncGenerator[FeedbackT | ResultT, None] = items
-        return started
+        return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
         feedback, result, steps = self._action.feedback, self._action.result, self._steps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # this module is for lines on asyncio only
+from abc import abstractmethod
 from contextvars import Context, copy_context
 from time import perf_counter
 from typing import Protocol
@@ -17,13 +18,16 @@ class BusyLine(Protocol):
     """A line that handles what it has read a part at a time."""
 
     @property
+    @abstractmethod
     def context(self) -> Context:
         """The context variables with which it handles frames."""
 
     @property
+    @abstractmethod
     def has_rest(self) -> bool:
         """True if it has more to handle."""
 
+    @abstractmethod
     def go_on(self) -> None:
         """Handle the next part."""
 
