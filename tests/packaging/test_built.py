@@ -22,6 +22,7 @@ PACKAGES = {"fibaction": ROOT, "fibaction_transports": ROOT / "transports"}
 FOLDERS = ("docs", "examples", "fibaction", "tests", "transports")
 FILES = {
     ".gitignore",  # says which files of a checkout are made, and so are no sources
+    "ARCHITECTURE.md",
     "CHANGELOG.md",
     "CITATION.cff",
     "CODE_OF_CONDUCT.md",
