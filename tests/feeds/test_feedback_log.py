@@ -758,8 +758,13 @@ def read_one(log: FeedbackLog[GoalFacts], stream: FeedbackCursor) -> None:
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
     "make_room",
-    [read_one, lambda log, stream: stream.hold(False), lambda log, stream: stream.close()],
-    ids=["reading", "not holding", "closing"],
+    [
+        read_one,
+        lambda log, stream: stream.seek(1),
+        lambda log, stream: stream.hold(False),
+        lambda log, stream: stream.close(),
+    ],
+    ids=["reading", "passing over", "not holding", "closing"],
 )
 async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
     make_room: Callable[[FeedbackLog[GoalFacts], FeedbackCursor], None],

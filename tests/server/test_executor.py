@@ -7,18 +7,20 @@ import logging
 import math
 from collections.abc import Awaitable, Callable, Generator
 from contextvars import copy_context
+from time import perf_counter
 from typing import Any
 from weakref import ref
 
 import anyio
 import pytest
+from anyio.lowlevel import checkpoint
 
 from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.border.abc import FeedbackItem
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.execution.executor import Execution, Executor
-from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.interruption import EXECUTOR_SLICE, CancelOnce, Steps
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
@@ -166,7 +168,7 @@ async def test_what_went_wrong_keeps_nothing_of_its_goal(
     gc.disable()  # so that only what nobody holds goes
     try:
         log = await log_of_one()
-        await anyio.lowlevel.checkpoint()
+        await checkpoint()
         assert log() is None
     finally:
         gc.enable()
@@ -193,7 +195,7 @@ async def test_shielded_clean_up_inside_a_task_group_keeps_no_cancellation_back(
                     await anyio.sleep_forever()
                 finally:
                     with anyio.CancelScope(shield=True):
-                        await anyio.lowlevel.checkpoint()
+                        await checkpoint()
                     cleaned.append(1)
         yield Result([])
 
@@ -210,7 +212,7 @@ async def test_a_timeout_within_the_clean_up_ends_there() -> None:
             with anyio.move_on_after(0.001) as patience:
                 await anyio.sleep_forever()
             assert patience.cancelled_caught
-            await anyio.lowlevel.checkpoint()
+            await checkpoint()
             raise GoalCanceled(result=Result([1])) from None
         yield Result([])
 
@@ -222,7 +224,7 @@ async def test_a_task_group_in_the_clean_up_is_left_in_peace() -> None:
 
     async def retreats(goal: GoalHandle[Goal]) -> Items:
         async def wheel(number: int) -> None:
-            await anyio.lowlevel.checkpoint()
+            await checkpoint()
             done.append(number)
 
         try:
@@ -334,6 +336,29 @@ async def test_a_yield_waits_no_longer_than_the_stall_timeout() -> None:
     assert (await bench.run()).kind is EndKind.RESULT
     assert await bench.read() == [4181, 6765]
     assert bench.stream.dropped == 17
+
+
+async def test_a_yield_at_the_end_of_a_slice_lets_other_tasks_run() -> None:
+    async def computes_for_a_slice_at_a_time(goal: GoalHandle[Goal]) -> Items:
+        for number in range(3):
+            slice_end = perf_counter() + EXECUTOR_SLICE
+            while perf_counter() < slice_end:
+                pass
+            yield Feedback([number])
+        yield Result([])
+
+    bench = Bench(computes_for_a_slice_at_a_time)
+    turns: list[int] = []
+
+    async def count_turns() -> None:
+        while bench.ending is None:
+            turns.append(bench.log.count)
+            await checkpoint()
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(bench.run)
+        tasks.start_soon(count_turns)
+    assert not {1, 2}.isdisjoint(turns)
 
 
 async def test_the_handle_tells_what_the_executor_may_know() -> None:

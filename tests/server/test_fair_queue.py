@@ -28,6 +28,16 @@ def test_a_key_with_one_item_waits_for_one_item_of_each_other_key() -> None:
     assert [queue.popleft() for _ in range(5)] == ["a0", "b0", "c0", "a1", "a2"]
 
 
+def test_a_key_that_was_alone_and_has_no_items_left_is_passed_over_and_forgotten() -> None:
+    queue: FairQueue[str] = FairQueue()
+    queue.append("a0", "a")
+    assert queue.popleft() == "a0"
+    queue.append("b0", "b")
+    queue.append("b1", "b")
+    assert [queue.popleft(), queue.popleft()] == ["b0", "b1"]
+    assert list(queue._items) == ["b"]
+
+
 def test_an_empty_queue_has_nothing_to_give() -> None:
     queue: FairQueue[int] = FairQueue()
     with pytest.raises(IndexError):

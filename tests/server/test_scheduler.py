@@ -421,6 +421,35 @@ def test_a_goal_that_preempts_starts_in_any_place_that_becomes_free() -> None:
     assert scheduler.leave(ONE, 0) == []
 
 
+@pytest.mark.parametrize("urgency", [1, 2])
+def test_a_goal_preempts_none_that_is_at_least_as_urgent(urgency: float) -> None:
+    scheduler = Scheduler(
+        Schedule(concurrency=1, when_full="preempt", priority=lambda _: 0, handover=math.inf)
+    )
+    scheduler.offer(ONE, urgency=1, now=0)
+    with pytest.raises(Busy):
+        scheduler.offer(TWO, urgency=urgency, now=0)
+    assert scheduler.offer(THREE, urgency=0, now=0) == [Order(Act.TELL, ONE)]
+
+
+def test_the_newest_waiting_goal_is_replaced_when_the_queue_is_full() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=1, when_full="replace"))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(TWO, now=0)
+    [order] = scheduler.offer(THREE, now=0)
+    assert (order.act, order.goal_id) == (Act.END, TWO)
+    assert list(scheduler.places()) == [THREE]
+
+
+def test_a_goal_waits_no_longer_than_the_queue_timeout() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=1, queue_timeout=5))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(TWO, now=2)
+    assert scheduler.next_due == 7
+    assert scheduler.due(6.9) == []
+    assert [(order.act, order.goal_id) for order in scheduler.due(7)] == [(Act.END, TWO)]
+
+
 def test_a_start_has_no_reason() -> None:
     assert Scheduler(Schedule()).offer(ONE, now=0) == [(Act.START, ONE, "")]
 

@@ -6,7 +6,7 @@ import zlib
 from copy import copy
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fibaction.border.goal_store import StoredGoal
@@ -92,6 +92,10 @@ changes = st.tuples(
     st.binary(max_size=3),
 )
 journals = st.lists(st.lists(changes, max_size=4), max_size=10)
+EACH_CHANGE = [
+    [("paint", 1, "accept", b""), ("paint", 1, "begin", b""), ("paint", 1, "checkpoint", b"x")],
+    [("paint", 2, "accept", b""), ("paint", 2, "cancel", b""), ("paint", 1, "end", b"y")],
+]
 
 
 def written(
@@ -130,6 +134,7 @@ def assert_same(goals: KeptGoals, model: Model) -> None:
 
 
 @given(journals)
+@example(EACH_CHANGE)
 def test_the_first_rows_add_up_to_the_goals_of_their_time(
     journal: list[list[tuple[str, int, str, bytes]]],
 ) -> None:

@@ -601,6 +601,13 @@ async def test_a_request_that_is_not_allowed_fails_and_the_endpoint_is_not_asked
         assert asked == [(Peer("the client", "ann"), "fibonacci", verb)]
 
 
+async def test_nobody_waits_for_an_action_where_the_actions_cannot_change() -> None:
+    async with serving() as served:
+        client = await served.greet()
+        failed = await client.ask(AwaitServer(1, "swim"), Failed)
+        assert failed.why == Why.SERVER_NOT_FOUND
+
+
 async def test_a_client_without_permissions_is_not_told_what_there_is() -> None:
     async with serving(access=AccessPolicy(authorize=lambda *_: False)) as served:
         client = await served.greet()
