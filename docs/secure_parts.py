@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass
 
 import msgspec
 from page_parts import table
 from protocol_parts import docs_of_fields
 
-from fibaction.server import ActionServer
+from fibaction.server.settings import ActionServerSettings
 from fibaction.wire.auth import TOKEN
 from fibaction.wire.frames import FIRST_FRAME
 from fibaction.wire.link import OVERFULL
@@ -78,7 +77,8 @@ FIXED = (
 
 
 def _default(name: str) -> int:
-    default: int = inspect.signature(ActionServer).parameters[name].default
+    fields = msgspec.structs.fields(ActionServerSettings)
+    default: int = next(field.default for field in fields if field.name == name)
     return default
 
 

@@ -16,10 +16,9 @@ from typing import Generic
 from anyio import Semaphore, create_task_group, current_time
 
 from fibaction._runtime.slices import Slices
-from fibaction.server.admission.callbacks import Callback, Callbacks
-from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
+from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.runs import Runs
-from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.life import Phase
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import GoalRecord
@@ -40,33 +39,28 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         self,
         registry: GoalRegistry,
         runs: Runs[GoalT, FeedbackT, ResultT],
+        keeper: Keeper,
+        callbacks: GoalCallbacks[GoalT],
         decided: Callable[[GoalID], Awaitable[None]],
         *,
-        on_cancel: Callback[GoalHandle[GoalT]] | None,
         interrupt: bool,
-        callbacks: Callbacks,
     ) -> None:
         """Wait with `decided` for goals that are undecided, and interrupt executors if
         `interrupt`.
         """
         self._registry = registry
         self._runs = runs
-        self._decided = decided
-        self._on_cancel = on_cancel
-        self._interrupt = interrupt
-        self._callbacks = callbacks
-        self._keeper: Keeper = NoStoreKeeper()
-
-    def keep_by(self, keeper: Keeper) -> None:
-        """Answer when this keeper has written all that was before."""
         self._keeper = keeper
+        self._callbacks = callbacks
+        self._decided = decided
+        self._interrupt = interrupt
 
     async def cancel(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
         """Cancel the goals that an ID and a stamp mean: see `Endpoint.cancel_goals`."""
         if goal_id is not None:
             await self._decided(goal_id)
         cancellation = self._registry.cancel(goal_id, stamp, now=current_time())
-        if self._on_cancel is None or len(cancellation.candidates) < 2:
+        if not self._callbacks.are_cancels_decided or len(cancellation.candidates) < 2:
             slices = Slices()
             for goal in cancellation.candidates:
                 asking = self._cancel(cancellation, goal)
@@ -104,13 +98,9 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
         if not goal.phase.is_open:
             return None  # it has ended since it was chosen
-        if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
-            self._callbacks.check_not_within("on_cancel", goal.goal_id, "cancels")
-            handle = self._runs.handle_of(goal.goal_id)
+        if goal.status is not GoalStatus.CANCELING:
             try:
-                asking = self._callbacks.ask(
-                    "on_cancel", self._on_cancel, (handle,), CancelRejected, about=goal.goal_id
-                )
+                asking = self._callbacks.ask_cancel(self._runs.handle_of(goal.goal_id))
             except CancelRejected as exc:
                 cancellation.reject(exc.reason)
                 return None

@@ -35,6 +35,22 @@ class Succession(ABC, Generic[GoalT]):
         """
 
 
+class NoSuccession(Succession[Any]):
+    """The succession without a schedule: no goal ever has a successor."""
+
+    def successor(self, goal_id: GoalID) -> None:
+        return None
+
+    def news_of(self, goal_id: GoalID) -> Notifier:
+        return Notifier()
+
+    def take_over(self, goal_id: GoalID) -> NoReturn:
+        raise RuntimeError(f"goal {goal_id} has no successor: the server has no schedule")
+
+
+NO_SUCCESSION = NoSuccession()
+
+
 class GoalHandle(Generic[GoalT]):
     """One goal, as its executor sees it.
 
@@ -53,7 +69,7 @@ class GoalHandle(Generic[GoalT]):
         goal: GoalRecord,
         request: GoalT,
         checkpoints: Checkpoints,
-        succession: Succession[GoalT] | None = None,
+        succession: Succession[GoalT] = NO_SUCCESSION,
         restored: Any = None,
     ) -> None:
         self.request = request
@@ -143,7 +159,7 @@ class GoalHandle(Generic[GoalT]):
         a newer goal takes the place of this successor, or a cancel ends it. After an interruption
         it is None.
         """
-        return None if self._succession is None else self._succession.successor(self.goal_id)
+        return self._succession.successor(self.goal_id)
 
     async def wait_for_successor(self) -> GoalHandle[GoalT]:
         """Wait until there is a `successor`, and return it.
@@ -154,9 +170,7 @@ class GoalHandle(Generic[GoalT]):
         while (successor := self.successor) is None:
             if not self._goal.phase.is_open:
                 raise RuntimeError(f"goal {self.goal_id} has ended, and gets no successor")
-            succession = self._succession
-            # Without a schedule nothing comes.
-            await (Notifier() if succession is None else succession.news_of(self.goal_id)).wait()
+            await self._succession.news_of(self.goal_id).wait()
         return successor
 
     def take_over(self) -> GoalHandle[GoalT]:
@@ -174,8 +188,6 @@ class GoalHandle(Generic[GoalT]):
         Raises:
             RuntimeError: There is no `successor`, or the result was yielded already.
         """
-        if self._succession is None:
-            raise RuntimeError(f"goal {self.goal_id} has no successor: the server has no schedule")
         return self._succession.take_over(self.goal_id)
 
     # For type checkers, each name would be an attribute.

@@ -3,11 +3,11 @@
 Theory of operation
 -------------------
 
-A goal is followed from its `FeedbackLog`. An active goal has one. After the end of the goal, a log
-is kept by its followers (`_unread` has weak references), and, if the statuses are followed, for
-RECENT_TIME (`_recent`): such a follower learns of a goal by its status, and then asks for its
-feedback. Without a log, an ended goal is followed without its feedback. The payload of a goal is in
-its log, too, for those who have not sent it.
+A goal is followed from its `FeedbackLog`. An active goal has one (`_active`). After the end of the
+goal, a log is kept by its followers (`_unread` has weak references), and, if the statuses are
+followed, for RECENT_TIME (`_recent`): such a follower learns of a goal by its status, and then asks
+for its feedback. Without a log, an ended goal is followed without its feedback. The payload of a
+goal is in its log, too, for those who have not sent it.
 
 One task, `forget_expired`, frees what has expired. It sleeps until the next expiry, and while
 nothing can expire, until a goal ends.
@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from weakref import WeakValueDictionary
 
 import anyio
@@ -29,8 +28,7 @@ from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
-from fibaction.server.watched_log import WatchedLog
-from fibaction.server.watcher_group import WatcherGroup
+from fibaction.server.watchers import Watchers
 from fibaction.words.errors import ActionError, GoalKept, UnknownGoal, copy_of
 from fibaction.words.goals import GoalID, GoalInfo, Sender
 from fibaction.words.statuses import GoalStatus
@@ -51,22 +49,31 @@ MOST_AT_ONCE = 200
 class GoalLogs:
     """The logs of one server's goals, and the broadcast of their statuses."""
 
-    def __init__(self, registry: GoalRegistry, *, window: int, latest: bool) -> None:
+    def __init__(
+        self,
+        registry: GoalRegistry,
+        watchers: Watchers,
+        *,
+        window: int,
+        latest: bool,
+        are_told_elsewhere: bool,
+    ) -> None:
+        """Remember `window` feedback messages of a goal, of which slow readers get the latest if
+        `latest`. If the statuses `are_told_elsewhere`, they may be followed without this server's
+        knowledge.
+        """
         self._registry = registry
+        self._watchers = watchers
         self._window = window
         self._latest = latest
-        self.find_active: Callable[[GoalID], FeedbackLog[GoalRecord] | None] = lambda _: None
-        """The function that returns the log of an active goal, and None for any other one."""
+        self._are_told_elsewhere = are_told_elsewhere
+        self._active: dict[GoalID, FeedbackLog[GoalRecord]] = {}
         self.kept: GoalKept | None = None
         """The error for goals that are not known here, once the server has let goals go that it
         keeps: a client that asks for one of them is to ask again after the next start."""
         self._unread: WeakValueDictionary[GoalID, FeedbackLog[GoalRecord]] = WeakValueDictionary()
         self._recent: deque[tuple[float, FeedbackLog[GoalRecord]]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusBroadcast()
-        self.are_told_elsewhere = False
-        """True if the statuses may be followed without this server's knowledge."""
-        self.watchers: WatcherGroup | None = None
-        """The watchers of the server; None if it has none."""
         self.ended = Notifier()
         """The notifier of the ends of goals."""
 
@@ -74,22 +81,20 @@ class GoalLogs:
 
     def open(self, goal: GoalRecord, payload: bytes) -> FeedbackLog[GoalRecord]:
         """Return the log of a goal that was accepted just now."""
-        budget = self._registry.budget
-        if self.watchers is None:
-            return FeedbackLog(goal, self._window, self._latest, budget, payload)
-        self.watchers.accepted(goal.info, payload)
-        return WatchedLog(self.watchers, goal, self._window, self._latest, budget, payload)
+        log = self._watchers.accepted(
+            goal, self._window, self._latest, self._registry.budget, payload
+        )
+        self._active[goal.goal_id] = log
+        log.tell_status()
+        if self._statuses.is_followed:
+            goal.changed = self._statuses.publish(goal.info)
+        return log
 
     def tell_status(self, log: FeedbackLog[GoalRecord]) -> None:
         """Notify the followers of the goal, and of the statuses, of the goal's new status."""
         log.tell_status()
         if self._statuses.is_followed:
             log.goal.changed = self._statuses.publish(log.goal.info)
-        if self.watchers is not None and len(log.statuses) > 1:
-            if log.goal.outcome is None:
-                self.watchers.changed(log.goal.info)
-            else:
-                self.watchers.ended(log.goal.info, log.goal.outcome)
 
     def tell_found(self, goal: GoalRecord) -> None:
         """Notify the followers of the statuses of a goal that has ended elsewhere, and that expires
@@ -102,37 +107,38 @@ class GoalLogs:
     def keep(self, log: FeedbackLog[GoalRecord], error: GoalKept) -> None:
         """End the streams of a goal that is kept, and that is to be asked for again later."""
         self.kept = error
+        del self._active[log.goal.goal_id]
         log.fail(error)
         self._tell_left(log, error)
         self.ended.notify()
 
     def lose(self, log: FeedbackLog[GoalRecord], error: ActionError) -> None:
         """End the streams of a goal that is elsewhere; to followers of statuses it is unknown."""
+        del self._active[log.goal.goal_id]
         log.fail(error)
         self._tell_unknown(log.goal.goal_id)
         self._tell_left(log, error)
         self.ended.notify()
 
     def _tell_left(self, log: FeedbackLog[GoalRecord], error: ActionError) -> None:
-        if self.watchers is not None:
-            self.watchers.left(log.goal.info, str(error))
+        self._watchers.left(log.goal, str(error))
 
     def _tell_unknown(self, goal_id: GoalID) -> None:
         if self._statuses.is_followed:
             self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
 
     def end(self, log: FeedbackLog[GoalRecord], now: float) -> None:
-        """Keep the log of a goal that has ended, for its followers only."""
-        are_followed = self._statuses.is_followed or self.are_told_elsewhere
+        """Notify the followers of the goal, and of the statuses, of the goal's end. Keep its log
+        for its followers only.
+        """
+        del self._active[log.goal.goal_id]
+        are_followed = self._statuses.is_followed or self._are_told_elsewhere
         if are_followed:
             self._recent.append((now + RECENT_TIME, log))
         else:
             log.forget_payload()
         if are_followed or log.is_followed:
             self._unread[log.goal.goal_id] = log
-
-    def tell_outcome(self, log: FeedbackLog[GoalRecord], now: float) -> None:
-        """Notify the followers of the goal, and of the statuses, of the goal's end."""
         self.tell_status(log)
         log.finish()
         self.expire(now)
@@ -178,7 +184,7 @@ class GoalLogs:
         return goal
 
     def _log_of(self, goal: GoalRecord) -> FeedbackLog[GoalRecord]:
-        log = self.find_active(goal.goal_id) or self._unread.get(goal.goal_id)
+        log = self._active.get(goal.goal_id) or self._unread.get(goal.goal_id)
         return log or FeedbackLog(goal)  # its feedback may not be kept any longer
 
     async def follow_statuses(self) -> StatusCursor:

@@ -6,8 +6,8 @@ Theory of operation
 The record of a goal is in one `Phase` at a time. What happens to the goal is an `Event`, and
 `LIFE` says for each phase which events may happen, which phase comes next, and which `Effect`s are
 to be carried out, in their order. An event that may happen but changes nothing has a row, too; any
-other one is a bug, and `next_step` raises `InvalidStep`. This module carries nothing out: it does
-not wait, write, or depend on executors, clients or stores.
+other one is a bug, and raises `InvalidStep`. This module carries nothing out: it does not wait,
+write, or depend on executors, clients or stores.
 
 A goal that was sent is *deciding*. If it is accepted, the acceptance is written, then the goal is
 *waiting* for its turn. When that comes, the begin of the attempt is written, the executor is
@@ -15,8 +15,9 @@ A goal that was sent is *deciding*. If it is accepted, the acceptance is written
 from then on it never changes, and a cancel comes too late. When it is kept, the goal has *ended*.
 
 All that clients are told is kept first. So each thing that is told has two events: one that fixes
-and writes it, and one, `..._KEPT`, that tells it. A server without a store goes the same way: its
-keeper answers at once, within the call that writes.
+and writes it, and one, `..._KEPT`, that tells it. On a server without a store, all is kept as soon
+as it is fixed: each effect that writes gives way to what follows when the write is kept. That
+table, `LIFE_IN_MEMORY`, is made from the first one (`without_writes`).
 
 Clients are told a status only by the effects `TELL_...`. It is ACCEPTED from the acceptance,
 EXECUTING from the first step, CANCELING when an accepted cancel is kept, and terminal when the end
@@ -134,6 +135,8 @@ class Effect(IntEnum):
     """Give back the goal's place in the schedule."""
     PART = 15
     """Stop the executor of a lost goal; without one, give back the place."""
+    RUN_AHEAD = 16
+    """Execute the goal, and hide all that its executor yields until the begin is told."""
 
 
 class Step(NamedTuple):
@@ -201,7 +204,13 @@ LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
         | _same(_IN_WRITING, Event.BEGIN_KEPT)
         | _to(Phase.RUNNING, (Phase.CALLED,), Event.EXECUTE, Effect.TELL_EXECUTING)
         | _same(_OVER, Event.EXECUTE)  # it was killed before its first step
-        | _to(Phase.RUNNING_AHEAD, (Phase.WAITING,), Event.TAKE_OVER, Effect.WRITE_TAKE_OVER)
+        | _to(
+            Phase.RUNNING_AHEAD,
+            (Phase.WAITING,),
+            Event.TAKE_OVER,
+            Effect.RUN_AHEAD,
+            Effect.WRITE_TAKE_OVER,
+        )
         | _to(Phase.RUNNING, (Phase.RUNNING_AHEAD,), Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
         | _same(_IN_WRITING, Event.TAKE_OVER_KEPT, Effect.TELL_TAKE_OVER)
         # Cancel, and stop. An executor that was not called yet sees both before its first step.
@@ -244,6 +253,39 @@ LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
 )
 """Every step that may happen; all others are bugs."""
 
+KEPT: Final[Mapping[Effect, Event]] = MappingProxyType(
+    {
+        Effect.WRITE_BEGIN: Event.BEGIN_KEPT,
+        Effect.WRITE_TAKE_OVER: Event.TAKE_OVER_KEPT,
+        Effect.WRITE_CANCEL: Event.CANCEL_KEPT,
+        Effect.WRITE_END: Event.END_KEPT,
+        Effect.WRITE_RELEASE: Event.RELEASE_KEPT,
+    }
+)
+"""The event that follows each effect that writes, when the write is kept."""
+
+
+def without_writes(life: Mapping[tuple[Phase, Event], Step]) -> Mapping[tuple[Phase, Event], Step]:
+    """Return the same table for a server that keeps all at once: each effect that writes gives way
+    to the step that follows when the write is kept.
+    """
+    table: LifeTable[Step] = LifeTable()
+    for at, step in life.items():
+        phase, effects = step.phase, list[Effect]()
+        for effect in step.effects:
+            if effect in KEPT:
+                kept = life[phase, KEPT[effect]]
+                phase = kept.phase
+                effects += kept.effects
+            else:
+                effects.append(effect)
+        table[at] = Step(phase, tuple(effects))
+    return MappingProxyType(table)
+
+
+LIFE_IN_MEMORY: Final[Mapping[tuple[Phase, Event], Step]] = without_writes(LIFE)
+"""Every step on a server without a store."""
+
 _STARTED = frozenset({GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING})
 _ENDS = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
 
@@ -266,12 +308,3 @@ TOLD: Final[Mapping[Phase, frozenset[GoalStatus]]] = MappingProxyType(
 )
 """The statuses that clients may have been told, for each phase. Which of them it is depends on the
 writes that the store has answered: the record of the goal has it (`told_status`)."""
-
-
-def next_step(phase: Phase, event: Event) -> Step:
-    """Return the step that follows from an event.
-
-    Raises:
-        InvalidStep: The table has no such row.
-    """
-    return LIFE[phase, event]

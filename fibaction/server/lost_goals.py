@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from fibaction._runtime.log import clean_logger
 from fibaction.server.admission.admission import Admission
-from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.goals import GoalID
-
-logger = clean_logger("fibaction.server")
 
 
 class Losses:
@@ -20,20 +16,13 @@ class Losses:
 
     def __init__(
         self,
-        action: str,
         admission: Admission[Any, Any, Any],
         runs: Runs[Any, Any, Any],
         recovery: Recovery[Any, Any, Any],
     ) -> None:
-        self._action = action
         self._admission = admission
         self._runs = runs
         self._recovery = recovery
-        recovery.on_take = self._lose_sent
-
-    def keep_by(self, keeper: GoalKeeper) -> None:
-        """Let go of the goals that this keeper loses."""
-        keeper.on_lost, keeper.on_refused = self.lose, self.lose_record
 
     def lose(self, goal_id: GoalID) -> None:
         """Let go of a goal that another server has taken over; of an unknown one, nothing."""
@@ -42,14 +31,7 @@ class Losses:
         if goal is not None:
             self.lose_record(goal)
 
-    def _lose_sent(self, goal_id: GoalID) -> None:
-        """Give up the acceptance of a goal that the store hands over meanwhile."""
-        goal = self._admission.writing(goal_id)
-        if goal is not None:
-            self.lose_record(goal)
-
     def lose_record(self, goal: GoalRecord) -> None:
         """Let go of a goal of which a write was refused, because another server has it."""
-        logger.info("goal %s of action %r: another server has it", goal.goal_id, self._action)
         if not self._admission.lose(goal):
             self._runs.lose(goal)

@@ -1,18 +1,26 @@
-"""`WatcherGroup`: calls the watchers of one server, so that none of them can harm a goal."""
+"""`WatcherGroup`: calls the watchers of one server, so that none of them can harm a goal.
+
+They are told of feedback, and of a goal's statuses, by its `WatchedLog`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextvars import Context, copy_context
 from inspect import iscoroutinefunction
 from time import perf_counter
 from typing import Any, TypeAlias
 
+from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.log import clean_logger
 from fibaction.border.abc import FeedbackItem
 from fibaction.border.watchers import Watcher
+from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.watchers import Watchers
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import text_of
-from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
+from fibaction.words.goals import CancelAnswer, GoalID, Sender
 from fibaction.words.meta import Meta
 
 SLOW = 0.1
@@ -25,8 +33,8 @@ _Calls: TypeAlias = tuple[tuple[Watcher, Callable[..., None]], ...]
 logger = clean_logger("fibaction.server")
 
 
-class WatcherGroup:
-    """The watchers of one server, as one."""
+class WatcherGroup(Watchers):
+    """The watchers of one server, called one after another."""
 
     def __init__(self, action: str, watchers: Iterable[Watcher]) -> None:
         """Call these watchers with the name of the action.
@@ -53,28 +61,33 @@ class WatcherGroup:
         )
 
     def opened(self, info: ActionInfo) -> None:
-        """See `Watcher.opened`, as for all methods below."""
         self._call("opened", info)
 
-    def offered(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> None:
-        """Tell that a goal was offered."""
-        self._call("offered", self._action, goal_id, goal, sender, meta)
+    def offered(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> Context:
+        context = copy_context()
+        context.run(self._call, "offered", self._action, goal_id, goal, sender, meta)
+        return context
 
-    def taken_over(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> None:
-        """Tell that a goal comes from the store."""
-        self._call("taken_over", self._action, goal_id, goal, sender, meta)
+    def taken_over(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> Context:
+        context = copy_context()
+        context.run(self._call, "taken_over", self._action, goal_id, goal, sender, meta)
+        return context
 
     def rejected(self, goal_id: GoalID, reason: str) -> None:
-        """Tell that a goal was rejected."""
         self._call("rejected", self._action, goal_id, reason)
 
-    def accepted(self, info: GoalInfo, goal: bytes) -> None:
-        """Tell that a goal was accepted."""
-        self._call("accepted", self._action, info, goal)
+    def accepted(
+        self, goal: GoalRecord, window: int, latest: bool, budget: ByteBudget, payload: bytes
+    ) -> FeedbackLog[GoalRecord]:
+        self._call("accepted", self._action, goal.info, payload)
+        return WatchedLog(self, goal, window, latest, budget, payload)
 
-    def changed(self, info: GoalInfo) -> None:
-        """Tell that the status of a goal has changed."""
-        self._call("changed", self._action, info)
+    def changed(self, goal: GoalRecord) -> None:
+        """Tell that the status of a goal has changed, or that the goal has ended."""
+        if goal.outcome is None:
+            self._call("changed", self._action, goal.info)
+        else:
+            self._call("ended", self._action, goal.info, goal.outcome)
 
     def feedback(self, goal_id: GoalID, item: FeedbackItem) -> None:
         """Tell a feedback message."""
@@ -85,19 +98,12 @@ class WatcherGroup:
         self._call("missed", self._action, goal_id, count)
 
     def canceled(self, goal_id: GoalID | None, answer: CancelAnswer) -> None:
-        """Tell the answer to a cancel."""
         self._call("canceled", self._action, goal_id, answer)
 
-    def ended(self, info: GoalInfo, outcome: Outcome[bytes]) -> None:
-        """Tell that a goal has ended."""
-        self._call("ended", self._action, info, outcome)
-
-    def left(self, info: GoalInfo, reason: str) -> None:
-        """Tell that a goal is the server's no longer."""
-        self._call("left", self._action, info, reason)
+    def left(self, goal: GoalRecord, reason: str) -> None:
+        self._call("left", self._action, goal.info, reason)
 
     def closed(self, info: ActionInfo) -> None:
-        """Tell that the server has stopped."""
         self._call("closed", info)
 
     def _call(self, name: str, *arguments: Any) -> None:
@@ -134,6 +140,38 @@ class WatcherGroup:
             text_of(exc),
             exc_info=exc,
         )
+
+
+class WatchedLog(FeedbackLog[GoalRecord]):
+    """The log of a goal of a server with watchers. Logs of other servers do not pay for them."""
+
+    __slots__ = ("_watchers",)
+
+    def __init__(
+        self,
+        watchers: WatcherGroup,
+        goal: GoalRecord,
+        window: int,
+        latest: bool,
+        budget: ByteBudget,
+        payload: bytes,
+    ) -> None:
+        super().__init__(goal, window, latest, budget, payload)
+        self._watchers = watchers
+
+    def tell_status(self) -> None:
+        super().tell_status()
+        if len(self.statuses) > 1:  # the first one is told as the acceptance
+            self._watchers.changed(self.goal)
+
+    def append(self, payload: bytes) -> None:
+        super().append(payload)
+        goal = self.goal
+        item = FeedbackItem(goal.feedback_count, payload, goal.attempt)
+        self._watchers.feedback(goal.goal_id, item)
+
+    def note_dropped(self, count: int) -> None:
+        self._watchers.missed(self.goal.goal_id, count)
 
 
 def _check(watcher: object) -> None:

@@ -36,6 +36,8 @@ from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import send_goal
 from fibaction.cli.verbs.info import print_info
 from fibaction.cli.verbs.send_goal import SendOptions, send
+from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
 from fibaction.types.action import Action
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
@@ -377,11 +379,11 @@ def deciding() -> tuple[ScriptedServer[Wait, Progress, Waited], anyio.Event, any
     asked, decide = anyio.Event(), anyio.Event()
     server = ScriptedServer(WAIT, [Waited(1.0)])
 
-    async def think(_: Wait, __: Sender) -> None:
+    async def think(_: Wait) -> None:
         asked.set()
         await decide.wait()
 
-    server._admission._on_goal = think
+    server._callbacks = GoalCallbacks("wait", ActionServerSettings(on_goal=think))
     return server, asked, decide
 
 

@@ -38,6 +38,8 @@ from fibaction import (
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpdate, StatusStream
+from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.spans import Spans
@@ -402,7 +404,7 @@ async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_n
 
     hold = anyio.Event()
     server = ScriptedServer(FIBONACCI, [hold, Result([])])
-    server._cancels._on_cancel = refuse
+    server._callbacks = GoalCallbacks("fibonacci", ActionServerSettings(on_cancel=refuse))
     async with server:
         async with client_of(server).send_goal(Goal(1)):
             pass

@@ -1,4 +1,4 @@
-"""`fibaction.server.scheduling.dispatcher`: a schedule at work in a server, beside the contract
+"""`fibaction.server.scheduling.goal_dispatcher`: a schedule in a server, beside the contract
 suite."""
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fibaction import (
     Schedule,
 )
 from fibaction.border.abc import FeedbackItem, GoalStream
-from fibaction.server.scheduling import dispatcher
+from fibaction.server.scheduling import goal_dispatcher
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.virtual_time import in_virtual_time
@@ -205,7 +205,7 @@ async def test_a_goal_that_was_rejected_after_an_async_on_goal_is_accepted_later
 async def test_very_many_goals_that_have_waited_too_long_are_ended_in_several_turns(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(dispatcher, "MOST_AT_ONCE", 10)
+    monkeypatch.setattr(goal_dispatcher, "MOST_AT_ONCE", 10)
     arm = Arm()
     async with serving(Schedule(concurrency=1, queue=100, queue_timeout=3), arm) as site:
         await site.send(0)
@@ -258,8 +258,8 @@ async def test_the_places_of_goals_are_those_when_an_observer_asks() -> None:
 async def test_the_places_of_very_many_goals_may_be_a_moment_old(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(dispatcher, "MANY", 1)
-    monkeypatch.setattr(dispatcher, "PLACES_TIME", 1000)
+    monkeypatch.setattr(goal_dispatcher, "MANY", 1)
+    monkeypatch.setattr(goal_dispatcher, "PLACES_TIME", 1000)
     async with serving(ONE_PLACE, Arm()) as site:
         for order in range(3):
             await site.send(order)
@@ -455,7 +455,7 @@ async def test_a_goal_that_has_ended_since_it_was_chosen_is_left_alone() -> None
         stream = await site.send(1)
         arm.let_end(1)
         outcome = await stream.outcome()
-        site.server._runs.interrupt(site.id_of(1), "too late")
+        site.server._parts.runs.interrupt(site.id_of(1), "too late")
         assert stream.known_outcome() == outcome
 
 
@@ -603,7 +603,7 @@ async def test_the_feedback_of_an_executor_that_goes_on_after_it_was_killed_is_d
         assert (numbers, stream.dropped) == ([1], 0)
         again = await site.server.feedback(site.id_of(1), after=0)
         assert [u.number async for u in again if isinstance(u, FeedbackItem)] in ([1], [])
-        goal = site.server._runs._registry.goals()[0]
+        goal = site.server._parts.runs._registry.goals()[0]
         assert goal.feedback_count == 1
 
 

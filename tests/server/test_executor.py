@@ -19,6 +19,7 @@ from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.border.abc import FeedbackItem
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
+from fibaction.server.durability.keeper import NoStoreKeeper
 from fibaction.server.execution.executor import Execution, Executor
 from fibaction.server.execution.interruption import EXECUTOR_SLICE, CancelOnce, Steps
 from fibaction.server.execution.watchdog import Watch
@@ -51,7 +52,7 @@ class Bench:
         self.goal.status = GoalStatus.EXECUTING
         self.log = FeedbackLog(self.goal, window=window)
         self.stream = self.log.follow(own=True)
-        handle = GoalHandle(self.goal, Goal(order), Checkpoints("fibonacci", None))
+        handle = GoalHandle(self.goal, Goal(order), Checkpoints("fibonacci", None, NoStoreKeeper()))
         self.execution = Execution(
             FIBONACCI, executor, handle, self.log, stall_timeout, Watch(FIBONACCI.name, 0)
         )
@@ -425,7 +426,9 @@ def test_a_field_of_the_goal_is_looked_for_in_the_request(
     request_: Any, name: str, hint: str
 ) -> None:
     record = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
-    handle: GoalHandle[Any] = GoalHandle(record, request_, Checkpoints("fibonacci", None))
+    handle: GoalHandle[Any] = GoalHandle(
+        record, request_, Checkpoints("fibonacci", None, NoStoreKeeper())
+    )
     with pytest.raises(AttributeError) as caught:
         getattr(handle, name)
     assert str(caught.value) == f"a GoalHandle has no attribute {name!r}{hint}"

@@ -135,13 +135,13 @@ async def test_a_goal_that_is_accepted_just_as_its_sender_leaves_is_not_held_by_
     scope = anyio.CancelScope()
     store = MemoryStore()
     async with server_with(store, feedback_window=1, stall_timeout=1000) as server:
-        add = server._runs.add
+        add = server._parts.runs.add
 
         def add_and_leave(*args: Any, **keywords: Any) -> Any:
             scope.cancel()
             return add(*args, **keywords)
 
-        server._runs.add = add_and_leave  # type: ignore[method-assign]  # to meet that turn
+        server._parts.runs.add = add_and_leave  # type: ignore[method-assign]  # to meet that turn
         with scope:
             await server.send_goal(ID, PAINT.goal.encode(5))
         goal = await attached(server)
@@ -291,7 +291,7 @@ async def test_a_goal_that_is_killed_while_its_begin_is_written_gives_its_place_
         store.on_kept = lambda _what, _goal: None
         store.release()
         assert (await second.outcome()).reason == "took longer than 3 s"
-        server._runs.begin(second.goal_id)  # an order that comes too late
+        server._parts.runs.begin(second.goal_id)  # an order that comes too late
         assert await client.call(1) == "painted 1 in attempt 1"
 
 
@@ -455,10 +455,10 @@ async def test_a_goal_that_is_canceled_while_the_function_decides_is_not_run_aga
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(_serve, server, decide)
         await anyio.sleep(1)  # the server has the goal, and clients do not reach it yet
-        cancellation = server._cancels._registry.cancel(ID, None, now=current_time())
+        cancellation = server._parts.cancels._registry.cancel(ID, None, now=current_time())
         goal = cancellation.candidates[0]
         assert cancellation.accept(goal)
-        server._runs.cancel(goal, interrupt=True)
+        server._parts.runs.cancel(goal, interrupt=True)
         decide.set()
     assert store.goals["paint", ID].status is GoalStatus.CANCELED
 
@@ -511,7 +511,7 @@ async def test_goals_that_come_while_a_server_runs_are_taken_over() -> None:
     async with server_with(store) as server:
         goal = stored(is_running=False, attempt=1)
         store.goals["paint", goal.goal_id] = goal
-        server._recovery.claim(goal)
+        server._parts.recovery.claim(goal)
         await anyio.sleep(0.5)
         assert await (await attached(server)).result() == "painted 3 in attempt 2"
 

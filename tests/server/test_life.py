@@ -23,7 +23,16 @@ from fibaction.server.execution.executor_life import (
     ScopesPhase,
 )
 from fibaction.server.execution.runs import Runs
-from fibaction.server.life import LIFE, TOLD, Effect, Event, InvalidStep, Phase, next_step
+from fibaction.server.life import (
+    KEPT,
+    LIFE,
+    LIFE_IN_MEMORY,
+    TOLD,
+    Effect,
+    Event,
+    InvalidStep,
+    Phase,
+)
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.errors import ActionError, StoreError
 from fibaction.words.goals import UNKNOWN_SENDER
@@ -37,17 +46,29 @@ NO_TURN = (Phase.DECIDING, Phase.ACCEPTANCE_IN_WRITING)
 # The table alone
 
 
-def test_without_a_store_no_goal_is_kept_for_later_and_nothing_fails() -> None:
-    keeper, goal = NoStoreKeeper(), GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
-    with pytest.raises(NotImplementedError, match="only a store keeps a goal"):
-        keeper.release(goal, lambda *_: None)
+def test_without_a_store_nothing_fails() -> None:
     with pytest.raises(NotImplementedError, match="only a store can fail"):
-        keeper.stopped()
+        NoStoreKeeper().stopped()
+
+
+def test_without_a_store_nothing_is_written_and_the_same_is_told() -> None:
+    assert LIFE_IN_MEMORY.keys() == LIFE.keys()
+    for at, step in LIFE_IN_MEMORY.items():
+        assert not KEPT.keys() & set(step.effects)
+        assert step.effects[-1:] == LIFE[at].effects[-1:] or LIFE[at].effects[-1] in KEPT
+    for begun, effects in (
+        (Event.BEGIN, (Effect.CALL,)),
+        (Event.TAKE_OVER, (Effect.RUN_AHEAD, Effect.TELL_TAKE_OVER)),
+        (Event.CANCEL, (Effect.TELL_CANCELING, Effect.END_AND_LEAVE)),
+        (Event.END, (Effect.TELL_END,)),
+        (Event.RELEASE, (Effect.TELL_GONE,)),
+    ):
+        assert LIFE_IN_MEMORY[Phase.WAITING, begun].effects == effects
 
 
 def test_an_event_that_a_phase_does_not_allow_is_a_bug() -> None:
     with pytest.raises(InvalidStep, match="END cannot happen to a goal in the phase ENDED"):
-        next_step(Phase.ENDED, Event.END)
+        LIFE[Phase.ENDED, Event.END]
 
 
 def test_a_goal_that_runs_is_called_first_and_ends_when_its_end_is_kept() -> None:
@@ -62,7 +83,7 @@ def test_a_goal_that_runs_is_called_first_and_ends_when_its_end_is_kept() -> Non
         Event.END,
         Event.END_KEPT,
     ):
-        effects += next_step(goal.phase, event).effects
+        effects += LIFE[goal.phase, event].effects
         goal.happen(event)
     assert goal.phase is Phase.ENDED
     assert effects == [
@@ -92,10 +113,10 @@ def test_every_phase_is_reached_and_can_be_left_unless_the_goal_has_gone() -> No
 def test_an_open_goal_can_always_be_ended_lost_and_let_go() -> None:
     for phase in Phase:
         if phase.is_open and phase not in NO_TURN:
-            assert next_step(phase, Event.END).phase is Phase.END_IN_WRITING
-            assert next_step(phase, Event.RELEASE).phase is Phase.RELEASE_IN_WRITING
-            assert next_step(phase, Event.LOSE).phase is Phase.LOST
-            assert next_step(phase, Event.LET_GO).phase is Phase.RELEASED
+            assert LIFE[phase, Event.END].phase is Phase.END_IN_WRITING
+            assert LIFE[phase, Event.RELEASE].phase is Phase.RELEASE_IN_WRITING
+            assert LIFE[phase, Event.LOSE].phase is Phase.LOST
+            assert LIFE[phase, Event.LET_GO].phase is Phase.RELEASED
 
 
 def test_what_is_fixed_is_not_changed_by_a_cancel_or_a_stop() -> None:
@@ -170,7 +191,7 @@ class Walk:
                     tasks.cancel_scope.cancel()
             except StoreError:
                 assert self.store is not None
-        assert self.steps <= set(LIFE)
+        assert self.steps <= set(LIFE if self.store is not None else LIFE_IN_MEMORY)
 
     async def _act(self, act: str, number: int) -> None:
         goal_id = GoalID(number.to_bytes(16, "big"))

@@ -32,6 +32,7 @@ from fibaction import (
 from fibaction.border.goal_store import GoalTaken, StoredGoal
 from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time
@@ -193,7 +194,8 @@ async def test_the_loss_of_a_successor_interrupts_the_executor_that_has_taken_it
         assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
         await anyio.sleep(0.1)
         assert interrupted == [2]
-        assert len(server._dispatcher._scheduler._entries) == 0  # type: ignore[union-attr]  # it has a schedule
+        assert isinstance(server._dispatcher, GoalDispatcher)
+        assert len(server._dispatcher._scheduler._entries) == 0
 
 
 @pytest.mark.parametrize("when_full", ["preempt", "replace"])
@@ -288,9 +290,9 @@ async def test_the_executor_of_a_lost_goal_is_killed_if_its_clean_up_takes_too_l
         begin = current_time()
         store.take("paint", goal.goal_id)
         await anyio.sleep(1)
-        assert len(server._runs.lost) == 1
+        assert len(server._parts.runs.lost.executions) == 1
         await anyio.sleep(5)
-        assert len(server._runs.lost) == 0
+        assert len(server._parts.runs.lost.executions) == 0
         assert executor.ended == []  # its clean-up was cut off
         assert current_time() - begin < 7
         assert quick.begun == []
@@ -350,7 +352,7 @@ async def test_nothing_is_held_of_a_lost_goal_whose_executor_has_ended() -> None
         del goal
         await anyio.sleep(60)
         gc.collect()
-        assert server._runs._registry.budget.used == 0
+        assert server._parts.runs._registry.budget.used == 0
         assert [pot() for pot in gone] == [None]
 
 
@@ -386,7 +388,7 @@ async def test_an_outcome_that_comes_later_is_known_and_told() -> None:
         assert await (await client_of(server).attach(ID)).result() == "painted"
         await anyio.sleep(100)
         assert await client_of(server).goals() == []
-        assert server._runs._registry._kept_bytes == 0
+        assert server._parts.runs._registry._kept_bytes == 0
 
 
 @pytest.mark.parametrize(
@@ -431,7 +433,7 @@ async def test_a_goal_that_comes_back_waits_for_its_old_executor(schedule: Any) 
         assert await back.result() == "attempt 2"
         assert [attempt for attempt, _ in executor.begun] == [1, 2]
         assert executor.begun[1][1] >= executor.ended[0]
-        if server._dispatcher is not None:
+        if isinstance(server._dispatcher, GoalDispatcher):
             assert server._dispatcher._scheduler._entries == {}
 
 
@@ -551,15 +553,15 @@ async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwar
 
 
 async def test_a_goal_that_waits_for_a_decision_here_is_left_alone_if_the_store_fails() -> None:
-    async def wait(_goal: int) -> None:
-        await anyio.sleep(5)
+    async def decide(goal: int) -> None:
+        if goal == 1:
+            await anyio.sleep(5)
 
     store = MemoryStore(lambda _number, what: Fate.FAILED if what == "end" else Fate.KEPT)
-    server = server_with(store)
+    server = server_with(store, on_goal=decide)
     with pytest.raises(StoreError):
         async with server:
             await server.send_goal(GoalID.random(), PAINT.goal.encode(2))
-            server._admission._on_goal = lambda _goal, _sender: wait(_goal)
 
             async def send() -> None:
                 with pytest.raises(GoalKept):
@@ -682,11 +684,11 @@ async def test_the_loss_of_a_goal_that_has_ended_here_is_only_noted() -> None:
     async with server_with(MemoryStore()) as server:
         record = GoalRecord(ID, b"", 1, UNKNOWN_SENDER)
         record.phase = Phase.ENDED
-        server._runs.lose(record)
+        server._parts.runs.lose(record)
         assert record.phase is Phase.LOST
 
 
 async def test_an_executor_whose_loss_was_not_noted_is_none_of_the_lost_ones() -> None:
     async with server_with(MemoryStore()) as server:
         execution: Any = SimpleNamespace(goal=SimpleNamespace(goal_id=ID))
-        assert not server._runs.lost.discard(execution)
+        assert not server._parts.runs.lost.discard(execution)

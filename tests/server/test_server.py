@@ -37,6 +37,7 @@ from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusStream
 from fibaction.server import goal_logs, shutdown
 from fibaction.server.execution.interruption import CancelOnce
+from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.turns import Turns
 from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
 from fibaction.server.registry.goal_record import Ending, EndKind
@@ -425,7 +426,9 @@ async def test_a_goal_that_is_stopped_before_its_start_never_runs() -> None:
 
 
 @pytest.mark.promise("EXECUTE-10")
-async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
+async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     async def exits(goal: GoalHandle[Goal]) -> Items:
         raise SystemExit(3)
         yield Result([])
@@ -433,24 +436,20 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
     server = ActionServer(FIBONACCI, exits)
     streams: list[GoalStream] = []
 
-    async def serve() -> None:
+    # asyncio ends its loop at once on a SystemExit, so that the wire is cut on trio only; here the
+    # executor is run by hand, and both must let it through.
+    run_goal = Runs._run
+
+    async def run_and_catch(runs: Any, run: Any, scopes: CancelOnce) -> None:
+        with pytest.raises(SystemExit):
+            await run_goal(runs, run, scopes)
+        scope.cancel()
+
+    monkeypatch.setattr(Runs, "_run", run_and_catch)
+    with anyio.CancelScope() as scope:
         async with server:
             streams.append(await server.send_goal(GoalID.random(), packed(1)))
             await anyio.sleep_forever()
-
-    # asyncio ends its loop at once on a SystemExit, so that the wire is cut on trio only; here the
-    # executor is run by hand, and both must let it through.
-    server_runs = server._runs
-    run_goal = server_runs._run
-
-    async def run_and_catch(run: Any, scopes: CancelOnce) -> None:
-        with pytest.raises(SystemExit):
-            await run_goal(run, scopes)
-        scope.cancel()
-
-    server_runs._run = run_and_catch  # type: ignore[method-assign]  # see above
-    with anyio.CancelScope() as scope:
-        await serve()
     assert await streams[0].outcome() == Outcome(GoalStatus.ABORTED, None, "SystemExit")
 
 
@@ -804,8 +803,10 @@ async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_o
 
     def end_the_other(goal: GoalHandle[Goal]) -> None:
         asked.append(goal.goal_id)
-        (other,) = (run for key, run in server._runs._runs.items() if key != goal.goal_id)
-        server._runs._finish(other, Ending(EndKind.RESULT, FIBONACCI.result.encode(Result([]))))
+        (other,) = (run for key, run in server._parts.runs._runs.items() if key != goal.goal_id)
+        server._parts.runs._finish(
+            other, Ending(EndKind.RESULT, FIBONACCI.result.encode(Result([])))
+        )
 
     async with ActionServer(FIBONACCI, executor, on_cancel=end_the_other) as server:
         streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(2)]
@@ -1054,10 +1055,10 @@ async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
         """Ends the other goals in the pause after the first one was killed."""
 
         async def pause(self) -> None:
-            left = tuple(server._runs._runs.values())
+            left = tuple(server._parts.runs._runs.values())
             if len(left) < 3:
                 for run in left:
-                    server._runs._finish(run, Ending(EndKind.RESULT, result([])))
+                    server._parts.runs._finish(run, Ending(EndKind.RESULT, result([])))
                     run.execution.kill()
 
     monkeypatch.setattr(shutdown, "Slices", Ends)
@@ -1210,7 +1211,7 @@ async def test_goals_that_are_being_decided_count() -> None:
 
 
 def budget_of(server: ActionServer[Any, Any, Any]) -> ByteBudget:
-    return server._runs._registry.budget
+    return server._parts.runs._registry.budget
 
 
 async def test_as_many_results_are_forgotten_for_a_goal_as_it_needs(
@@ -1325,12 +1326,12 @@ def test_when_all_has_ended_and_is_forgotten_no_bytes_are_counted(
                         await use(streams[number], step)
                 await anyio.lowlevel.checkpoint()
             await anyio.wait_all_tasks_blocked()
-        assert not server._runs._runs
+        assert not server._parts.runs._runs
         while streams:
             streams.pop().close()
         budget = budget_of(server)
-        server._runs._registry.expire(math.inf)
-        server._logs._recent.clear()
+        server._parts.runs._registry.expire(math.inf)
+        server._parts.logs._recent.clear()
         gc.collect()
         assert budget.used == 0
 

@@ -16,7 +16,6 @@ from fibaction import (
     GoalID,
     GoalKept,
     GoalRejected,
-    GoalStatus,
     Outcome,
     Sender,
     connect,
@@ -25,8 +24,9 @@ from fibaction import (
 from fibaction.border.abc import FeedbackItem, ForwardingEndpoint, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.server import watcher_group
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.types.action import ActionInfo
-from fibaction.words.goals import CancelAnswer, GoalInfo
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalInfo
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.memory_store import MemoryStore
@@ -348,4 +348,4 @@ async def test_watchers_of_serve_are_added_to_each_new_server() -> None:
 def test_a_watcher_that_overrides_nothing_does_nothing() -> None:
     group = watcher_group.WatcherGroup("drive", [Watcher()])
     group.rejected(GoalID.random(), "busy")
-    group.left(GoalInfo(GoalID.random(), 1, GoalStatus.ACCEPTED), "it is kept")
+    group.left(GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER), "it is kept")

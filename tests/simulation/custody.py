@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sized
 from typing import Any
 
 from fibaction import ActionServer
+from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.wire.frames import HEADER
 from fibaction.wire.link import OVERFULL
 from fibaction.wire.server.session import Session
@@ -61,7 +62,8 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
     """Yield the tables and the counters that are not empty although all clients have left, no goal
     is active, and all results have expired.
     """
-    runs, admission = actions._runs, actions._admission
+    parts = actions._parts
+    runs, admission = parts.runs, parts.admission
     tables: dict[str, Sized] = {
         "connections": server._sessions,
         "connections without a hello": server._unknown,
@@ -72,10 +74,10 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
         "goals of the registry": runs._registry._active,
         "undecided goals": runs._registry._undecided,
         "waits for decisions": admission._decisions,
-        "followers of statuses": actions._logs._statuses._cursors,
+        "followers of statuses": parts.logs._statuses._cursors,
     }
-    dispatcher = actions._dispatcher
-    if dispatcher is not None:
+    dispatcher = parts.dispatcher
+    if isinstance(dispatcher, GoalDispatcher):
         scheduler = dispatcher._scheduler
         tables |= {
             "places": scheduler._entries,

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from fibaction import GoalID, Outcome
@@ -59,7 +60,7 @@ class Truth:
 class Life:
     """One server, from its start to its stop."""
 
-    def __init__(self, number: int, at: float, registry: object) -> None:
+    def __init__(self, number: int, at: float, owns: Callable[[object], bool]) -> None:
         self.number = number
         self.began_at = at
         self.stops_at = math.inf
@@ -67,7 +68,8 @@ class Life:
         """True if its process has died: whatever its tasks still do, nobody can see."""
         self.is_orderly = False
         """True if it was stopped, and has had the time to write everything."""
-        self.registry = registry
+        self.owns = owns
+        """The function that says whether a part of the product is this server's."""
         self.goals: dict[tuple[GoalID, int], Truth] = {}
         self.ended: list[Truth] = []
         self.running: list[Truth] = []

@@ -143,9 +143,9 @@ class Record:
 
     # What servers do
 
-    def life_of(self, registry: object) -> Life:
-        """Return the server with that registry."""
-        return next(life for life in reversed(self.lives) if life.registry is registry)
+    def life_of(self, part: object) -> Life:
+        """Return the server with that part."""
+        return next(life for life in reversed(self.lives) if life.owns(part))
 
     def truth(self, goal_id: GoalID, stamp: int | None) -> Truth | None:
         """Return the facts of a goal; of the last with that ID if `stamp` is None."""

@@ -11,29 +11,29 @@ from fibaction.server.execution.executor import Execution
 from fibaction.server.execution.runs import Runs
 from fibaction.server.life import Event, Phase
 from fibaction.server.registry.goal_record import GoalRecord
-from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.scheduling.group import Entry, Group
 from fibaction.server.scheduling.scheduler import Act, Busy, Order, Scheduler
 from tests.simulation.faults import mistake
 
 AnyRuns = Runs[Any, Any, Any]
-AnyDispatcher = Dispatcher[Any, Any, Any]
+AnyDispatcher = GoalDispatcher[Any]
 
 
 # Places
 
 
-@mistake(Dispatcher, "_leave", 3, 5)
+@mistake(GoalDispatcher, "left", 3, 5)
 def a_place_is_not_given_back(real: Any) -> Any:
     """Keep the place of every third goal."""
     calls = [0]
 
-    def _leave(self: AnyDispatcher, goal_id: GoalID) -> None:
+    def left(self: AnyDispatcher, goal_id: GoalID) -> None:
         calls[0] += 1
         if calls[0] % 3:
             real(self, goal_id)
 
-    return _leave
+    return left
 
 
 @mistake(Scheduler, "_has_place", 5, 13, 16)
@@ -91,8 +91,7 @@ def a_killed_goal_leaves_before_its_executor(real: Any) -> Any:
 
     def kill(self: AnyRuns, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
         real(self, goal_id, reason, for_good=for_good)
-        assert self.on_left is not None
-        self.on_left(goal_id)
+        self._dispatcher.left(goal_id)
 
     return kill
 
@@ -114,26 +113,26 @@ def a_canceled_goal_is_left_waiting(real: Any) -> Any:
     return cancel
 
 
-@mistake(Dispatcher, "offer", 5, 13, 26)
+@mistake(GoalDispatcher, "offer", 5, 13, 26)
 def priority_is_ignored(real: Any) -> Any:
     """Start goals in the order of their arrival alone."""
 
-    def offer(self: AnyDispatcher, *args: Any) -> list[Order]:
+    def offer(self: AnyDispatcher, *args: Any) -> bool:
         self._priority = None
-        orders: list[Order] = real(self, *args)
-        return orders
+        is_first: bool = real(self, *args)
+        return is_first
 
     return offer
 
 
-@mistake(Dispatcher, "offer", 27, 60, 66)
+@mistake(GoalDispatcher, "offer", 27, 60, 66)
 def keys_are_ignored(real: Any) -> Any:
     """Count the goals of all keys together."""
 
-    def offer(self: AnyDispatcher, *args: Any) -> list[Order]:
+    def offer(self: AnyDispatcher, *args: Any) -> bool:
         self._key = None
-        orders: list[Order] = real(self, *args)
-        return orders
+        is_first: bool = real(self, *args)
+        return is_first
 
     return offer
 
@@ -168,7 +167,7 @@ def no_timeout_is_kept(_real: Any) -> Any:
     return property(lambda _: math.inf)
 
 
-@mistake(Dispatcher, "_keep_time", 5, 16, 3)
+@mistake(GoalDispatcher, "_keep_time", 5, 16, 3)
 def a_timeout_is_noticed_late(real: Any) -> Any:
     """Do not set the timer anew for an order that is due earlier."""
 
@@ -188,17 +187,17 @@ def a_timeout_is_noticed_late(real: Any) -> Any:
 # Giving way
 
 
-@mistake(Dispatcher, "carry_out", 5, 16, 22)
+@mistake(GoalDispatcher, "_carry_out", 5, 16, 22)
 def a_successor_starts_before_the_clean_up_has_ended(real: Any) -> Any:
     """Free the place of a goal as soon as it is interrupted."""
 
-    def carry_out(self: AnyDispatcher, orders: Iterable[Order]) -> None:
+    def _carry_out(self: AnyDispatcher, orders: Iterable[Order]) -> None:
         for order in orders:
             real(self, [order])
             if order.act is Act.INTERRUPT:
-                self._leave(order.goal_id)
+                self.left(order.goal_id)
 
-    return carry_out
+    return _carry_out
 
 
 @mistake(Group, "oldest", 150, 393, 426)

@@ -7,10 +7,10 @@ from typing import Any
 
 from fibaction import GoalID
 from fibaction.server.execution.executor import Execution
-from fibaction.server.execution.run import Run
+from fibaction.server.execution.goal_news import Run
 from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import Ending
-from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.scheduling.scheduler import Busy
 from fibaction.words.goals import Sender
 from tests.simulation.facts import Life, Truth
@@ -22,7 +22,7 @@ AnyRuns = Runs[Any, Any, Any]
 
 def schedule_wrappers(record: Record) -> Iterator[tuple[type, str, Callable[[Any], Any]]]:
     """Yield methods of the product to be wrapped, each with the function that makes the wrapper."""
-    yield Dispatcher, "offer", lambda real: _offering(real, record)
+    yield GoalDispatcher, "offer", lambda real: _offering(real, record)
     yield Runs, "_call", lambda real: _beginning(real, record)
     yield Runs, "interrupt", lambda real: _interrupting(real, record)
     yield Runs, "kill", lambda real: _killing(real, record)
@@ -36,8 +36,8 @@ def _truth_of(record: Record, runs: AnyRuns, goal_id: GoalID) -> Truth | None:
 
 
 def _offering(real: Any, record: Record) -> Any:
-    def offer(self: Dispatcher[Any, Any, Any], goal_id: GoalID, work: Work, sender: Sender) -> Any:
-        life: Life = record.life_of(self._runs._registry)
+    def offer(self: GoalDispatcher[Any], goal_id: GoalID, work: Work, sender: Sender) -> Any:
+        life: Life = record.life_of(self)
         record.places.offered(life, goal_id, work)
         try:
             return real(self, goal_id, work, sender)

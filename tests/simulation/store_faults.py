@@ -10,9 +10,9 @@ from fibaction.server.admission.admission import Admission
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GoalKeeper
+from fibaction.server.durability.keeper import NoStoreKeeper
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.runs import Runs
-from fibaction.server.life import Event
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.words.goals import GoalID, Outcome
@@ -46,9 +46,9 @@ def an_acceptance_is_told_before_it_is_kept(real: Any) -> Any:
 def an_end_is_told_before_it_is_kept(real: Any) -> Any:
     """Tell the outcome as soon as it is handed to the store."""
 
-    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], *_: Any) -> bool:
+    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], then: Any, _: Any) -> None:
         real(self, goal, outcome, _tell_nothing, _tell_nothing)
-        return True
+        then()
 
     return end
 
@@ -57,30 +57,31 @@ def an_end_is_told_before_it_is_kept(real: Any) -> Any:
 def a_cancel_is_told_before_it_is_kept(real: Any) -> Any:
     """Tell followers CANCELING as soon as it is handed to the store."""
 
-    def cancel(self: GoalKeeper, goal: GoalRecord, _then: Any) -> bool:
+    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
         real(self, goal, _tell_nothing)
-        return True
+        then()
 
     return cancel
 
 
-@mistake(Cancels, "keep_by", 18, 26, 28)
-def a_cancel_is_answered_before_it_is_kept(_real: Any) -> Any:
+@mistake(Cancels, "__init__", 18, 26, 28)
+def a_cancel_is_answered_before_it_is_kept(real: Any) -> Any:
     """Do not wait for the store before a cancel is answered."""
 
-    def keep_by(self: Cancels[Any, Any, Any], keeper: GoalKeeper) -> None:
-        pass
+    def __init__(self: Cancels[Any, Any, Any], *args: Any, **keywords: Any) -> None:
+        real(self, *args, **keywords)
+        self._keeper = NoStoreKeeper()
 
-    return keep_by
+    return __init__
 
 
 @mistake(GoalKeeper, "begin", 25, 26, 28)
 def an_executor_starts_before_its_attempt_is_kept(real: Any) -> Any:
     """Start an executor as soon as its begin is handed to the store."""
 
-    def begin(self: GoalKeeper, goal: GoalRecord, event: Event, _then: Any) -> bool:
-        real(self, goal, event, _tell_nothing)
-        return True
+    def begin(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
+        real(self, goal, _tell_nothing)
+        then()
 
     return begin
 
@@ -113,8 +114,8 @@ def a_failed_write_is_taken_for_kept(_real: Any) -> Any:
 def a_cancel_is_not_written(_real: Any) -> Any:
     """Accept a cancel, and keep it nowhere."""
 
-    def cancel(self: GoalKeeper, goal: GoalRecord, _then: Any) -> bool:
-        return True
+    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
+        then()
 
     return cancel
 
@@ -123,9 +124,8 @@ def a_cancel_is_not_written(_real: Any) -> Any:
 def the_result_is_not_written(real: Any) -> Any:
     """Keep the end of a goal without its result."""
 
-    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], *then: Any) -> bool:
-        is_kept: bool = real(self, goal, Outcome(outcome.status, None, outcome.reason), *then)
-        return is_kept
+    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], *then: Any) -> None:
+        real(self, goal, Outcome(outcome.status, None, outcome.reason), *then)
 
     return end
 

@@ -30,8 +30,8 @@ class Known:
     def __init__(self, seed: int = 0) -> None:
         self.now = 10.0
         self.record = Record(scenario_of(seed), lambda: self.now)
-        self.registry = GoalRegistry()
-        self.life = Life(1, 0.0, self.registry)
+        registry = GoalRegistry()
+        self.life = Life(1, 0.0, lambda part: part is registry)
         self.record.lives.append(self.life)
         self.client = self.record.clients["client-0"]
         self.client.goals.add(GOAL)
@@ -117,7 +117,7 @@ def test_feedback_of_a_goal_may_be_read_after_a_copy_of_it_was_restored() -> Non
     known.truth.count = 2
     known.view = View(known.record, known.client, GOAL, None, start=0)
     known.record.copied.add(GOAL)
-    known.record.lives.append(Life(2, known.now, GoalRegistry()))
+    known.record.lives.append(Life(2, known.now, lambda _: False))
     copy = GoalRecord(GOAL, digest_of(b""), 2, Sender())
     known.record.restored(known.record.lives[1], copy)
     known.record.lives[1].goals[GOAL, 2].starts = 1
@@ -155,7 +155,7 @@ def test_a_server_may_have_forgotten_what_the_next_one_restores() -> None:
     known = Known()
     known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
     known.now += 1
-    life = Life(2, known.now, known.registry)
+    life = Life(2, known.now, known.life.owns)
     known.record.lives.append(life)
     truth = life.goals[GOAL, 1] = Truth(GOAL, 1, life, known.truth.accepted_at, "")
     truth.outcome, truth.ended_at, truth.is_restored = Outcome(GoalStatus.ABORTED), 10.0, True

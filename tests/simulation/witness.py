@@ -246,7 +246,7 @@ def _telling(real: Any, record: Record) -> Any:
         frames: list[bytes] = real(self)
         if self.stream is None or not isinstance(self.endpoint, ActionServer):
             return frames
-        life = record.life_of(self.endpoint._runs._registry)
+        life = record.life_of(self.endpoint._dispatcher)
         goal_id, stamp = GoalID(self.goal_id), self.stream.stamp
         for frame in frames:
             message = decode_from_server(frame)
@@ -267,7 +267,7 @@ def _answering(real: Any, record: Record) -> Any:
     async def _say(self: Session, answer: Answer) -> None:
         (server,) = self._handlers._endpoints.values()
         assert isinstance(server, ActionServer)
-        life = record.life_of(server._runs._registry)
+        life = record.life_of(server._dispatcher)
         if isinstance(answer, GoalChanged):
             record.keeping.told(life, GoalID(answer.goal_id), answer.stamp, answer.status)
         elif isinstance(answer, CancelAnswered):

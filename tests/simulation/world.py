@@ -248,7 +248,11 @@ class World:
         stop = self._stop
         with CancelScope() as self._life_scope:
             self._server = server
-            life = Life(len(self.record.lives) + 1, self.record.now(), server._runs._registry)
+
+            def owns(part: object) -> bool:
+                return part is server._dispatcher or part is server._parts.runs._registry
+
+            life = Life(len(self.record.lives) + 1, self.record.now(), owns)
             self.record.lives.append(life)
             self.record.tell(f"server {life.number} starts")
             try:
@@ -260,7 +264,7 @@ class World:
                 self._end_life(life)
         self.record.tell(f"server {life.number} has stopped")
         self._lives -= 1
-        if server._runs and not life.is_dead:
+        if server._parts.runs and not life.is_dead:
             self.record.fail("rest", f"goals run on in a server that has stopped: {server!r}")
 
     async def _restart(self, fault: Fault) -> None:
@@ -423,7 +427,7 @@ class World:
             await anyio.sleep(2)
 
     def _is_quiet(self) -> bool:
-        is_idle = self._server is not None and self._is_served and not self._server._runs
+        is_idle = self._server is not None and self._is_served and not self._server._parts.runs
         are_done = all(client.is_done for client in self._clients)
         return is_idle and are_done and all(hostile.is_done for hostile in self._hostile)
 

@@ -425,10 +425,10 @@ async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
         await settled()
         await client.say(WatchStatus(3, "fibonacci", 1))
         await settled()
-        assert server._logs._statuses.is_followed
+        assert server._parts.logs._statuses.is_followed
         client.channel.cut()
         await settled()
-        assert not server._logs._statuses.is_followed
+        assert not server._parts.logs._statuses.is_followed
 
 
 async def test_a_write_ends_when_it_has_taken_a_slice(monkeypatch: pytest.MonkeyPatch) -> None:

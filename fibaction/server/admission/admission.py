@@ -25,8 +25,9 @@ A server that drains rejects new goals as busy, so that clients of several serve
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Coroutine
 from contextvars import Context, copy_context
+from functools import partial
 from typing import Any, Generic
 
 from anyio import current_time
@@ -37,26 +38,21 @@ from fibaction._runtime.text import excerpt, shortened
 from fibaction.border.abc import GoalRequest
 from fibaction.border.goal_store import RecordTooLarge
 from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.server.admission.callbacks import SERVER_STOPPING, Callbacks
-from fibaction.server.admission.sender_argument import GoalFunction, with_sender
+from fibaction.server.admission.callbacks import SERVER_STOPPING
+from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN
-from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.life import Event
 from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
-from fibaction.server.scheduling.scheduler import Act, Busy
-from fibaction.server.watcher_group import WatcherGroup
+from fibaction.server.scheduling.scheduler import Busy
+from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.words.errors import (
-    ConnectionLost,
-    GoalRejected,
-    ProtocolError,
-    StoreError,
-)
-from fibaction.words.goals import GoalID, Sender
+from fibaction.words.errors import ConnectionLost, GoalRejected, ProtocolError, StoreError
+from fibaction.words.goals import GoalID
 from fibaction.words.meta import NO_META
 
 DRAINING = "busy: the server drains"
@@ -68,28 +64,13 @@ logger = clean_logger("fibaction.server")
 class Offer(Generic[GoalT]):
     """A goal that a client has sent."""
 
-    __slots__ = (
-        "context",
-        "deadline",
-        "error",
-        "feedback",
-        "goal",
-        "goal_id",
-        "is_left",
-        "meta",
-        "record",
-        "request",
-        "sender",
-        "stream",
-    )
+    __slots__ = ("context", "error", "is_left", "meta", "record", "request", "sent", "stream")
 
     def __init__(self, sent: GoalRequest, meta: dict[str, str] | None) -> None:
-        self.goal_id = sent.goal_id
-        self.goal = sent.goal
-        self.feedback = sent.feedback
-        self.sender = sent.sender
-        self.deadline = sent.deadline
+        self.sent = sent
+        """The request of the client."""
         self.meta = meta
+        """A copy of its meta: the caller may change its own later."""
         self.request: GoalT
         """The goal, decoded."""
         self.context: Context | None = None
@@ -120,29 +101,23 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         registry: GoalRegistry,
         runs: Runs[GoalT, FeedbackT, ResultT],
         logs: GoalLogs,
-        dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None,
-        *,
-        on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None,
-        callbacks: Callbacks,
+        keeper: Keeper,
+        dispatcher: Dispatcher[GoalT],
+        watchers: Watchers,
+        callbacks: GoalCallbacks[GoalT],
     ) -> None:
         self._action = action
         self._registry = registry
         self._runs = runs
         self._logs = logs
         self._dispatcher = dispatcher
-        self._keeper: Keeper = NoStoreKeeper()
-        self.watchers: WatcherGroup | None = None
-        """The watchers of the server; None if it has none."""
-        self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
+        self._keeper = keeper
+        self._watchers = watchers
         self._callbacks = callbacks
         self._decisions: dict[GoalID, Notifier] = {}
         self._writing: dict[GoalID, Offer[GoalT]] = {}  # those that the store does not have yet
         self._is_draining = False
         self._is_closed = False
-
-    def keep_by(self, keeper: Keeper) -> None:
-        """Write acceptances through this keeper before they are told."""
-        self._keeper = keeper
 
     def close(self) -> None:
         """Reject all goals from now on, and all that are still undecided."""
@@ -161,22 +136,26 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             GoalRejected: The goal is rejected at once.
             GoalKept: The store has failed.
         """
-        goal_id = offer.goal_id
+        sent = offer.sent
+        goal_id = sent.goal_id
         self._keeper.check()
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
-        verdict = self._registry.admit(goal_id, offer.goal, now=current_time())
+        verdict = self._registry.admit(goal_id, sent.goal, now=current_time())
         if verdict is Verdict.WAIT:
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
-            return self._logs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
-        if self.watchers is not None:
-            offer.context = self._watched(self.watchers, offer)
+            return self._logs.follow_again(goal_id, feedback=sent.feedback, sender=sent.sender)
+        offer.context = self._watchers.offered(
+            goal_id, sent.goal, sent.sender, offer.meta or NO_META
+        )
         self._check_room(goal_id)
         try:
-            offer.request = self._decode(offer.goal)
-            if self._on_goal is not None:
-                asking = self._ask(self._on_goal, offer)
+            offer.request = self._decode(sent.goal)
+            if self._callbacks.are_goals_decided:
+                asking = self._callbacks.ask_goal(
+                    offer.request, sent.sender, goal_id, offer.context
+                )
                 if asking is not None:
                     return self._accept_later(offer, asking)
             return self._accept(offer)
@@ -187,27 +166,6 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException:
             self._withdraw_offer(goal_id)
             raise
-
-    def _watched(self, watchers: WatcherGroup, offer: Offer[GoalT]) -> Context:
-        """Tell the offer to the watchers, and return the context for the goal's executor."""
-        context = copy_context()
-        context.run(
-            watchers.offered, offer.goal_id, offer.goal, offer.sender, offer.meta or NO_META
-        )
-        return context
-
-    def _ask(
-        self,
-        on_goal: Callable[[GoalT, Sender], Awaitable[None] | None],
-        offer: Offer[GoalT],
-    ) -> Coroutine[Any, Any, None] | None:
-        """Call `on_goal`: see `Callbacks.ask`."""
-        asked = (offer.request, offer.sender)
-        if offer.context is None:
-            return self._callbacks.ask("on_goal", on_goal, asked, GoalRejected, offer.goal_id)
-        return offer.context.run(
-            self._callbacks.ask, "on_goal", on_goal, asked, GoalRejected, offer.goal_id
-        )
 
     def _check_room(self, goal_id: GoalID) -> None:
         """Reject a new goal if the server is at a limit, or drains."""
@@ -220,7 +178,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise self._reject_for_now(goal_id, busy)
 
     async def _offer_again(self, offer: Offer[GoalT]) -> FeedbackCursor:
-        await self.decided(offer.goal_id)
+        await self.decided(offer.sent.goal_id)
         offered = self.offer(offer)
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
@@ -229,11 +187,11 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             await asking
             accepted = self._accept(offer)
         except GoalRejected as exc:
-            raise self._reject(offer.goal_id, exc.reason) from None
+            raise self._reject(offer.sent.goal_id, exc.reason) from None
         except Busy as exc:
-            raise self._reject_for_now(offer.goal_id, str(exc)) from None
+            raise self._reject_for_now(offer.sent.goal_id, str(exc)) from None
         except BaseException:
-            self._withdraw_offer(offer.goal_id)
+            self._withdraw_offer(offer.sent.goal_id)
             raise
         return accepted if isinstance(accepted, FeedbackCursor) else await accepted
 
@@ -249,22 +207,20 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise GoalRejected(SERVER_STOPPING)
         if self._is_draining:
             raise Busy(DRAINING)
-        goal_id, sender, dispatcher = offer.goal_id, offer.sender, self._dispatcher
-        orders = () if dispatcher is None else dispatcher.offer(goal_id, offer.request, sender)
+        sent = offer.sent
+        goal_id, sender = sent.goal_id, sent.sender
+        is_running = self._dispatcher.offer(goal_id, offer.request, sender)
         record = offer.record = self._registry.prepare(
-            goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
+            goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )
-        is_running = dispatcher is None or any(order.act is Act.START for order in orders)
-        if dispatcher is not None:
-            dispatcher.hold(goal_id, orders)
         self._writing[goal_id] = offer
         write = self._keeper.accept(
             record,
-            offer.goal,
+            sent.goal,
             offer.meta,
             is_running=is_running,
-            then=self._note_kept,
-            too_large=self._note_too_large,
+            then=partial(self._note_kept, offer),
+            too_large=partial(self._note_too_large, offer),
         )
         if not write:
             return self._begin(offer)
@@ -273,34 +229,30 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     def _begin(self, offer: Offer[GoalT]) -> FeedbackCursor:
         """Begin the life of a goal whose acceptance is kept, and return its stream."""
-        goal_id, dispatcher = offer.goal_id, self._dispatcher
+        sent = offer.sent
+        goal_id = sent.goal_id
         del self._writing[goal_id]
         self._registry.accept(offer.record)
-        begin = dispatcher is None and not self._is_closed
-        log = self._runs.add(
-            offer.record, offer.request, offer.goal, begin=begin, context=offer.context
-        )
-        stream = log.follow(feedback=offer.feedback, own=True)
+        log = self._runs.add(offer.record, offer.request, sent.goal, context=offer.context)
+        stream = log.follow(feedback=sent.feedback, own=True)
         if self._decisions:
             self._tell_decision(goal_id)
-        if dispatcher is not None:
-            dispatcher.accepted(goal_id)
+        self._dispatcher.accepted(goal_id)
         return stream
 
     # Acceptance with a store
 
-    def _note_kept(self, goal: GoalRecord, _event: Event) -> None:
-        offer = self._writing[goal.goal_id]
+    def _note_kept(self, offer: Offer[GoalT]) -> None:
         offer.stream = self._begin(offer)
         if offer.is_left:
             offer.stream.close()
 
-    def _note_too_large(self, goal: GoalRecord, error: RecordTooLarge) -> None:
-        offer = self._writing.pop(goal.goal_id)
-        goal.happen(Event.TOO_LARGE)
-        offer.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
-        if self._dispatcher is not None:
-            self._dispatcher.withdraw(goal.goal_id)
+    def _note_too_large(self, offer: Offer[GoalT], error: RecordTooLarge) -> None:
+        goal_id = offer.sent.goal_id
+        del self._writing[goal_id]
+        offer.record.happen(Event.TOO_LARGE)
+        offer.error = self._reject(goal_id, f"the goal cannot be kept: {error}")
+        self._dispatcher.withdraw(goal_id)
 
     async def _await_acceptance(self, offer: Offer[GoalT], write: int) -> FeedbackCursor:
         try:
@@ -314,10 +266,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise offer.error
         if offer.stream is not None:
             return offer.stream
-        if self._registry.is_active(offer.goal_id):  # it has come here from the store meanwhile
-            return self._logs.follow_again(
-                offer.goal_id, feedback=offer.feedback, sender=offer.sender
-            )
+        sent = offer.sent
+        if self._registry.is_active(sent.goal_id):  # it has come here from the store meanwhile
+            return self._logs.follow_again(sent.goal_id, feedback=sent.feedback, sender=sent.sender)
         raise ConnectionLost(GOAL_IS_TAKEN)
 
     def writing(self, goal_id: GoalID) -> GoalRecord | None:
@@ -325,18 +276,25 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         offer = self._writing.get(goal_id)
         return None if offer is None else offer.record
 
+    def give_up(self, goal_id: GoalID) -> None:
+        """Let go of a goal that the store hands over here, if its acceptance is being written."""
+        goal = self.writing(goal_id)
+        if goal is not None:
+            self.lose(goal)
+
     def lose(self, goal: GoalRecord) -> bool:
         """Let go of a goal that another server has, if its acceptance is being written here; return
         whether it was.
         """
+        name = self._action.name
+        logger.info("goal %s of action %r: another server has it", goal.goal_id, name)
         if self.writing(goal.goal_id) is not goal:
             return False
         goal.happen(Event.LOSE)
         del self._writing[goal.goal_id]
         self._withdraw(goal.goal_id)
-        self._tell_rejection(goal.goal_id, GOAL_IS_TAKEN)
-        if self._dispatcher is not None:
-            self._dispatcher.withdraw(goal.goal_id)
+        self._watchers.rejected(goal.goal_id, GOAL_IS_TAKEN)
+        self._dispatcher.withdraw(goal.goal_id)
         return True
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
@@ -346,7 +304,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._tell_decision(goal_id)
         name = self._action.name
         logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
-        self._tell_rejection(goal_id, reason)
+        self._watchers.rejected(goal_id, reason)
         return GoalRejected(reason, goal_id=goal_id)
 
     def _reject_for_now(self, goal_id: GoalID, busy: str) -> GoalRejected:
@@ -356,16 +314,12 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """
         self._withdraw(goal_id)
         logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, busy)
-        self._tell_rejection(goal_id, busy)
+        self._watchers.rejected(goal_id, busy)
         return GoalRejected(busy, goal_id=goal_id)
-
-    def _tell_rejection(self, goal_id: GoalID, reason: str) -> None:
-        if self.watchers is not None:
-            self.watchers.rejected(goal_id, reason)
 
     def _withdraw_offer(self, goal_id: GoalID) -> None:
         self._withdraw(goal_id)
-        self._tell_rejection(goal_id, WITHDRAWN)
+        self._watchers.rejected(goal_id, WITHDRAWN)
 
     def _withdraw(self, goal_id: GoalID) -> None:
         """Forget a goal whose decision was canceled; a retry is decided anew."""
@@ -385,7 +339,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """
         while self._registry.is_undecided(goal_id):
             self._keeper.check()
-            self._callbacks.check_not_within("on_goal", goal_id, "cancels, or sends again,")
+            self._callbacks.check_not_deciding(goal_id)
             await self._decisions.setdefault(goal_id, Notifier()).wait()
 
     def _tell_decision(self, goal_id: GoalID) -> None:

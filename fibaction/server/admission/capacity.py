@@ -8,13 +8,12 @@ so a server that has too many looks again after a while.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from anyio import sleep
 
 from fibaction._runtime.notify import Notifier
-from fibaction.server.durability.goal_keeper import GoalKeeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
 
@@ -25,22 +24,13 @@ LOOK_AGAIN = 0.1
 class Room:
     """The room of one server for goals."""
 
-    def __init__(
-        self, registry: GoalRegistry, dispatcher: Dispatcher[Any, Any, Any] | None
-    ) -> None:
+    def __init__(self, registry: GoalRegistry, keeper: Keeper, dispatcher: Dispatcher[Any]) -> None:
         self._registry = registry
+        self._keeper = keeper
         self._dispatcher = dispatcher
-        self._keeper: GoalKeeper | None = None
         self._is_open = False
         self._told = False, False
         self._shortage = Notifier()
-
-    def keep_by(self, keeper: GoalKeeper) -> None:
-        """Tell this keeper's store."""
-        self._keeper = keeper
-        keeper.on_change = self.update
-        if self._dispatcher is not None:
-            self._dispatcher.on_change = self.update
 
     def open(self) -> None:
         """Tell the store from now on that there is room: the server runs."""
@@ -56,7 +46,7 @@ class Room:
         """Tell the store if one of the numbers has become zero, or more than zero."""
         running, waiting = self.now()
         has_room = running > 0, waiting > 0
-        if has_room != self._told and self._keeper is not None:
+        if has_room != self._told:
             self._told = has_room
             self._keeper.set_room(running, waiting)
 
@@ -69,7 +59,7 @@ class Room:
             return 0, 0
         if self._registry.goals_left <= 0:
             return 0, 0
-        return (math.inf, 0) if self._dispatcher is None else self._dispatcher.room()
+        return self._dispatcher.room()
 
     async def run(self) -> None:
         """Look again after a shortage of bytes, until canceled."""

@@ -6,10 +6,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from fibaction._runtime.text import excerpt
-from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
 from fibaction.words.errors import ProtocolError
 
 if TYPE_CHECKING:
+    from fibaction.server.durability.keeper import Keeper
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import Codec
 
@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 class Checkpoints:
     """The checkpoints of the goals of one server."""
 
-    def __init__(self, action: str, codec: Codec[Any] | None) -> None:
+    def __init__(self, action: str, codec: Codec[Any] | None, keeper: Keeper) -> None:
         self._action = action
         self._codec = codec
-        self.keeper: Keeper = NoStoreKeeper()
-        """The way to the store."""
+        self._keeper = keeper
 
     async def keep(self, goal: GoalRecord, state: object) -> None:
         """Keep the state of a goal, and wait until it is kept.
@@ -42,7 +41,7 @@ class Checkpoints:
                 f"a checkpoint of action {self._action!r} is of type"
                 f" {_name_of(codec.type)}, not {excerpt(repr(state))}"
             )
-        await self.keeper.keep_state(goal, partial(codec.encode, state))
+        await self._keeper.keep_state(goal, partial(codec.encode, state))
 
     def restored(self, goal: GoalRecord) -> Any:
         """Return the last checkpoint of a goal; None if there is none.

@@ -10,13 +10,13 @@ given with the writes, so that they run as in any other task, and in slices. Wha
 when it is kept, is told by such a function; `kept` and `settled` wait for writes.
 
 The first write that fails is the end: nothing was told about it, nothing is written any more, and
-`on_failure` stops the server. What is too large for the store concerns its goal alone: a function
-that was given with the write rejects or ends the goal.
+the server stops (`KeeperEvents.fail`). What is too large for the store concerns its goal alone: a
+function that was given with the write rejects or ends the goal.
 
 A goal that belongs to another server by now is lost for this one alone: a write of it is refused
-(`on_refused`), or the store says so by itself (`on_lost`). Both happen at once, and overtake the
-answers that wait: those about a lost goal change nothing any more. The same goal may come back as
-another record, so a refusal is about a record, and not about an ID.
+(`KeeperEvents.refuse`), or the store says so by itself (`lose`). Both happen at once, and overtake
+the answers that wait: those about a lost goal change nothing any more. The same goal may come back
+as another record, so a refusal is about a record, and not about an ID.
 
 Without a store, a server has a `NoStoreKeeper`.
 """
@@ -32,7 +32,8 @@ from functools import partial
 from heapq import heappop, heappush
 from typing import NamedTuple
 
-from anyio import current_time
+from anyio import CancelScope, current_time
+from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
@@ -45,11 +46,20 @@ from fibaction.border.goal_store import (
     StoredGoal,
     Then,
 )
-from fibaction.server.durability.keeper import Keeper, Kept, TooLarge
-from fibaction.server.life import Event, Phase
+from fibaction.server.durability.goal_writes import GoalWrites
+from fibaction.server.durability.keeper import (
+    ActiveT,
+    Acts,
+    Keeper,
+    KeeperEvents,
+    Kept,
+    Take,
+    TooLarge,
+)
+from fibaction.server.life import LIFE, Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.errors import GoalKept, StoreError, copy_of
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import Outcome
 from fibaction.words.statuses import GoalStatus
 
 OUTCOME_GRACE = 60.0
@@ -67,17 +77,19 @@ LONGEST = 1e9
 logger = clean_logger("fibaction.server")
 
 
-class _Answer(NamedTuple):
+class _Answered(NamedTuple):
     """The answer of the store to a write."""
 
     goal: GoalRecord
-    then: Callable[[], None] | None
-    too_large: Callable[[RecordTooLarge], None] | None
+    then: Kept | None
+    too_large: TooLarge | None
     error: StoreError | None
 
 
 class GoalKeeper(Keeper):
     """The writes of one server to its store."""
+
+    life = LIFE
 
     def __init__(self, store: GoalStore, action: str, *, keep_for: float, max_results: int) -> None:
         """Keep outcomes for so many seconds, and so many of them at most."""
@@ -88,7 +100,7 @@ class GoalKeeper(Keeper):
         self._journal: GoalJournal
         self._written = 0
         self._answered = 0
-        self._answers: deque[_Answer] = deque()
+        self._answers: deque[_Answered] = deque()
         self._news = Notifier()
         self._too_large: dict[int, RecordTooLarge] = {}  # by the numbers of checkpoints
         self._waits: list[tuple[int, int, Notifier]] = []  # a heap, by the numbers of the writes
@@ -96,31 +108,24 @@ class GoalKeeper(Keeper):
         self._is_closed = False
         self.failure: StoreError | None = None
         """The error of the first write that has failed."""
-        self.on_failure: Callable[[], None] = lambda: None
-        self.on_lost: Callable[[GoalID], None] = lambda _: None
-        """The function that is called for a goal that another server has taken over."""
-        self.on_refused: Callable[[GoalRecord], None] = lambda _: None
-        """The function that is called for a goal of which a write is refused for that reason."""
-        self.on_change: Callable[[], None] = lambda: None
-        """The function that is called after each write, and after its answer."""
+        self._events: KeeperEvents
+        self.block: CancelScope
+        self.tells_statuses = store.tells_statuses
 
     @asynccontextmanager
-    async def open(self, claim: Callable[[StoredGoal], None]) -> AsyncGenerator[None, None]:
-        """Open the store for as long as the block lasts; `claim` is called for each stored goal.
-
-        Raises:
-            StoreError: The store cannot be used.
-        """
+    async def open(self, tasks: TaskGroup, events: KeeperEvents) -> AsyncGenerator[None, None]:
+        self._events = events
+        self.block = CancelScope()
+        tasks.start_soon(self._run, name=f"store of {self._action}")
         async with self._store.open(
             self._action,
             max_results=self._max_results,
-            claim=claim,
-            lose=lambda goal_id: self.on_lost(goal_id),
+            claim=events.claim,
+            lose=events.lose,
         ) as self._journal:
             yield
 
     def set_room(self, running: float, waiting: float) -> None:
-        """Tell the store how many more goals the server can run and queue."""
         self._journal.set_room(running, waiting)
 
     @property
@@ -145,7 +150,6 @@ class GoalKeeper(Keeper):
         then: Kept,
         too_large: TooLarge,
     ) -> int:
-        """Keep a goal that is about to be accepted, and return the number of the write."""
         deadline = 0
         if goal.deadline - current_time() < LONGEST:
             deadline = time.time_ns() + int((goal.deadline - current_time()) * SECOND)
@@ -160,24 +164,22 @@ class GoalKeeper(Keeper):
             attempt=int(is_running),
             meta=meta,
         )
-        kept = partial(then, goal, Event.ACCEPTANCE_KEPT)
-        return self._write(self._journal.accept, goal, goal.stored, kept, partial(too_large, goal))
+        return self._write(self._journal.accept, goal, goal.stored, then, too_large)
 
-    def begin(self, goal: GoalRecord, event: Event, then: Kept) -> bool:
-        """Keep that an attempt at the goal begins, unless its acceptance has said so."""
+    def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
+        return GoalWrites(self, take).acts()
+
+    def begin(self, goal: GoalRecord, then: Kept) -> None:
+        """Keep that an attempt at the goal begins."""
         stored = _stored(goal)
-        if stored.is_running:
-            return True
         stored.is_running, stored.attempt = True, goal.attempt
-        self._write(self._journal.begin, goal, stored, partial(then, goal, event))
-        return False
+        self._write(self._journal.begin, goal, stored, then)
 
-    def cancel(self, goal: GoalRecord, then: Kept) -> bool:
+    def cancel(self, goal: GoalRecord, then: Kept) -> None:
         """Keep that a cancel of the goal was accepted."""
         stored = _stored(goal)
         stored.status = GoalStatus.CANCELING
-        self._write(self._journal.cancel, goal, stored, partial(then, goal, Event.CANCEL_KEPT))
-        return False
+        self._write(self._journal.cancel, goal, stored, then)
 
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
         """Keep a checkpoint, and return the number of the write."""
@@ -193,7 +195,6 @@ class GoalKeeper(Keeper):
         return self._write(self._journal.checkpoint, goal, stored, None, too_large)
 
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
-        """See `Keeper.keep_state`."""
         if not goal.phase.is_open or goal.stored is None:
             raise RuntimeError(f"goal {goal.goal_id} has ended, and keeps no checkpoint")
         await self.kept(self.checkpoint(goal, encode()))
@@ -202,7 +203,7 @@ class GoalKeeper(Keeper):
 
     def end(
         self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
-    ) -> bool:
+    ) -> None:
         """Keep the end of the goal."""
         stored, goal.stored = _stored(goal), None
         now = time.time_ns()
@@ -218,30 +219,28 @@ class GoalKeeper(Keeper):
 
         def keep_without(error: RecordTooLarge) -> None:
             goal.stored = stored
-            too_large(goal, error)
+            too_large(error)
 
-        kept = partial(then, goal, Event.END_KEPT)
-        self._write(self._journal.end, goal, stored, kept, keep_without)
-        return False
+        self._write(self._journal.end, goal, stored, then, keep_without)
 
     def release(self, goal: GoalRecord, then: Kept) -> None:
         """Keep that the goal is free, to be run again."""
         stored = _stored(goal)
         stored.is_running = False
-        self._write(self._journal.release, goal, stored, partial(then, goal, Event.RELEASE_KEPT))
+        self._write(self._journal.release, goal, stored, then)
 
     def _write(
         self,
         method: Callable[[StoredGoal, Then], None],
         goal: GoalRecord,
         stored: StoredGoal,
-        then: Callable[[], None] | None,
-        too_large: Callable[[RecordTooLarge], None] | None = None,
+        then: Kept | None,
+        too_large: TooLarge | None = None,
     ) -> int:
         self._written += 1
         if self.failure is None and not self._is_closed:
             method(stored, partial(self._note, goal, then, too_large))
-            self.on_change()
+            self._events.change()
         return self._written
 
     # Answers
@@ -249,17 +248,17 @@ class GoalKeeper(Keeper):
     def _note(
         self,
         goal: GoalRecord,
-        then: Callable[[], None] | None,
-        too_large: Callable[[RecordTooLarge], None] | None,
+        then: Kept | None,
+        too_large: TooLarge | None,
         error: StoreError | None,
     ) -> None:
         if isinstance(error, GoalTaken) and not (goal.phase is Phase.LOST or self._is_closed):
-            self.on_refused(goal)  # at once, as the store may hand it over again
-        self._answers.append(_Answer(goal, then, too_large, error))
+            self._events.refuse(goal)  # at once, as the store may hand it over again
+        self._answers.append(_Answered(goal, then, too_large, error))
         if len(self._answers) == 1:
             self._news.notify()
 
-    async def run(self) -> None:
+    async def _run(self) -> None:
         """Carry out the answers of the store, until canceled."""
         while True:
             while not self._answers:
@@ -270,7 +269,7 @@ class GoalKeeper(Keeper):
                 self._answers.popleft()
                 await slices.pause()
 
-    def _carry_out(self, answer: _Answer) -> None:
+    def _carry_out(self, answer: _Answered) -> None:
         if self.failure is not None or self._is_closed:
             return
         self._answered += 1
@@ -283,7 +282,7 @@ class GoalKeeper(Keeper):
                 answer.too_large(error)
             elif answer.then is not None:
                 answer.then()
-        self.on_change()
+        self._events.change()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 
@@ -291,13 +290,11 @@ class GoalKeeper(Keeper):
         logger.error("action server %r stops: %s", self._action, error)
         self.failure = error
         self._end_waits()
-        self.on_failure()
+        self._events.fail()
+        self.block.cancel()
 
     def close(self) -> None:
-        """Carry out no more answers: the server has stopped, and did not wait for them any longer.
-
-        What they are about is kept, and is told after the next start.
-        """
+        # What the answers are about is kept, and is told after the next start.
         self._is_closed = True
         self._end_waits()
 
@@ -309,24 +306,13 @@ class GoalKeeper(Keeper):
     # Waits
 
     def check(self) -> None:
-        """Check that the store has not failed, and that the server has not stopped.
-
-        Raises:
-            GoalKept: One of these has happened.
-        """
         if self.failure is not None or self._is_closed:
             raise self.stopped()
 
     def stopped(self) -> GoalKept:
-        """Return the error for calls that wait for a server which has stopped."""
         return GoalKept(STORE_IS_LATE if self.failure is None else STORE_FAILED)
 
     async def kept(self, write: int) -> None:
-        """Wait until the write of that number is durable.
-
-        Raises:
-            StoreError: It has failed, or one before it.
-        """
         await self._wait(write)
         too_large = self._too_large.pop(write, None)
         if too_large is not None:
@@ -337,7 +323,6 @@ class GoalKeeper(Keeper):
             raise StoreError(STORE_IS_LATE)
 
     async def settled(self) -> None:
-        """Wait until all writes so far are durable, or one has failed."""
         await self._wait(self._written)
 
     async def _wait(self, write: int) -> None:

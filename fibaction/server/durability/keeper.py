@@ -1,27 +1,62 @@
 """`Keeper`: the way in which a server keeps its goals, with a store or without one.
 
-Each write says whether it is kept already. If it is not, it is followed by an event of the goal's
-life (see `life`): its function `then` is called with that event as soon as it is kept. `GoalKeeper`
-writes to a store. A server without a store has a `NoStoreKeeper`, for which all is kept at once.
+`GoalKeeper` writes to a store: what a write says is told only when it is kept. A server without a
+store has a `NoStoreKeeper`, for which all is kept at once, as long as the server runs: its goals
+live by the table without writes (see `life`).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+
+from fibaction.server.life import LIFE_IN_MEMORY, Effect, Event, Phase, Step
 
 if TYPE_CHECKING:
-    from fibaction.border.goal_store import RecordTooLarge
-    from fibaction.server.life import Event
+    from anyio.abc import TaskGroup
+
+    from fibaction.border.goal_store import RecordTooLarge, StoredGoal
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.errors import GoalKept, StoreError
-    from fibaction.words.goals import Outcome
+    from fibaction.words.goals import GoalID, Outcome
 
-Kept: TypeAlias = Callable[["GoalRecord", "Event"], None]
-"""A function that is called when a write about a goal is durable, with the event that follows."""
-TooLarge: TypeAlias = Callable[["GoalRecord", "RecordTooLarge"], None]
-"""A function that is called when something about a goal is too large for the store."""
+Kept: TypeAlias = Callable[[], None]
+"""A function that is called when a write is durable."""
+TooLarge: TypeAlias = Callable[["RecordTooLarge"], None]
+"""A function that is called when what was to be written is too large for the store."""
+
+
+class Active(Protocol):
+    """An active goal, as far as it is written."""
+
+    goal: GoalRecord
+    outcome: Outcome[bytes] | None
+
+
+ActiveT = TypeVar("ActiveT", bound=Active)
+Take: TypeAlias = Callable[[ActiveT, Event], None]
+"""A function by which a goal takes the step that follows from an event."""
+Acts: TypeAlias = dict[Effect, Callable[[ActiveT], None]]
+"""The functions that carry out effects."""
+
+
+@dataclass(frozen=True)
+class KeeperEvents:
+    """The functions of a server that its store calls by itself."""
+
+    claim: Callable[[StoredGoal], None]
+    """Take over a goal of an earlier process, or of another server."""
+    lose: Callable[[GoalID], None]
+    """Let go of a goal that another server has taken over."""
+    refuse: Callable[[GoalRecord], None]
+    """Let go of a goal of which a write is refused for that reason."""
+    fail: Callable[[], None]
+    """Stop: a write has failed."""
+    change: Callable[[], None]
+    """Look at the room for goals: called after each write, and after its answer."""
 
 
 class Keeper(ABC):
@@ -33,6 +68,34 @@ class Keeper(ABC):
     """True if the goals belong to this server only until a time: see `is_valid`."""
     is_valid: bool
     """True if the goals belong to this server for certain."""
+    tells_statuses: bool
+    """True if the statuses may be followed without this server's knowledge."""
+    block: AbstractContextManager[object]
+    """A block that is canceled when the store fails, once the keeper is open."""
+    life: Mapping[tuple[Phase, Event], Step]
+    """The table by which the goals live."""
+
+    @abstractmethod
+    def open(self, tasks: TaskGroup, events: KeeperEvents) -> AbstractAsyncContextManager[None]:
+        """Open the store for as long as the block lasts, with tasks of this group.
+
+        Raises:
+            StoreError: The store cannot be used.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Carry out no more answers: the server has stopped without waiting for them."""
+
+    @abstractmethod
+    def set_room(self, running: float, waiting: float) -> None:
+        """Tell the store how many more goals the server can run and queue."""
+
+    @abstractmethod
+    def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
+        """Return the functions that carry out the effects which write, and call `take` with what
+        follows.
+        """
 
     @abstractmethod
     def accept(
@@ -50,16 +113,6 @@ class Keeper(ABC):
         """
 
     @abstractmethod
-    def begin(self, goal: GoalRecord, event: Event, then: Kept) -> bool:
-        """Keep that an attempt at the goal begins, unless its acceptance has said so; `event`
-        follows. Return whether it is kept already.
-        """
-
-    @abstractmethod
-    def cancel(self, goal: GoalRecord, then: Kept) -> bool:
-        """Keep that a cancel of the goal was accepted; return whether it is kept already."""
-
-    @abstractmethod
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
         """Keep a checkpoint, which `encode` returns, and wait until it is kept.
 
@@ -67,16 +120,6 @@ class Keeper(ABC):
             RuntimeError: The goal has ended.
             StoreError: It cannot be kept, or the goal belongs to another server by now.
         """
-
-    @abstractmethod
-    def end(
-        self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
-    ) -> bool:
-        """Keep the end of the goal; return whether it is kept already."""
-
-    @abstractmethod
-    def release(self, goal: GoalRecord, then: Kept) -> None:
-        """Keep that the goal is free, to be run again. Only a store has such goals."""
 
     @abstractmethod
     def check(self) -> None:
@@ -109,6 +152,21 @@ class NoStoreKeeper(Keeper):
     failure = None
     has_lease = False
     is_valid = True
+    tells_statuses = False
+    block = nullcontext()
+    life = LIFE_IN_MEMORY
+
+    def open(self, tasks: TaskGroup, events: KeeperEvents) -> AbstractAsyncContextManager[None]:
+        return nullcontext()
+
+    def close(self) -> None:
+        """Do nothing: there are no answers."""
+
+    def set_room(self, running: float, waiting: float) -> None:
+        """Do nothing: nobody hands goals over."""
+
+    def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
+        return {}
 
     def accept(
         self,
@@ -122,22 +180,8 @@ class NoStoreKeeper(Keeper):
     ) -> int:
         return 0
 
-    def begin(self, goal: GoalRecord, event: Event, then: Kept) -> bool:
-        return True
-
-    def cancel(self, goal: GoalRecord, then: Kept) -> bool:
-        return True
-
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
         """Keep nothing: there is no next attempt."""
-
-    def end(
-        self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
-    ) -> bool:
-        return True
-
-    def release(self, goal: GoalRecord, then: Kept) -> None:
-        raise NotImplementedError("only a store keeps a goal to be run again")
 
     def check(self) -> None:
         """Do nothing: what is kept in memory does not fail."""

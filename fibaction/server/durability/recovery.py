@@ -8,7 +8,7 @@ They wait in a queue, and one task, `run`, takes them over in order; a server st
 is empty (`recovered`). A goal that is lost while it waits is forgotten (`forget`).
 
 A goal may come that is here in another way. If a client has sent it here as well, its acceptance
-cannot be kept: if that is being written, it is given up (`on_take`), and if it is still being
+cannot be kept: if that is being written, it is given up, and if it is still being
 decided, the goal is taken over after the decision. If its old executor has not ended yet, the goal
 is known to clients, and goes on when that is gone.
 
@@ -31,10 +31,9 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from contextlib import suppress
-from contextvars import Context, copy_context
-from typing import Generic, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Generic, cast
 
 from anyio import current_time
 from anyio.abc import TaskGroup
@@ -44,25 +43,23 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import StoredGoal
+from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.callbacks import awaited, failures_as
 from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.server.execution.runs import Runs
-from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
-from fibaction.server.watcher_group import WatcherGroup
+from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalAborted, GoalKept, GoalRejected, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction.words.meta import NO_META
 from fibaction.words.statuses import GoalStatus
 
-RecoveryFunction: TypeAlias = Callable[[GoalHandle[GoalT]], Awaitable[None] | None]
-"""A sync or async function that returns None to run a goal again, and raises `GoalAborted` to end
-it."""
-RecoveryRule: TypeAlias = Literal["abort", "rerun"] | RecoveryFunction[GoalT]
+if TYPE_CHECKING:
+    from fibaction.server.settings import ActionServerSettings, RecoveryFunction
 
 RESTARTED = "the server was restarted"
 
@@ -83,34 +80,26 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         registry: GoalRegistry,
         runs: Runs[GoalT, FeedbackT, ResultT],
         logs: GoalLogs,
-        dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None,
-        decided: Callable[[GoalID], Awaitable[None]],
-        *,
-        rule: RecoveryRule[GoalT],
-        max_attempts: int,
-        keep_for: float,
+        dispatcher: Dispatcher[GoalT],
+        watchers: Watchers,
+        admission: Admission[GoalT, FeedbackT, ResultT],
+        settings: ActionServerSettings[GoalT],
     ) -> None:
-        """Remember outcomes for `keep_for` seconds after the end of their goals, and wait with
-        `decided` for goals that are undecided here.
-        """
         self._action = action
         self._registry = registry
         self._runs = runs
         self._logs = logs
-        self._decided = decided
         self._dispatcher = dispatcher
-        self._rule = rule
-        self._max_attempts = max_attempts
-        self._keep_for = keep_for
+        self._watchers = watchers
+        self._admission = admission
+        self._rule = settings.recovery
+        self._max_attempts = settings.max_attempts
+        self._keep_for = settings.result_timeout
         self._claimed: deque[StoredGoal] = deque()
         self._news = Notifier()
         self._done = Notifier()
         self._is_taking = False
         self._is_closed = False
-        self.watchers: WatcherGroup | None = None
-        """The watchers of the server; None if it has none."""
-        self.on_take: Callable[[GoalID], None] = lambda _: None
-        """The function that is called before an active goal is taken over."""
         self._tasks: TaskGroup
 
     def open(self, tasks: TaskGroup) -> None:
@@ -164,7 +153,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = GoalID(stored.goal_id)
         if self._registry.is_active(goal_id):
             return  # the store has handed it over before
-        self.on_take(goal_id)
+        self._admission.give_up(goal_id)
         if self._registry.is_undecided(goal_id):
             self._tasks.start_soon(self._take_later, stored)
             return
@@ -172,33 +161,27 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         if stored.deadline:
             deadline = now + (stored.deadline - wall) / SECOND
         goal = self._registry.restore(stored, deadline=deadline, until=now + LEAST_TIME)
-        context = None if self.watchers is None else self._watched(self.watchers, stored)
+        context = self._watchers.taken_over(
+            stored.goal_id, stored.goal, stored.sender, stored.meta or NO_META
+        )
         try:
             request = self._action.goal.decode(stored.goal)
             restored = self._runs.checkpoints.restored(goal)
         except ProtocolError as exc:
             reason = f"the stored goal does not fit the action any more: {exc}"
             nothing = cast("GoalT", None)  # no executor gets it
-            self._runs.add(goal, nothing, stored.goal, begin=False, context=context)
+            self._runs.add(goal, nothing, stored.goal, context=context)
             is_canceling = goal.status is GoalStatus.CANCELING
             canceled = Ending(EndKind.CANCELED, reason=_cause_of(stored))
             self._end(goal, canceled if is_canceling else Ending(EndKind.FAILED, reason=reason))
             return
-        self._runs.add(goal, request, stored.goal, begin=False, context=context, restored=restored)
+        self._runs.add(goal, request, stored.goal, context=context, restored=restored)
         await self._decide(goal, request)
-
-    def _watched(self, watchers: WatcherGroup, stored: StoredGoal) -> Context:
-        """Tell the goal to the watchers, and return the context for its executor."""
-        context = copy_context()
-        context.run(
-            watchers.taken_over, stored.goal_id, stored.goal, stored.sender, stored.meta or NO_META
-        )
-        return context
 
     async def _take_later(self, stored: StoredGoal) -> None:
         """Take a goal over that was sent here as well, when that is decided."""
         with suppress(GoalKept):
-            await self._decided(GoalID(stored.goal_id))
+            await self._admission.decided(GoalID(stored.goal_id))
             self.claim(stored)
 
     def _time_left(self, stored: StoredGoal, wall: int) -> float:
@@ -226,7 +209,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             "goal %s of action %r: attempt %d", goal.goal_id, self._action.name, stored.attempt + 1
         )
         goal.attempt = stored.attempt + 1
-        if goal.goal_id in self._runs.lost:
+        if goal.goal_id in self._runs.lost.executions:
             self._tasks.start_soon(self._begin_later, goal, request)
         else:
             self._begin(goal, request)
@@ -238,15 +221,10 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             self._begin(goal, request)
 
     def _begin(self, goal: GoalRecord, request: GoalT) -> None:
-        if self._dispatcher is None:
-            self._runs.begin(goal.goal_id)
-            return
         try:
-            orders = self._dispatcher.offer_again(goal.goal_id, request, goal.sender)
+            self._dispatcher.resume(goal.goal_id, request, goal.sender)
         except GoalRejected as exc:
             self._end(goal, Ending(EndKind.FAILED, reason=exc.reason))
-        else:
-            self._dispatcher.carry_out(orders)
 
     async def _ending_of(self, goal: GoalRecord, stored: StoredGoal) -> Ending | None:
         """Return the end of a goal whose attempt is lost; None if it is to run again."""

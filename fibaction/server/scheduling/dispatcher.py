@@ -1,289 +1,139 @@
-"""`Dispatcher`: carries out a schedule: starts, ends, interrupts and kills goals when it is time.
+"""`Dispatcher`: the way in which goals get their turn, with a schedule or without one.
 
-Theory of operation
--------------------
-
-The `Scheduler` knows the rules, and returns orders; `Runs` can start and end goals. The dispatcher
-stands between them. `Admission` asks it for a place (`offer`) before it accepts a goal, and hands
-the orders back (`carry_out`) when the goal is accepted, so that no goal gives way to one that is
-rejected after all. `Runs` tells it when a goal has left (`_leave`), which frees the place.
-
-With a store, a goal has its place while its acceptance is still being written, and `Runs` does not
-have it yet. Orders for such a goal are held back (`hold`), and carried out when it is accepted. So
-are those that it causes: the interruption of another goal may come later than its kill is due. If
-the goal is not accepted after all, those for other goals are carried out all the same, because the
-scheduler counts on them.
-
-A goal that another server has taken over keeps its place until its executor is gone, and gets no
-more orders (`_lose`).
-
-One task, `_keep_time`, waits for the next time at which an order is due. It is woken only if that
-time becomes earlier.
-
-It also implements `Succession`, by which an executor takes its successor over.
+`GoalDispatcher` carries out a `Schedule`. A server without a schedule has a `NoScheduleDispatcher`,
+on which each goal has its turn as soon as it is accepted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable
-from typing import Any, Generic
+from abc import abstractmethod
+from typing import TYPE_CHECKING, Any, Protocol
 
-import anyio
-from anyio import current_time
-from anyio.abc import TaskGroup
+from fibaction.server.goal_handle import NoSuccession, Succession
+from fibaction.types.action import GoalT
 
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
-from fibaction.server.admission.callbacks import failures_as
-from fibaction.server.admission.sender_argument import with_sender
-from fibaction.server.execution.executor import warn_of_kill
-from fibaction.server.execution.runs import Runs
-from fibaction.server.goal_handle import GoalHandle, Succession
-from fibaction.server.scheduling.schedule import Schedule
-from fibaction.server.scheduling.scheduler import Act, Order, Scheduler
-from fibaction.types.action import FeedbackT, GoalT, ResultT
-from fibaction.words.errors import GoalRejected
-from fibaction.words.goals import GoalID, Sender
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
-MOST_AT_ONCE = 200
-"""Orders that are carried out in one turn of the event loop when their time has come."""
+    from anyio.abc import TaskGroup
 
-MANY, PLACES_TIME = 1000, 0.1
-"""If more goals wait than that, the seconds for which their places are not computed again."""
+    from fibaction.server.goal_handle import GoalHandle
+    from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.words.goals import GoalID, Sender
 
 
-class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
-    """The schedule of one server at work."""
+class DispatchedGoals(Protocol[GoalT]):
+    """The active goals of a server, as far as they are dispatched: see `Runs`."""
 
-    def __init__(
-        self,
-        schedule: Schedule,
-        runs: Runs[GoalT, FeedbackT, ResultT],
-        *,
-        action: str,
-        kill_after: float,
+    def begin(self, goal_id: GoalID) -> None: ...
+    def interrupt(self, goal_id: GoalID, reason: str) -> None: ...
+    def kill(self, goal_id: GoalID, /, *, for_good: bool) -> None: ...
+    def take_over(self, goal_id: GoalID, successor: GoalID) -> None: ...
+    def is_interrupted(self, goal_id: GoalID) -> bool: ...
+    def handle_of(self, goal_id: GoalID) -> GoalHandle[GoalT]: ...
+    def record_of(self, goal_id: GoalID) -> GoalRecord | None: ...
+
+
+class Dispatcher(Succession[GoalT]):
+    """The turns of one server's goals."""
+
+    @abstractmethod
+    def open(
+        self, tasks: TaskGroup, goals: DispatchedGoals[GoalT], changed: Callable[[], None]
     ) -> None:
-        """Kill executors that have not ended `kill_after` seconds after they were interrupted."""
-        self._scheduler = Scheduler(schedule, kill_after=kill_after)
-        self._key = schedule.key and with_sender("key", schedule.key)
-        self._priority = schedule.priority and with_sender("priority", schedule.priority)
-        self._runs = runs
-        self._action = action
-        self._kill_after = kill_after
-        self._news = Notifier()
-        self._reads_clock = schedule.when_full == "preempt" or (
-            min(schedule.queue_timeout, schedule.run_timeout) < math.inf
-        )
-        self._wake_at = math.inf
-        self._successor_news: dict[GoalID, Notifier] = {}
-        self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
-        self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
-        self._placed_at = -math.inf
-        self._is_closed = False
-        self.on_change: Callable[[], None] = lambda: None
-        """The function that is called when a goal has left."""
-        runs.on_left = self._leave
-        runs.on_lost = self._lose
-        runs.succession = self
+        """Start, interrupt and end these goals from now on, in tasks of this group. Call `changed`
+        when a place has become free.
+        """
 
-    def open(self, tasks: TaskGroup) -> None:
-        """Keep time in a task of this group."""
-        tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
-
+    @abstractmethod
     def close(self) -> None:
         """Start no goals from now on: the server stops, and ends all of them."""
-        self._is_closed = True
 
-    # Goals
+    @abstractmethod
+    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender) -> bool:
+        """Find a place for a goal, and return whether it has its turn as soon as it is accepted.
 
-    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender) -> list[Order]:
-        """Find a place for a goal, and return the orders to carry out once it is accepted.
+        The place is its own until it has `left`. All that follows for this goal and for others is
+        held back until it is `accepted`, or `withdraw`n.
 
         Raises:
             Busy: There is no place to run or to wait.
             GoalRejected: The function `key` or `priority` of the schedule rejects it, or failed.
         """
-        key, urgency = self._rank(request, sender)
-        return self._scheduler.offer(goal_id, key=key, urgency=urgency, now=self._now())
 
-    def offer_again(self, goal_id: GoalID, request: GoalT, sender: Sender) -> list[Order]:
-        """Find a place for a goal that an earlier process has accepted: it waits if it cannot run,
-        also in a full queue.
+    @abstractmethod
+    def accepted(self, goal_id: GoalID) -> None:
+        """Begin the goal if it has its turn, and carry out what else was held back."""
+
+    @abstractmethod
+    def withdraw(self, goal_id: GoalID) -> None:
+        """Free the place of a goal that is not accepted after all."""
+
+    @abstractmethod
+    def resume(self, goal_id: GoalID, request: GoalT, sender: Sender) -> None:
+        """Find a place for a goal that an earlier process has accepted, and begin it if it has its
+        turn: it waits if it cannot run, also in a full queue.
 
         Raises:
             GoalRejected: As for `offer`.
         """
-        key, urgency = self._rank(request, sender)
-        return self._scheduler.restore(goal_id, key=key, urgency=urgency, now=self._now())
 
-    def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
-        """Return the key and the urgency of a goal."""
-        key: Hashable = None
-        urgency = 0.0
-        if self._key is not None:
-            key = self._answer("key", _hashable, self._key, request, sender)
-        if self._priority is not None:
-            urgency = self._answer("priority", _number, self._priority, request, sender)
-        return key, urgency
+    @abstractmethod
+    def left(self, goal_id: GoalID) -> None:
+        """Free the place of a goal whose executor is gone; of an unknown one, do nothing."""
 
-    def hold(self, goal_id: GoalID, orders: Iterable[Order]) -> None:
-        """Hold back the orders of the offer of a goal, and all later ones for it, until `accepted`
-        or `withdraw`.
+    @abstractmethod
+    def lost(self, goal_id: GoalID) -> None:
+        """Order nothing more for a goal that another server has taken over, and that runs here
+        until its executor is gone.
         """
-        self._held[goal_id] = list(orders)
 
-    def accepted(self, goal_id: GoalID) -> None:
-        """Carry out the orders that were held back."""
-        self.carry_out(self._held.pop(goal_id, ()))
-
-    def withdraw(self, goal_id: GoalID) -> None:
-        """Free the place of a goal that is not accepted after all."""
-        held = self._held.pop(goal_id, ())
-        self.carry_out(order for order in held if order.goal_id != goal_id)
-        self._leave(goal_id)
-
+    @abstractmethod
     def room(self) -> tuple[float, float]:
         """Return how many more goals can run, and how many more can wait."""
-        return self._scheduler.room()
 
-    def carry_out(self, orders: Iterable[Order]) -> None:
-        """Carry out the orders of the scheduler."""
-        if self._is_closed:
-            return
-        for order in orders:
-            act, goal_id, reason = order
-            if self._held and goal_id in self._held:
-                self._held[goal_id].append(order)
-            elif act is Act.START:
-                self._runs.begin(goal_id)
-            elif act is Act.TELL:
-                self._tell(goal_id)
-            elif act is Act.KILL:
-                if self._runs.is_interrupted(goal_id):
-                    self._kill(goal_id)
-                else:
-                    self._overdue.add(goal_id)
-            else:
-                self._runs.interrupt(goal_id, reason)
-                if self._overdue and goal_id in self._overdue:
-                    self._kill(goal_id)
-        if self._scheduler.next_due < self._wake_at:
-            self._news.notify()
+    @abstractmethod
+    def note_places(self) -> None:
+        """Note in the records of waiting goals their places in the queue, for observers."""
 
-    def _kill(self, goal_id: GoalID) -> None:
-        self._overdue.discard(goal_id)
-        warn_of_kill(goal_id, self._action, self._kill_after)
-        self._runs.kill(goal_id, for_good=False)
 
-    def _leave(self, goal_id: GoalID) -> None:
-        self._overdue.discard(goal_id)
-        self._tell(goal_id)
-        self.carry_out(self._scheduler.leave(goal_id, self._now()))
-        self.on_change()
+class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
+    """The turns on a server without a schedule: all goals run at once."""
 
-    def _lose(self, goal_id: GoalID) -> None:
-        """Order nothing more for a goal that another server has taken over, and that runs."""
-        self._overdue.discard(goal_id)
-        self._scheduler.lose(goal_id)
+    def __init__(self) -> None:
+        self._goals: DispatchedGoals[Any]
+        self._is_closed = False
 
-    def _now(self) -> float:
-        """Return the time; 0 if no rule of the schedule needs it, because anyio takes a while to
-        find the clock.
-        """
-        return current_time() if self._reads_clock else 0.0
+    def open(
+        self, tasks: TaskGroup, goals: DispatchedGoals[Any], changed: Callable[[], None]
+    ) -> None:
+        self._goals = goals
 
-    async def _keep_time(self) -> None:
-        while True:
-            self._wake_at = self._scheduler.next_due
-            with anyio.CancelScope(deadline=self._wake_at):
-                await self._news.wait()
-            self.carry_out(self._scheduler.due(current_time(), MOST_AT_ONCE))
+    def close(self) -> None:
+        self._is_closed = True
 
-    def _answer(
-        self,
-        name: str,
-        check: Callable[[Any], Any],
-        function: Callable[[GoalT, Sender], Any],
-        request: GoalT,
-        sender: Sender,
-    ) -> Any:
-        """Call a function of the schedule.
+    def offer(self, goal_id: GoalID, request: Any, sender: Sender) -> bool:
+        return True
 
-        Raises:
-            GoalRejected: It raised this or another exception, or its answer cannot be used.
-        """
-        with failures_as(GoalRejected, name, self._action):
-            answer = function(request, sender)
-            if isinstance(answer, Awaitable):
-                if isinstance(answer, Coroutine):
-                    answer.close()  # or Python warns that it was never awaited
-                raise TypeError("it returned something to await, and not a value")
-            return check(answer)
+    def accepted(self, goal_id: GoalID) -> None:
+        if not self._is_closed:
+            self._goals.begin(goal_id)
+
+    def withdraw(self, goal_id: GoalID) -> None:
+        """Do nothing: there are no places."""
+
+    def resume(self, goal_id: GoalID, request: Any, sender: Sender) -> None:
+        self._goals.begin(goal_id)
+
+    def left(self, goal_id: GoalID) -> None:
+        """Do nothing, as above."""
+
+    def lost(self, goal_id: GoalID) -> None:
+        """Do nothing, as above."""
+
+    def room(self) -> tuple[float, float]:
+        return math.inf, 0
 
     def note_places(self) -> None:
-        """Note in the records of waiting goals their places in the queue, for observers.
-
-        If very many wait, the places may be PLACES_TIME old, since any observer may ask often.
-        """
-        now = current_time()
-        is_fast = self._scheduler.waiting <= MANY
-        if not self._is_closed and (is_fast or now >= self._placed_at + PLACES_TIME):
-            self._placed_at = now
-            for goal_id, place in self._scheduler.places().items():
-                if (record := self._runs.record_of(goal_id)) is not None:
-                    record.place = place
-
-    # As a succession
-
-    def successor(self, goal_id: GoalID) -> GoalHandle[GoalT] | None:
-        # An interrupted executor ends, and would end its successor as well.
-        if self._is_closed or self._runs.is_interrupted(goal_id):
-            return None
-        successor = self._scheduler.successor(goal_id)
-        if successor is None or successor in self._held:
-            return None
-        return self._runs.handle_of(successor)
-
-    def news_of(self, goal_id: GoalID) -> Notifier:
-        return self._successor_news.setdefault(goal_id, Notifier())
-
-    def take_over(self, goal_id: GoalID) -> GoalHandle[GoalT]:
-        successor = self.successor(goal_id)
-        if successor is None:
-            raise RuntimeError(f"goal {goal_id} has no successor that it may take over")
-        self._runs.take_over(goal_id, successor.goal_id)
-        self._scheduler.take_over(goal_id, current_time())
-        self._tell(goal_id)
-        self.carry_out(())
-        return successor
-
-    def _tell(self, goal_id: GoalID) -> None:
-        news = self._successor_news.pop(goal_id, None)
-        if news is not None:
-            news.notify()
-
-
-def _hashable(key: Hashable) -> Hashable:
-    """Return a key that can be found again.
-
-    Raises:
-        TypeError, ValueError: It is not hashable, or not equal to itself.
-    """
-    hash(key)
-    if key != key:
-        raise ValueError(f"it returned {excerpt(repr(key))}, which is not equal to itself")
-    return key
-
-
-def _number(urgency: object) -> float:
-    """Return an urgency that can be compared with others.
-
-    Raises:
-        TypeError, ValueError: It is not a number, or not a number that can be compared.
-    """
-    if not isinstance(urgency, int | float):
-        raise TypeError(f"it returned {excerpt(repr(urgency))}, which is not a number")
-    if math.isnan(urgency):
-        raise ValueError("it returned nan, which is not before or after any number")
-    return urgency
+        """Do nothing, as above."""

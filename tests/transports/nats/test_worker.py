@@ -145,8 +145,8 @@ async def test_waiting_goals_run_at_the_worker_that_is_free() -> None:
                 await sleep(1)
                 async with serving(shared.member(), servers[1], "b"):
                     await sleep(8.5)  # two by each, and not four after each other
-                    assert not servers[0]._runs
-                    assert not servers[1]._runs
+                    assert not servers[0]._parts.runs
+                    assert not servers[1]._parts.runs
                     assert not shared.notes
 
 

@@ -1,32 +1,9 @@
-"""Checks of the arguments of `ActionServer`, each of which raises one clear sentence."""
+"""`check_is_executor`: a check of what a user gives as an executor, before the first goal."""
 
 from __future__ import annotations
 
 import inspect
 from functools import partial
-
-from fibaction.border.goal_store import GoalStore
-from fibaction.server.scheduling.schedule import Schedule
-
-
-def check_recovery(recovery: object, max_attempts: int) -> None:
-    """Raise ValueError for a rule of recovery, or a number of attempts, that cannot be."""
-    if not (recovery in ("abort", "rerun") or callable(recovery)):
-        raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {recovery!r}")
-    if max_attempts < 1:
-        raise ValueError(f"max_attempts is at least 1, not {max_attempts}")
-
-
-def check_is_store(store: object) -> None:
-    """Raise TypeError for what is not a store."""
-    if not isinstance(store, GoalStore):
-        raise TypeError(f"store is a GoalStore, such as SqliteStore(path), not {store!r}")
-
-
-def check_is_schedule(schedule: object) -> None:
-    """Raise TypeError for what is not a schedule."""
-    if not isinstance(schedule, Schedule):
-        raise TypeError(f"schedule is a Schedule, not {schedule!r}")
 
 
 def check_is_executor(executor: object) -> None:

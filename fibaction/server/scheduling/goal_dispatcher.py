@@ -1,0 +1,262 @@
+"""`GoalDispatcher`: carries out a schedule: starts, ends, interrupts and kills goals on time.
+
+Theory of operation
+-------------------
+
+The `Scheduler` knows the rules, and returns orders; `Runs` can start and end goals. The dispatcher
+stands between them. `Admission` asks it for a place (`offer`) before it accepts a goal, and says
+when the goal is `accepted`, so that no goal gives way to one that is rejected after all. `Runs`
+tells it when a goal has `left`, which frees the place.
+
+With a store, a goal has its place while its acceptance is still being written, and `Runs` does not
+have it yet. Orders for such a goal are held back (`_held`), and carried out when it is accepted. So
+are those that it causes: the interruption of another goal may come later than its kill is due. If
+the goal is not accepted after all, those for other goals are carried out all the same, because the
+scheduler counts on them.
+
+A goal that another server has taken over keeps its place until its executor is gone, and gets no
+more orders (`lost`).
+
+One task, `_keep_time`, waits for the next time at which an order is due. It is woken only if that
+time becomes earlier.
+
+It is also the `Succession` by which an executor takes its successor over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable
+from typing import TYPE_CHECKING, Any
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.text import excerpt
+from fibaction.server.admission.callbacks import failures_as
+from fibaction.server.admission.sender_argument import with_sender
+from fibaction.server.execution.executor import warn_of_kill
+from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
+from fibaction.server.scheduling.schedule import Schedule
+from fibaction.server.scheduling.scheduler import Act, Order, Scheduler
+from fibaction.types.action import GoalT
+from fibaction.words.errors import GoalRejected
+from fibaction.words.goals import GoalID, Sender
+
+if TYPE_CHECKING:
+    from fibaction.server.goal_handle import GoalHandle
+
+MOST_AT_ONCE = 200
+"""Orders that are carried out in one turn of the event loop when their time has come."""
+
+MANY, PLACES_TIME = 1000, 0.1
+"""If more goals wait than that, the seconds for which their places are not computed again."""
+
+
+class GoalDispatcher(Dispatcher[GoalT]):
+    """The schedule of one server at work."""
+
+    def __init__(self, schedule: Schedule, *, action: str, kill_after: float) -> None:
+        """Kill executors that have not ended `kill_after` seconds after they were interrupted."""
+        self._scheduler = Scheduler(schedule, kill_after=kill_after)
+        self._key = schedule.key and with_sender("key", schedule.key)
+        self._priority = schedule.priority and with_sender("priority", schedule.priority)
+        self._goals: DispatchedGoals[GoalT]
+        self._changed: Callable[[], None]
+        self._action = action
+        self._kill_after = kill_after
+        self._news = Notifier()
+        self._reads_clock = schedule.when_full == "preempt" or (
+            min(schedule.queue_timeout, schedule.run_timeout) < math.inf
+        )
+        self._wake_at = math.inf
+        self._successor_news: dict[GoalID, Notifier] = {}
+        self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
+        self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
+        self._placed_at = -math.inf
+        self._is_closed = False
+
+    def open(
+        self, tasks: TaskGroup, goals: DispatchedGoals[GoalT], changed: Callable[[], None]
+    ) -> None:
+        self._goals, self._changed = goals, changed
+        tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
+
+    def close(self) -> None:
+        self._is_closed = True
+
+    # Goals
+
+    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender) -> bool:
+        key, urgency = self._rank(request, sender)
+        orders = self._scheduler.offer(goal_id, key=key, urgency=urgency, now=self._now())
+        self._held[goal_id] = orders
+        return any(order.act is Act.START for order in orders)
+
+    def resume(self, goal_id: GoalID, request: GoalT, sender: Sender) -> None:
+        key, urgency = self._rank(request, sender)
+        now = self._now()
+        self._carry_out(self._scheduler.restore(goal_id, key=key, urgency=urgency, now=now))
+
+    def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
+        """Return the key and the urgency of a goal."""
+        key: Hashable = None
+        urgency = 0.0
+        if self._key is not None:
+            key = self._answer("key", _hashable, self._key, request, sender)
+        if self._priority is not None:
+            urgency = self._answer("priority", _number, self._priority, request, sender)
+        return key, urgency
+
+    def accepted(self, goal_id: GoalID) -> None:
+        self._carry_out(self._held.pop(goal_id, ()))
+
+    def withdraw(self, goal_id: GoalID) -> None:
+        held = self._held.pop(goal_id, ())
+        self._carry_out(order for order in held if order.goal_id != goal_id)
+        self.left(goal_id)
+
+    def room(self) -> tuple[float, float]:
+        return self._scheduler.room()
+
+    def _carry_out(self, orders: Iterable[Order]) -> None:
+        """Carry out the orders of the scheduler."""
+        if self._is_closed:
+            return
+        for order in orders:
+            act, goal_id, reason = order
+            if self._held and goal_id in self._held:
+                self._held[goal_id].append(order)
+            elif act is Act.START:
+                self._goals.begin(goal_id)
+            elif act is Act.TELL:
+                self._tell(goal_id)
+            elif act is Act.KILL:
+                if self._goals.is_interrupted(goal_id):
+                    self._kill(goal_id)
+                else:
+                    self._overdue.add(goal_id)
+            else:
+                self._goals.interrupt(goal_id, reason)
+                if self._overdue and goal_id in self._overdue:
+                    self._kill(goal_id)
+        if self._scheduler.next_due < self._wake_at:
+            self._news.notify()
+
+    def _kill(self, goal_id: GoalID) -> None:
+        self._overdue.discard(goal_id)
+        warn_of_kill(goal_id, self._action, self._kill_after)
+        self._goals.kill(goal_id, for_good=False)
+
+    def left(self, goal_id: GoalID) -> None:
+        self._overdue.discard(goal_id)
+        self._tell(goal_id)
+        self._carry_out(self._scheduler.leave(goal_id, self._now()))
+        self._changed()
+
+    def lost(self, goal_id: GoalID) -> None:
+        self._overdue.discard(goal_id)
+        self._scheduler.lose(goal_id)
+
+    def _now(self) -> float:
+        """Return the time; 0 if no rule of the schedule needs it, because anyio takes a while to
+        find the clock.
+        """
+        return current_time() if self._reads_clock else 0.0
+
+    async def _keep_time(self) -> None:
+        while True:
+            self._wake_at = self._scheduler.next_due
+            with anyio.CancelScope(deadline=self._wake_at):
+                await self._news.wait()
+            self._carry_out(self._scheduler.due(current_time(), MOST_AT_ONCE))
+
+    def _answer(
+        self,
+        name: str,
+        check: Callable[[Any], Any],
+        function: Callable[[GoalT, Sender], Any],
+        request: GoalT,
+        sender: Sender,
+    ) -> Any:
+        """Call a function of the schedule.
+
+        Raises:
+            GoalRejected: It raised this or another exception, or its answer cannot be used.
+        """
+        with failures_as(GoalRejected, name, self._action):
+            answer = function(request, sender)
+            if isinstance(answer, Awaitable):
+                if isinstance(answer, Coroutine):
+                    answer.close()  # or Python warns that it was never awaited
+                raise TypeError("it returned something to await, and not a value")
+            return check(answer)
+
+    def note_places(self) -> None:
+        """Note in the records of waiting goals their places in the queue, for observers.
+
+        If very many wait, the places may be PLACES_TIME old, since any observer may ask often.
+        """
+        now = current_time()
+        is_fast = self._scheduler.waiting <= MANY
+        if not self._is_closed and (is_fast or now >= self._placed_at + PLACES_TIME):
+            self._placed_at = now
+            for goal_id, place in self._scheduler.places().items():
+                if (record := self._goals.record_of(goal_id)) is not None:
+                    record.place = place
+
+    # As a succession
+
+    def successor(self, goal_id: GoalID) -> GoalHandle[GoalT] | None:
+        # An interrupted executor ends, and would end its successor as well.
+        if self._is_closed or self._goals.is_interrupted(goal_id):
+            return None
+        successor = self._scheduler.successor(goal_id)
+        if successor is None or successor in self._held:
+            return None
+        return self._goals.handle_of(successor)
+
+    def news_of(self, goal_id: GoalID) -> Notifier:
+        return self._successor_news.setdefault(goal_id, Notifier())
+
+    def take_over(self, goal_id: GoalID) -> GoalHandle[GoalT]:
+        successor = self.successor(goal_id)
+        if successor is None:
+            raise RuntimeError(f"goal {goal_id} has no successor that it may take over")
+        self._goals.take_over(goal_id, successor.goal_id)
+        self._scheduler.take_over(goal_id, current_time())
+        self._tell(goal_id)
+        self._carry_out(())
+        return successor
+
+    def _tell(self, goal_id: GoalID) -> None:
+        news = self._successor_news.pop(goal_id, None)
+        if news is not None:
+            news.notify()
+
+
+def _hashable(key: Hashable) -> Hashable:
+    """Return a key that can be found again.
+
+    Raises:
+        TypeError, ValueError: It is not hashable, or not equal to itself.
+    """
+    hash(key)
+    if key != key:
+        raise ValueError(f"it returned {excerpt(repr(key))}, which is not equal to itself")
+    return key
+
+
+def _number(urgency: object) -> float:
+    """Return an urgency that can be compared with others.
+
+    Raises:
+        TypeError, ValueError: It is not a number, or not a number that can be compared.
+    """
+    if not isinstance(urgency, int | float):
+        raise TypeError(f"it returned {excerpt(repr(urgency))}, which is not a number")
+    if math.isnan(urgency):
+        raise ValueError("it returned nan, which is not before or after any number")
+    return urgency

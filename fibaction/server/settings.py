@@ -1,0 +1,152 @@
+"""The settings of an `ActionServer`, each with its default and its check.
+
+`ActionServerSettings` is what the parts of a server read; `ActionServerKeywords` is what the
+constructor takes, for type checkers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+from typing import Generic, Literal, TypeAlias, TypedDict
+
+import msgspec
+
+from fibaction.border.goal_store import GoalStore
+from fibaction.border.watchers import Watcher
+from fibaction.server.admission.callbacks import Callback
+from fibaction.server.admission.sender_argument import GoalFunction
+from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.registry.registry import MAX_BYTES, MAX_GOALS
+from fibaction.server.scheduling.schedule import Schedule
+from fibaction.types.action import GoalT
+
+RecoveryFunction: TypeAlias = Callable[[GoalHandle[GoalT]], Awaitable[None] | None]
+"""A sync or async function that returns None to run a goal again, and raises `GoalAborted` to end
+it."""
+RecoveryRule: TypeAlias = Literal["abort", "rerun"] | RecoveryFunction[GoalT]
+
+NOT_NEGATIVE = (
+    "stall_timeout",
+    "result_timeout",
+    "max_results",
+    "max_goals",
+    "max_bytes",
+    "shutdown_timeout",
+    "watchdog",
+)
+
+
+class ActionServerKeywords(TypedDict, Generic[GoalT], total=False):
+    """The keyword arguments of `ActionServer`: see `ActionServerSettings`."""
+
+    on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None
+    on_cancel: Callback[GoalHandle[GoalT]] | None
+    interrupt_on_cancel: bool
+    feedback: Literal["every", "latest"]
+    feedback_window: int
+    stall_timeout: float
+    result_timeout: float
+    max_results: int
+    max_goals: int
+    max_bytes: int
+    shutdown_timeout: float
+    schedule: Schedule | None
+    store: GoalStore | None
+    recovery: RecoveryRule[GoalT]
+    max_attempts: int
+    at_stop: Literal["abort", "keep"]
+    watchdog: float
+    watchers: Iterable[Watcher]
+
+
+class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=True):
+    """The settings of one server."""
+
+    on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None = None
+    """A function that is called with each goal of the right type, and with its `Sender` if it has a
+    second parameter, and raises `GoalRejected` to reject the goal. Without it, every such goal is
+    accepted."""
+    on_cancel: Callback[GoalHandle[GoalT]] | None = None
+    """A function that is called with the `GoalHandle` of each goal to cancel, and raises
+    `CancelRejected` to reject the cancel. Without it, every cancel is accepted."""
+    interrupt_on_cancel: bool = True
+    """If true, an accepted cancel raises the backend's cancellation in the executor. If false, the
+    executor has to check `goal.cancel_requested` itself."""
+    feedback: Literal["every", "latest"] = "every"
+    """With `every`, no feedback is lost, and the executor waits at its `yield` for the goal's own
+    client. With `latest`, it never waits, and a slow reader gets the newest feedback."""
+    feedback_window: int = 64
+    """The number of feedback messages of a goal that are remembered. So many may be unread before
+    the executor waits, or before a slow reader loses the oldest."""
+    stall_timeout: float = 10.0
+    """Seconds that the executor waits for a client that does not read."""
+    result_timeout: float = 10.0
+    """Seconds that an outcome is kept after the goal's end; 0 not at all, `math.inf` for ever. A
+    client that already waits for it always gets it."""
+    max_results: int = 1000
+    """The number of outcomes that are kept at most; the oldest are forgotten."""
+    max_goals: int = MAX_GOALS
+    """The number of goals that may be active, or be decided upon, at the same time; more are
+    rejected with a reason that begins with `busy`."""
+    max_bytes: int = MAX_BYTES
+    """The bytes of goals until their end, of remembered feedback, and of results, together. Over it
+    new goals are rejected as `busy`, the oldest outcomes are forgotten, and executors wait until
+    their feedback is read."""
+    shutdown_timeout: float = 5.0
+    """Seconds that executors have for their clean-up when the server stops. Then they are killed,
+    and those that do not end are abandoned about a second later."""
+    schedule: Schedule | None = None
+    """The rules by which accepted goals run, wait and give way; None to run all of them at once."""
+    store: GoalStore | None = None
+    """The place in which goals outlive this process; None to keep them in memory only."""
+    recovery: RecoveryRule[GoalT] = "abort"
+    """The rule for goals that were running when the server was killed, at its next start with the
+    same store. With `abort`, they end as ABORTED; with `rerun`, they run again, from their last
+    checkpoint if they have made one. A function is called with the `GoalHandle` of each, and
+    returns None to run it again, or raises `GoalAborted`. Goals that have not begun run in any
+    case."""
+    max_attempts: int = 3
+    """The number of attempts that a goal may lose in this way; then it ends as ABORTED."""
+    at_stop: Literal["abort", "keep"] = "abort"
+    """With `abort`, a server that stops ends its goals. With `keep`, it interrupts their executors,
+    and goals that do not end by themselves stay in the store: they run again after the next
+    start."""
+    watchdog: float = 1.0
+    """Seconds that an executor may block the event loop before the log names its goal and its line
+    of code; 0 is never. The time at a debugger's breakpoint counts, and so may the time for which
+    the computer sleeps or is too busy."""
+    watchers: Iterable[Watcher] = ()
+    """Objects that see everything that happens to goals: metrics, recordings and others."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            TypeError: The schedule is not a `Schedule`, or the store not a `GoalStore`.
+            ValueError: A number is out of range; or `feedback`, `recovery` or `at_stop` is not one
+                of its words.
+        """
+        if self.feedback not in ("every", "latest"):
+            raise ValueError(f"feedback is 'every' or 'latest', not {self.feedback!r}")
+        if self.feedback_window < 1:
+            raise ValueError(f"feedback_window is at least 1, not {self.feedback_window}")
+        for name in NOT_NEGATIVE:
+            value = getattr(self, name)
+            if not value >= 0:
+                raise ValueError(f"{name} is 0 or more, not {value}")
+        if not (self.recovery in ("abort", "rerun") or callable(self.recovery)):
+            raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {self.recovery!r}")
+        if self.max_attempts < 1:
+            raise ValueError(f"max_attempts is at least 1, not {self.max_attempts}")
+        if self.at_stop not in ("abort", "keep"):
+            raise ValueError(f"at_stop is 'abort' or 'keep', not {self.at_stop!r}")
+        if not isinstance(self.schedule, Schedule | None):
+            raise TypeError(f"schedule is a Schedule, not {self.schedule!r}")
+        if self.store is not None:
+            check_is_store(self.store)
+
+
+def check_is_store(store: object) -> None:
+    """Raise TypeError for what is not a store."""
+    if not isinstance(store, GoalStore):
+        raise TypeError(f"store is a GoalStore, such as SqliteStore(path), not {store!r}")
