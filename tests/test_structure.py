@@ -45,7 +45,6 @@ LONG_MODULES = {
     "fibaction/server/registry/registry.py": 352,
     "fibaction/server/scheduling/scheduler.py": 391,
     "fibaction/wire/messages.py": 401,
-    "transports/fibaction_transports/_socket_lines/on_asyncio.py": 388,
     "transports/fibaction_transports/nats/worker/lease.py": 354,
     "transports/fibaction_transports/ros2/client/action_client.py": 386,
     "transports/fibaction_transports/ros2/server/action_server.py": 390,

@@ -95,7 +95,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """
         if goal_id is None:
             goal_id = GoalID.random()
-        _check_is_id(goal_id)
+        else:
+            _check_is_id(goal_id)
         attempts = self._attempts(goal_id, timeout, None)
         sending = self._send(goal, goal_id, attempts)
         return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)

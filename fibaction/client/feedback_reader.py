@@ -87,36 +87,45 @@ class FeedbackReader(Generic[FeedbackT]):
         if self._attempts is not None:
             return await self._next_in_time(self._attempts)
         stream = self.stream
-        if stream.reads:
-            # Feedback that has arrived need not be awaited, and a status is of no use here.
+        while stream.reads:  # as `GoalStream.receive`, without a call: each message is here
             updates = stream.take()
             if not updates:
                 await stream.news.wait()
             elif isinstance(updates[0], FeedbackItem):
                 return self._codec.decode(updates[0].payload)
             elif isinstance(updates[0], Outcome):
-                raise StopAsyncIteration
-        item = await stream.receive()
-        if item is None:
-            raise StopAsyncIteration
-        return self._codec.decode(item.payload)
+                break
+        raise StopAsyncIteration
 
     async def _next_in_time(self, attempts: Attempts) -> FeedbackT:
-        item = await self.wait(GoalStream.receive)
+        item = await self._wait(attempts, GoalStream.receive)
         if item is None:
             raise StopAsyncIteration
         feedback = self._codec.decode(item.payload)
         attempts.note_feedback(feedback)
         return feedback
 
-    def wait(self, wait: Callable[[GoalStream], Awaitable[T]]) -> Awaitable[T]:
+    async def outcome(self) -> Outcome[bytes]:
+        """Wait for the end of the goal, and return its outcome.
+
+        The executor does not wait for this reader meanwhile, unless another task reads.
+
+        Raises:
+            GoalTimeout, ConnectionLost, TransportError: As for `ClientGoal.outcome`.
+        """
+        if self._attempts is not None:
+            self._release()
+            return await self._wait(self._attempts, GoalStream.outcome)
+        outcome = self.stream.known_outcome()
+        if outcome is None:
+            self._release()
+            outcome = await self.stream.outcome()
+        return outcome
+
+    async def _wait(self, attempts: Attempts, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
         """Wait for something of the stream, and follow the goal again if the connection is lost, as
         far as the goal's attempts allow.
         """
-        # Most goals have no attempts, and need no coroutine around that of the stream.
-        return wait(self.stream) if self._attempts is None else self._wait(self._attempts, wait)
-
-    async def _wait(self, attempts: Attempts, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
         while True:
             stream = self.stream
             try:
@@ -150,10 +159,10 @@ class FeedbackReader(Generic[FeedbackT]):
         """The number of feedback messages that were not delivered."""
         return self._dropped + self.stream.dropped
 
-    def release(self) -> None:
+    def _release(self) -> None:
         """Stop making the executor wait for this reader, until its next read.
 
-        Does nothing if another task reads. Called by a task that is about to wait for the result.
+        Does nothing if another task reads.
         """
         if self._reader is None or self._reader == _caller():
             self._holding = False
@@ -172,5 +181,6 @@ class FeedbackReader(Generic[FeedbackT]):
 
     def __del__(self) -> None:
         # The executor must not wait for a reader that no longer exists.
-        self.stream.close()
+        if self.stream.reads:
+            self.stream.close()
         self.span.left(self.stream)

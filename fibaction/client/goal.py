@@ -119,9 +119,8 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         """
         self._thread.check()
         if self._outcome is None:
-            self.feedback.release()
             try:
-                raw = await self.feedback.wait(GoalStream.outcome)
+                raw = await self.feedback.outcome()
             except ActionError as exc:
                 self.feedback.span.failed(exc)
                 raise
@@ -217,11 +216,12 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         traceback: TracebackType | None,
     ) -> None:
         assert self._goal is not None
-        self._goal.close()
-        self._goal.feedback.span.left(self._goal.feedback.stream, exc)
+        feedback, stream = self._goal.feedback, self._goal.feedback.stream
+        stream.close()
+        feedback.span.left(stream, exc)
         if self in self._blocks:  # else `ActionClient.leave` has canceled the goal
             del self._blocks[self]
-            if not self._goal.status.is_terminal:
+            if not stream.status.is_terminal:
                 await self.leave()
 
     def detach(self) -> None:

@@ -24,15 +24,21 @@ server here or of another system: see `followed_goal`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 from weakref import ref
 
 from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.feeds._members import with_member, without_member
-from fibaction.feeds.feedback_window import UNLIMITED, FeedbackWindow, FollowedT, WindowReader
+from fibaction.border.abc import GoalStream, GoalUpdate
+from fibaction.feeds.feedback_window import (
+    UNLIMITED,
+    FeedbackWindow,
+    FollowedT,
+    WindowReader,
+    with_member,
+    without_member,
+)
 from fibaction.feeds.followed_goal import FollowedGoal
 from fibaction.feeds.hold_time import UNLIMITED_TIME, BriefHold, HoldTime
 from fibaction.words.errors import ActionError, copy_of
@@ -107,17 +113,16 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         for cursor in self._followers():
             cursor.fail(error)
 
-    def _followers(self) -> Iterator[WindowReader]:
-        """Yield all followers, which the log references no longer."""
+    def _followers(self) -> Sequence[WindowReader]:
+        """Return all followers, which the log references no longer."""
         readers, self._readers = tuple(self._readers), ()
-        others, self._others = self._others or (), None
+        others, self._others = self._others, None
         if self._holders:
             self._holders = ()
             self.make_room()
-        yield from readers
-        for other in others:
-            if (left := other()) is not None:
-                yield left
+        if others is None:
+            return readers
+        return [*readers, *(left for other in others if (left := other()) is not None)]
 
     def follow(
         self,
@@ -138,7 +143,7 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         if self._error is not None:
             raise copy_of(self._error)
         if after is None:
-            start = self.count
+            start = self.goal.feedback_count
         elif attempt is not None and attempt != self.goal.attempt:
             start = 0
         else:
@@ -260,7 +265,14 @@ class FeedbackCursor(GoalStream):
                     return (status,)
             items = log.after(self.cursor, limit)
             if items:
-                self._took(items)
+                before, self.cursor = self.cursor, items[-1].number
+                if missed := self.cursor - before - len(items):
+                    self._drop(missed)
+                if self.holding:
+                    log.note_move(before, self.cursor)
+                elif self._stalled and self.cursor == log.count:
+                    self._stalled = False
+                    self._update()
                 return items
             if limit < 1 and log.has_after(self.cursor):
                 return ()
@@ -274,17 +286,6 @@ class FeedbackCursor(GoalStream):
     def _drop(self, count: int) -> None:
         self._dropped += count
         self._log.note_dropped(count)
-
-    def _took(self, items: list[FeedbackItem]) -> None:
-        last = items[-1].number
-        before, self.cursor = self.cursor, last
-        if missed := last - before - len(items):
-            self._drop(missed)
-        if self.holding:
-            self._log.note_move(before, last)
-        elif self._stalled and last == self._log.count:
-            self._stalled = False
-            self._update()
 
     def known_outcome(self) -> Outcome[bytes] | None:
         if self._error is not None:

@@ -30,14 +30,13 @@ import math
 import sys
 from collections import deque
 from itertools import islice
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeAlias, TypeVar
 
 import anyio
 
 from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem
-from fibaction.feeds._members import Members, with_member, without_member
 from fibaction.feeds.followed_goal import FollowedGoal
 from fibaction.feeds.hold_time import HoldTime
 from fibaction.words.errors import ActionError
@@ -50,6 +49,33 @@ UNLIMITED = ByteBudget(sys.maxsize)
 _NOTHING: deque[FeedbackItem] = deque(maxlen=0)
 
 FollowedT = TypeVar("FollowedT", bound=FollowedGoal)
+T = TypeVar("T")
+
+Members: TypeAlias = tuple[T, ...] | dict[T, None]
+"""A set in order of entry that costs nothing while it is empty, and little with one member.
+
+A server has some of these for each goal, and most have one member or none. So it is a tuple with
+none or one, and a dictionary from two on. Adding and removing take the same time however many
+members there are. Iterate over `tuple(members)` where the set may change meanwhile; for a tuple
+this copies nothing."""
+
+
+def with_member(members: Members[T], member: T) -> Members[T]:
+    """Return the set with one more member; a dictionary is changed in place."""
+    if not members:
+        return (member,)
+    if isinstance(members, tuple):
+        members = dict.fromkeys(members)
+    members[member] = None
+    return members
+
+
+def without_member(members: Members[T], member: T) -> Members[T]:
+    """Return the set without that member; a dictionary is changed in place."""
+    if isinstance(members, tuple):
+        return () if member in members else members
+    members.pop(member, None)
+    return members or ()
 
 
 class WindowReader(Protocol):
@@ -263,8 +289,11 @@ class FeedbackWindow(Generic[FollowedT]):
 
     def make_room(self) -> None:
         """Recompute the slowest position, since the slowest readers have moved."""
-        positions: list[float] = [reader.cursor for reader in self._holders]
-        self._slowest = min(positions, default=math.inf)
-        self._standing = positions.count(self._slowest)
+        self._slowest, self._standing = math.inf, 0
+        for reader in self._holders:
+            if reader.cursor < self._slowest:
+                self._slowest, self._standing = reader.cursor, 1
+            else:
+                self._standing += reader.cursor == self._slowest
         if self._room is not None:
             self._room.notify()

@@ -26,6 +26,9 @@ LEAST_FRAME = 1024
 UNCOUNTED = 2**16
 """Bytes of an incomplete frame that are not counted: small messages always pass."""
 
+BUSY = "the server is busy: it has no room for a large message, so try again later"
+"""The sentence for a peer whose large message is not waited for any longer."""
+
 _LENGTH = Struct(">I")
 _pack, _unpack = _LENGTH.pack, _LENGTH.unpack_from
 
@@ -70,6 +73,8 @@ class Framing(ABC):
 
     has_answer: bool = False
     """True if there are bytes to send that belong to no frame; `encode` returns them first."""
+    has_ended: bool = False
+    """True if the peer has closed: `check` raises it."""
     is_closed: bool = True
     """True if nothing more is expected of the peer when the line is closed."""
 
@@ -94,7 +99,7 @@ class Framing(ABC):
         """True if part of a frame has arrived, and the rest has not."""
 
     def check(self) -> None:  # noqa: B027  # a form may have no end of its own
-        """Raise the end of the peer, if it came behind frames that `feed` has returned.
+        """Raise the end of the peer, if it has ended behind frames that `feed` has returned.
 
         Raises:
             ConnectionLost: The peer has closed.
@@ -137,7 +142,8 @@ class FrameReader(Framing):
             LimitReached: The readers that share the memory hold too much, and this one the most.
             ProtocolError: A frame is longer than the limit. The stream cannot be read any further.
         """
-        self._check()
+        if self._is_given_up:
+            raise LimitReached(BUSY)
         buffer = self._buffer
         if not buffer:  # usually all bytes are consumed, and none are copied
             frames, start = self._split(data, data)
@@ -149,7 +155,8 @@ class FrameReader(Framing):
             del buffer[:start]
         if self._is_counted or len(buffer) > UNCOUNTED:
             self._count(max(0, len(buffer) - UNCOUNTED))
-            self._check()
+            if self._is_given_up:
+                raise LimitReached(BUSY)
         return frames
 
     def encode(self, frames: Sequence[bytes]) -> bytes:
@@ -179,12 +186,6 @@ class FrameReader(Framing):
         self._is_counted = held > 0
         if self._memory is not None:
             self._memory.hold(self, held)
-
-    def _check(self) -> None:
-        if self._is_given_up:
-            raise LimitReached(
-                "the server is busy: it has no room for a large message, so try again later"
-            )
 
     def close(self) -> None:
         """Forget the incomplete frame: no more bytes come."""

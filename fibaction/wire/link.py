@@ -72,6 +72,12 @@ class Link:
     ) -> None:
         """Count large frames in a memory, if one is given, while they are written."""
         self.peer = line.peer
+        self.holds_briefly = line.holds_briefly
+        """True if executors wait only for moments for this peer to read feedback."""
+        self.is_open = True
+        """True if messages can still be sent."""
+        self.wake_writer = line.wake_writer
+        """Asks the source for frames soon. See `Line.wake_writer`."""
         self.heartbeat = Heartbeat(line.peer, heartbeat)
         self.first_ping = PING
         """The heartbeat that is sent before the first message of the peer."""
@@ -91,32 +97,15 @@ class Link:
         self._error: ActionError | None = None
         self._scope = CancelScope()
 
-    @property
-    def holds_briefly(self) -> bool:
-        """True if executors wait only for moments for this peer to read feedback."""
-        return self._line.holds_briefly
-
-    @property
-    def is_open(self) -> bool:
-        """True if messages can still be sent."""
-        return self._error is None
-
-    def wake_writer(self, *, at_once: bool = False) -> None:
-        """Ask the source for frames soon. See `Line.wake_writer`."""
-        self._line.wake_writer(at_once=at_once)
-
     def post(self, frame: bytes) -> None:
         """Queue a small message; after the end it is lost."""
+        self._queue.append((frame, True))
+        self._queued += len(frame)
+        self.wake_writer()
         # A message that has waited for room may be large, and does not count.
-        self._put(frame, is_posted=True)
         self._posted += len(frame)
         if self._posted > OVERFULL * self._high_water + len(frame):
             self.end(ProtocolError(f"{self.peer} asks for more than it reads"))
-
-    def _put(self, frame: bytes, *, is_posted: bool) -> None:
-        self._queue.append((frame, is_posted))
-        self._queued += len(frame)
-        self._line.wake_writer()
 
     async def send(self, make: Callable[[], bytes]) -> None:
         """Queue a message as soon as the queue has room; `make` is called then, and returns it.
@@ -130,7 +119,10 @@ class Link:
             await self._room.wait()
         if self._error is not None:
             raise ConnectionLost(str(self._error)) from self._error
-        self._put(make(), is_posted=False)
+        frame = make()
+        self._queue.append((frame, False))
+        self._queued += len(frame)
+        self.wake_writer()
 
     async def flush(self) -> None:
         """Wait until everything that is queued has been written, or the connection has ended."""
@@ -146,6 +138,7 @@ class Link:
         """End the connection with that error, unless it has ended before."""
         if self._error is None:
             self._error = error
+            self.is_open = False
             self._room.notify()
             self._scope.cancel()
 
@@ -204,9 +197,10 @@ class Link:
         if self._is_writing:
             self._writes += 1
             self._has_said = True
-            self._queued -= self._writing
-            self._posted -= self._writing_posted
-            self._room.notify()
+            if self._writing:  # what the source gives is not of the queue
+                self._queued -= self._writing
+                self._posted -= self._writing_posted
+                self._room.notify()
         frames: list[bytes] = []
         if self._error is None:  # a half-written frame would make the last message unreadable
             self._writing = self._writing_posted = 0
@@ -218,12 +212,13 @@ class Link:
                 self._writing_posted += is_posted * len(frame)
             frames += self._source()
         self._is_writing = bool(frames)
-        self._count(frames)
+        if frames or self._is_counted:
+            self._count(frames)
         return frames
 
     def _count(self, frames: list[bytes]) -> None:
         """Count the frames that are being written, if they are large."""
-        if self._memory is not None and (frames or self._is_counted):
+        if self._memory is not None:
             size = max(0, sum(map(len, frames)) - UNCOUNTED)
             if size or self._is_counted:
                 self._is_counted = size > 0

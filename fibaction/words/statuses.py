@@ -26,15 +26,15 @@ class GoalStatus(IntEnum):
     CANCELED = 5
     ABORTED = 6
 
-    @property
-    def is_active(self) -> bool:
-        """True if the goal was accepted and has not ended."""
-        return 1 <= self <= 3
+    is_active: bool
+    """True if the goal was accepted and has not ended."""
+    is_terminal: bool
+    """True if the goal has ended."""
 
-    @property
-    def is_terminal(self) -> bool:
-        """True if the goal has ended."""
-        return self >= 4
+    def __init__(self, number: int) -> None:
+        # Attributes, and not properties: they are read at each step of each goal.
+        self.is_active = 1 <= number <= 3
+        self.is_terminal = number >= 4
 
 
 class GoalEvent(IntEnum):

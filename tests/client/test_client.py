@@ -88,6 +88,16 @@ class BrokenStream(GoalStream):
         raise NotImplementedError
 
 
+class LateStream(BrokenStream):
+    """A goal whose outcome, which is nonsense, has to be waited for."""
+
+    def known_outcome(self) -> None:
+        return None
+
+    async def outcome(self) -> Outcome[bytes]:
+        return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
+
+
 class Broken(Endpoint):
     """An endpoint that hands out one stream, and answers a cancel as it was told to."""
 
@@ -442,7 +452,7 @@ async def test_giving_up_before_the_answer_cancels_the_goal() -> None:
 async def test_the_executor_is_let_go_while_the_reader_waits_for_the_result_and_held_again() -> (
     None
 ):
-    stream = BrokenStream(nonsense=True)
+    stream = LateStream(nonsense=True)
     goal = await client_of(Broken(stream)).send_goal(Goal(1))
     reader = aiter(goal.feedback)
     for _ in range(2):

@@ -4,7 +4,7 @@ import sys
 
 from hypothesis import given, strategies
 
-from fibaction.feeds._members import Members, with_member, without_member
+from fibaction.feeds.feedback_window import Members, with_member, without_member
 
 
 @given(steps=strategies.lists(strategies.tuples(strategies.booleans(), strategies.integers(0, 4))))

@@ -25,7 +25,7 @@ ANSWER = 2**16
 
 def excesses(session: Session, limits: Limits) -> Iterator[str]:
     """Yield what a server holds for one connection in excess of its limits."""
-    link, goals = session._link, session._goals._open.values()
+    link, goals = session._link, session._goals.open.values()
     follows = Counter(one.stream.goal_id for one in goals if one.stream is not None)
     frame = limits.frame if session.client.is_known else FIRST_FRAME
     yield from _above("goals", len(goals), limits.goals)
@@ -43,7 +43,7 @@ def _above(what: str, number: int, limit: int) -> Iterator[str]:
 
 def holders(session: Session) -> Iterator[Any]:
     """Yield the streams of a connection that an executor waits for."""
-    for subscription in session._goals._open.values():
+    for subscription in session._goals.open.values():
         if getattr(subscription.stream, "holding", False):
             yield subscription.stream
 
@@ -54,7 +54,7 @@ def left_for_clients(server: WireServer) -> Iterator[str]:
         yield f"an orphan: {one!r}"
     for session in server._sessions:
         peer = session._link.peer
-        yield from (f"a goal of {peer}: {one}" for one in session._goals._open)
+        yield from (f"a goal of {peer}: {one}" for one in session._goals.open)
         yield from (f"a request of {peer}: {one}" for one in session._waiting)
 
 

@@ -15,14 +15,14 @@ from typing import Any
 from fibaction._runtime.asyncio_task import asyncio_loop
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader
-from fibaction_transports._socket_lines import on_asyncio
+from fibaction_transports._socket_lines.protocol_line import ProtocolLine
 from tests.simulation.streams import SimulatedStream
 
 
 class Socket(asyncio.Transport):
     """One end of a connection."""
 
-    def __init__(self, stream: SimulatedStream, protocol: on_asyncio.ProtocolLine) -> None:
+    def __init__(self, stream: SimulatedStream, protocol: ProtocolLine) -> None:
         super().__init__()
         self._stream = stream
         self._protocol = protocol
@@ -124,10 +124,8 @@ class Socket(asyncio.Transport):
         self._lose(None)
 
 
-def line_over(
-    stream: SimulatedStream, reader: FrameReader, peer: str = ""
-) -> on_asyncio.ProtocolLine:
+def line_over(stream: SimulatedStream, reader: FrameReader, peer: str = "") -> ProtocolLine:
     """Return one end of a connection, as the transports for TCP and Unix sockets have it."""
-    line = on_asyncio.ProtocolLine(reader, memoryview(bytearray(CHUNK)), peer)
+    line = ProtocolLine(reader, memoryview(bytearray(CHUNK)), peer)
     Socket(stream, line)
     return line

@@ -14,7 +14,7 @@ from fibaction.wire.client.connection import open_connection
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import WireServer, open_server
-from fibaction_transports._socket_lines.on_asyncio import ProtocolLine
+from fibaction_transports._socket_lines.protocol_line import ProtocolLine
 from tests.simulation.network import Line, Listener, Network
 from tests.simulation.sockets import line_over
 from tests.simulation.streams import SimulatedStream

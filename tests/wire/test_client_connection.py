@@ -329,15 +329,16 @@ async def test_the_actions_and_the_peers_of_one_are_asked_of_the_server() -> Non
 async def test_a_call_that_is_alone_is_sent_at_once_and_those_beside_it_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    told: list[bool] = []
+    wake = MemoryChannel.wake_writer
+
+    def noted(channel: MemoryChannel, *, at_once: bool = False) -> None:
+        told.append(at_once)
+        wake(channel, at_once=at_once)
+
+    monkeypatch.setattr(MemoryChannel, "wake_writer", noted)
     async with reached() as (connection, server):
-        told: list[bool] = []
-        wake = MemoryChannel.wake_writer
-
-        def noted(channel: MemoryChannel, *, at_once: bool = False) -> None:
-            told.append(at_once)
-            wake(channel, at_once=at_once)
-
-        monkeypatch.setattr(MemoryChannel, "wake_writer", noted)
+        told.clear()
         before = len(server.channel.writes)
         async with anyio.create_task_group() as tasks:
             for _ in range(3):
@@ -903,7 +904,7 @@ async def test_of_many_goals_the_first_are_written_before_the_last_is_sent() -> 
         def post(self, frame: bytes) -> None:
             raise AssertionError(frame)
 
-    calls = OpenCalls(WINDOW, 1, check=lambda: None)
+    calls = OpenCalls(WINDOW, 1)
     calls.reopen(cast("Any", Link()), MAX_FRAME)
     async with anyio.create_task_group() as tasks:
         for _ in range(100):

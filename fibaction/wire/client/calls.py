@@ -30,17 +30,10 @@ class Call(ABC):
         """The same on every connection."""
         self.news = Notifier()
         self.error: ActionError | None = None
-        self._is_answered = False
-
-    @property
-    def is_answered(self) -> bool:
+        self.is_answered = False
         """True if the server has answered."""
-        return self._is_answered
-
-    @property
-    def is_over(self) -> bool:
+        self.is_over = False
         """True if its answers are not wanted any more, so that it need not be opened again."""
-        return False
 
     @abstractmethod
     def opening(self) -> FromClient:
@@ -64,8 +57,9 @@ class Call(ABC):
         Raises:
             ActionError: The server has answered with an error, or the connection is lost.
         """
-        while not self._is_answered:
-            self.raise_error()
+        while not self.is_answered:
+            if self.error is not None:
+                raise copy_of(self.error)
             await self.news.wait()
 
     def fail(self, error: ActionError) -> None:
@@ -100,7 +94,7 @@ class PendingRequest(Call):
             self.fail(error_of(message, GoalID(goal_id) if goal_id else None))
         else:
             self._answer = message
-            self._is_answered = True
+            self.is_answered = True
             self.news.notify()
         return True
 

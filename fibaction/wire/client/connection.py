@@ -100,11 +100,9 @@ class RemoteConnection(Connection):
         self._settings = settings
         self._session = new_session() if session is None else session
         self._link: Link | None = None
-        self._reconnector = Reconnector(url, settings, self._attempt, self._fail_calls)
-        self.calls = OpenCalls(
-            settings.window, settings.max_frame // WAITING_GOAL, self._reconnector.check, ids
-        )
+        self.calls = OpenCalls(settings.window, settings.max_frame // WAITING_GOAL, ids)
         """The calls that are open."""
+        self._reconnector = Reconnector(url, settings, self._attempt, self.calls.fail)
         self.lost_at: float | None = None
         """Time at which the last line was lost; None while there is one, and before the first."""
 
@@ -208,9 +206,6 @@ class RemoteConnection(Connection):
         self.lost_at = None
         self.calls.reopen(self._link, welcome.max_frame)
         self._reconnector.opened()
-
-    def _fail_calls(self, error: ActionError) -> None:
-        self.calls.fail(error)
 
 
 @asynccontextmanager

@@ -18,7 +18,7 @@ from fibaction.wire.codec import FromClient, encode
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import AskPlaces, AwaitServer, Done, Follow, Places, SendGoal
-from fibaction.words.errors import ActionError, InvalidMessage
+from fibaction.words.errors import ActionError, InvalidMessage, copy_of
 from fibaction.words.goals import GoalID
 from fibaction.words.meta import checked_meta
 
@@ -34,14 +34,12 @@ class OpenCalls:
         self,
         window: int,
         most_places: int,
-        check: Callable[[], None],
         ids: Iterator[int] | None = None,
     ) -> None:
-        """Let `check` raise the reason why no call can be opened now, if there is one. A message
-        from the server has room for the places of `most_places` goals. `ids` has the IDs of new
-        calls, if other connections share them.
+        """Ask for the places of at most `most_places` goals, for which a message from the server
+        has room. `ids` has the IDs of new calls, if other connections share them.
         """
-        self._check = check
+        self._absent: ActionError | None = None  # why new calls fail at once
         self._most_places = most_places
         self._link: Link | None = None
         self._max_frame = MAX_FRAME
@@ -115,7 +113,8 @@ class OpenCalls:
             ActionError: As for `ask`.
         """
         while True:
-            self._check()
+            if self._absent is not None:
+                raise copy_of(self._absent)
             watch = self._watch_of(action)
             if not watch.is_answered:
                 break
@@ -158,7 +157,8 @@ class OpenCalls:
 
     async def _open(self, call: Call) -> None:
         """Open a call, and wait until the server has answered; give it up after an error."""
-        self._check()
+        if self._absent is not None:
+            raise copy_of(self._absent)
         self._start(call)
         try:
             await call.answered()
@@ -194,7 +194,7 @@ class OpenCalls:
 
     def reopen(self, link: Link, max_frame: int) -> None:
         """Open all calls on a new connection, whose server takes frames of so many bytes."""
-        self._link, self._max_frame = link, max_frame
+        self._link, self._max_frame, self._absent = link, max_frame, None
         self._unopened.clear()
         self._unopened.extend((*self._calls.values(), *self._observed.values()))
         link.wake_writer()
@@ -245,8 +245,9 @@ class OpenCalls:
             self._drop(call)
         return True
 
-    def fail(self, error: ActionError) -> None:
-        """End all calls with an error."""
+    def fail(self, error: ActionError, absent: ActionError) -> None:
+        """End all calls with an error, and let new ones fail with `absent` until `reopen`."""
+        self._absent = absent
         calls = (*self._calls.values(), *self._observed.values())
         self._calls = {}
         self._observed.clear()

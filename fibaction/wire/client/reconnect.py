@@ -47,10 +47,11 @@ class Reconnector:
         url: str,
         settings: ClientSettings,
         attempt: Callable[[], Awaitable[ActionError]],
-        fail_calls: Callable[[ActionError], None],
+        fail_calls: Callable[[ActionError, ActionError], None],
     ) -> None:
         """Let `attempt` open a connection and return the error that ended it, or that prevented it;
-        it calls `opened` in between. `fail_calls` ends the open calls with an error.
+        it calls `opened` in between. `fail_calls` ends the open calls with the first error, and
+        lets new ones fail with the second, until the next connection is opened.
         """
         self._url = url
         self._settings = settings
@@ -66,15 +67,6 @@ class Reconnector:
         self.changes = 0
         """Count of connections that were opened or given up: see `changed`."""
 
-    def check(self) -> None:
-        """Raise the reason why calls fail at once, if they do.
-
-        Raises:
-            ActionError: A copy of the error of the last attempt.
-        """
-        if self._absent is not None:
-            raise copy_of(self._absent)
-
     async def first_attempt(self) -> None:
         """Wait until the first attempt has succeeded or failed.
 
@@ -83,8 +75,7 @@ class Reconnector:
         """
         while not self.is_open and self._absent is None:
             await self._changed.wait()
-        if self._is_final:
-            self.check()
+        self._check()
 
     async def changed(self, since: int) -> None:
         """Wait until there is another connection than when `changes` was `since`.
@@ -94,8 +85,11 @@ class Reconnector:
         """
         while self.changes == since and not self._is_final:
             await self._changed.wait()
-        if self._is_final:
-            self.check()
+        self._check()
+
+    def _check(self) -> None:
+        if self._is_final and self._absent is not None:
+            raise copy_of(self._absent)
 
     async def run(self) -> None:
         """Connect, and connect again, until that is of no use."""
@@ -152,7 +146,7 @@ class Reconnector:
         if self._patience is not None and not _would_come_again(error):
             # Open calls had a server, whatever the last attempt has found.
             lost = ConnectionLost(str(error))
-        self._fail_calls(lost)
+        self._fail_calls(lost, error)
         self._end_patience()
         self._tell()
 

@@ -1,18 +1,33 @@
 """`RemoteGoal`: a goal that a client follows over a connection, and goes on with on the next.
 
-It keeps a window of feedback that was not read, grants credit for what was, and knows the number of
-the last feedback, from which it goes on after a connection was lost.
+Theory of operation
+-------------------
 
-A server that keeps its goals may have begun another attempt at the goal by then, whose feedback is
-numbered from 1 again. `Following` tells it. Feedback of the earlier attempt that was not read yet
-moves to `_earlier`, and is read first; `attempt` and `cursor` are those of the reader. The attempt
-may also be a lower one, since a store that need not outlive a power failure can lose its last
-writes: each attempt that is not the one before begins anew.
+A `RemoteGoal` is the call by which a client follows one goal, and the stream that the goal's reader
+has. It holds what has arrived and was not read (`UnreadFeedback`, and the statuses), the credit for
+more, and what it takes to go on elsewhere: the number of the last feedback, and its attempt.
 
-A client that has connections to several servers, which share their goals, gives `on_lost`. A goal
-whose connection or server cannot go on with it is given to that function then, and does not end.
-It waits there, without messages, until another connection adopts it (`OpenCalls.adopt`), or until
-it is finished or failed from outside. No caller notices.
+Its phases, each of which ends with the next or with an error:
+
+- *Opening*, until `Following` comes (`is_answered`). On each connection, `OpenCalls` sends the same
+  message again: the goal, or the request to follow it.
+- *Following*. The server sends feedback as far as there is credit, and statuses. When a connection
+  is lost nothing ends: `opening` is a `Follow` then, from the last feedback that has arrived.
+- *Released*, only with `on_lost`, which a client has that has connections to several servers with
+  shared goals. A goal whose connection or server cannot go on with it is given to that function. It
+  waits there, without messages, until another connection adopts it (`OpenCalls.adopt`), or until it
+  is finished or failed from outside. No caller notices.
+- *Ended*, with the outcome, which `Ended` tells, and which is answered by `Received`; or with an
+  error (`fail`). If the server does not know the goal any more, the outcome is unknown.
+
+`OpenCalls` calls `opening`, `on_message` and `lose`; the reader calls `take`, `known_outcome`,
+`hold` and `close`, and waits for `news`. Small messages, such as credit, go to `post`.
+
+What is always true: a status is never followed by a lower one, and the number of feedback grows
+within an attempt; else the server is at fault. What is unread never exceeds the credit that was
+given. An outcome stays once it is known, and comes behind all feedback. A goal that is not read
+gives no more credit, and so its executor waits, unless the stream does not hold: then the oldest
+feedback makes room for the next.
 """
 
 from __future__ import annotations
@@ -20,11 +35,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 from fibaction._runtime.text import shortened
-from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.border.abc import FeedbackItem, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
+from fibaction.wire.client.unread_feedback import UnreadFeedback
 from fibaction.wire.codec import FromClient
 from fibaction.wire.deadlines import timeout_until
 from fibaction.wire.errors import error_of
@@ -51,20 +67,10 @@ from fibaction.words.errors import (
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 
-
-class _Earlier(NamedTuple):
-    """The unread feedback of an attempt that another one has followed."""
-
-    items: deque[FeedbackItem]
-    last: int
-    """The number of the feedback that arrived last."""
-    next_attempt: int
-
-
 OnLost: TypeAlias = "Callable[[RemoteGoal, ActionError], None]"
 
 
-class RemoteGoal(Call, GoalStream):
+class RemoteGoal(Call, UnreadFeedback):
     """One goal of a server, followed over a connection."""
 
     def __init__(
@@ -76,11 +82,11 @@ class RemoteGoal(Call, GoalStream):
         deadline: float = math.inf,
         on_lost: OnLost | None = None,
     ) -> None:
-        super().__init__(opening.id)
+        Call.__init__(self, opening.id)
+        UnreadFeedback.__init__(self)
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
-        self.cursor = 0
         self.on_lost = on_lost
         """Takes the goal once it is answered; None lets it end with the error."""
         self.on_ended: Callable[[], None] | None = None
@@ -95,14 +101,6 @@ class RemoteGoal(Call, GoalStream):
         self._status = GoalStatus.UNKNOWN
         self._goal = opening.goal if isinstance(opening, SendGoal) else None
         self._outcome: Outcome[bytes] | None = None
-        self._attempt = 1
-        self._newest = 1  # the attempt of the feedback that arrives
-        self._last = 0  # the number of the feedback that arrived last
-        self._start = 0
-        self._delivered = 0  # of the attempt that is read
-        self._dropped = 0  # in the attempts before
-        self._items: deque[FeedbackItem] = deque()
-        self._earlier: deque[_Earlier] = deque()
         self._statuses: deque[GoalStatus] = deque()
         self._credit = Credits(opening.id, window, post)
         self._own = isinstance(opening, SendGoal) or opening.own
@@ -112,18 +110,6 @@ class RemoteGoal(Call, GoalStream):
     @property
     def status(self) -> GoalStatus:
         return self._status
-
-    @property
-    def attempt(self) -> int:
-        return self._attempt
-
-    @property
-    def newest_attempt(self) -> int:
-        return self._newest
-
-    @property
-    def dropped(self) -> int:
-        return self._dropped + self.cursor - self._start - self._delivered
 
     @property
     def goal(self) -> bytes | None:
@@ -144,7 +130,7 @@ class RemoteGoal(Call, GoalStream):
 
     def __del__(self) -> None:
         # The end cannot be asked for any more, so the server need not tell it.
-        if self._is_answered and not self._own and self._outcome is None and self.error is None:
+        if self.is_answered and not self._own and self._outcome is None and self.error is None:
             self._post(self.giving_up())
 
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
@@ -181,18 +167,19 @@ class RemoteGoal(Call, GoalStream):
     def close(self) -> None:
         if self.reads:
             self.reads = False
-            self._forget_unread()
+            if self._items or self._earlier:
+                self._forget_unread()
             self._statuses.clear()
             self.news.notify()
             if self._outcome is None:
                 self._post(Close(self.id))
 
     def opening(self) -> FromClient:
-        allowed = self._credit.restart(0 if self.latest else self._unread)
-        if not self._is_answered:
+        if not self.is_answered:
             if self._deadline < math.inf and isinstance(self._opening, SendGoal):
                 self._opening.timeout = timeout_until(self._deadline)
             return self._opening
+        allowed = self._credit.restart(0 if self.latest else self._unread)
         credit = allowed if self.reads else None
         action, last, attempt = self._opening.action, self._last, self._newest
         return Follow(self.id, action, self.goal_id, last, self._own, credit, attempt)
@@ -200,18 +187,19 @@ class RemoteGoal(Call, GoalStream):
     def on_message(self, message: Any) -> bool:
         # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
         kind = message.__class__
-        if kind is Feedback and self._is_answered:
+        if kind is Feedback and self.is_answered:
             self._take_feedback(message.number, (message.payload,))
-        elif kind is FeedbackBatch and self._is_answered:
+        elif kind is FeedbackBatch and self.is_answered:
             self._take_feedback(message.number, message.payloads)
         elif kind is Following:
             self._take_following(message)
-        elif kind is StatusChanged and self._is_answered:
+        elif kind is StatusChanged and self.is_answered:
             self._take_status(message.status)
-        elif kind is Ended and self._is_answered:
+        elif kind is Ended and self.is_answered:
             if message.status.is_active:
                 raise ProtocolError(f"a goal has ended as {message.status.name}")
-            outcome = Outcome(message.status, message.result, shortened(message.reason))
+            reason = message.reason and shortened(message.reason)
+            outcome = Outcome(message.status, message.result, reason)
             self._end(outcome, message.place)
             self._post(Received(self.id))
             if self.on_ended is not None:
@@ -225,11 +213,11 @@ class RemoteGoal(Call, GoalStream):
 
     def lose(self, error: ActionError) -> None:
         is_lost = isinstance(error, ConnectionLost | ServerNotFound | UnknownGoal)
-        if is_lost and self._is_answered and self.on_lost is not None:
+        if is_lost and self.is_answered and self.on_lost is not None:
             self._is_released = True
             self.on_ended = None
             self.on_lost(self, error)
-        elif self._is_answered and isinstance(error, UnknownGoal):
+        elif self.is_answered and isinstance(error, UnknownGoal):
             # The server was started anew, or the result has expired meanwhile.
             self._end(UNKNOWN_OUTCOME, self._last)
             self.news.notify()
@@ -252,59 +240,22 @@ class RemoteGoal(Call, GoalStream):
 
     def _take_following(self, message: Following) -> None:
         self.lost_at = None
-        if self._is_answered and message.stamp != self.stamp:
+        if self.is_answered and message.stamp != self.stamp:
             # The server was started anew, and has been sent another goal of that ID.
             self._end(UNKNOWN_OUTCOME, self._last)
             self._post(Close(self.id))
-        elif self._is_answered:
+        elif self.is_answered:
             self._take_status(message.status)  # it may have changed while there was no connection
             if message.attempt != self._newest:
                 self._take_attempt(message.attempt)
         else:
-            self._is_answered = True
+            self.is_answered = True
             self._status = message.status
             self.stamp, self.latest = message.stamp, message.latest
             self._attempt = self._newest = message.attempt
             self.cursor = self._start = self._last = message.place
             if message.goal is not None:
                 self._goal = message.goal
-
-    # Attempts
-
-    def _take_attempt(self, attempt: int) -> None:
-        """Begin to count anew: the feedback that arrives from now on is of another attempt."""
-        if self._earlier and not self._items:
-            # The attempt between the two had no feedback. A server could tell ever more of them.
-            self._earlier[-1] = self._earlier[-1]._replace(next_attempt=attempt)
-        else:
-            self._earlier.append(_Earlier(self._items, self._last, attempt))
-            self._items = deque()
-        self._newest, self._last = attempt, 0
-        self._unread_of_earlier()
-
-    def _unread_of_earlier(self) -> deque[FeedbackItem]:
-        """Return the unread feedback that comes next; go on to its attempt if it is another one."""
-        while self._earlier and not self._earlier[0].items:
-            earlier = self._earlier.popleft()
-            if self.reads:
-                self.cursor = earlier.last
-            self._dropped = self.dropped
-            self._attempt = earlier.next_attempt
-            self.cursor = self._start = self._delivered = 0
-        return self._earlier[0].items if self._earlier else self._items
-
-    @property
-    def _unread(self) -> int:
-        unread = len(self._items)
-        for earlier in self._earlier:
-            unread += len(earlier.items)
-        return unread
-
-    def _forget_unread(self) -> None:
-        self._items.clear()
-        for earlier in self._earlier:
-            earlier.items.clear()
-        self._unread_of_earlier()
 
     # Messages of the server
 

@@ -76,10 +76,6 @@ class StatusWatch(Call):
         self._is_closed = False
 
     @property
-    def is_over(self) -> bool:
-        return self._has_ended or self._is_closed
-
-    @property
     def is_complete(self) -> bool:
         """True if another follower may begin with what is known here."""
         return not (self.is_over or self._dropped or self.error)
@@ -125,14 +121,14 @@ class StatusWatch(Call):
             self._close()
 
     def _close(self) -> None:
-        self._is_closed = True
+        self._is_closed = self.is_over = True
         self._goals.clear()
         if not (self._has_ended or self.error):
             self._post(Close(self.id))
 
     def detach(self) -> None:
         """Forget what is known: the connection has ended, and the next one tells it again."""
-        self._is_answered = False
+        self.is_answered = False
         self._goals.clear()
         self._unlisted = 0
 
@@ -141,19 +137,19 @@ class StatusWatch(Call):
         return WatchStatus(self.id, self._action, self._credit.restart(0))
 
     def on_message(self, message: Any) -> bool:
-        if not self._is_answered and not isinstance(message, Watching | Failed):
+        if not self.is_answered and not isinstance(message, Watching | Failed):
             raise unfitting(message)
         if isinstance(message, GoalChanged):
             if not self._is_closed:
                 self._take(message)
         elif isinstance(message, Watching):
-            self._is_answered = True
+            self.is_answered = True
             self._unlisted = message.known
             for statuses in self._followers:
                 statuses.expect(message.known)
             self.news.notify()
         elif isinstance(message, Finished):
-            self._has_ended = True
+            self._has_ended = self.is_over = True
             for statuses in tuple(self._followers):
                 statuses.end()
         elif isinstance(message, Failed):

@@ -168,8 +168,9 @@ class Owners:
         stream.close()
         owned = self._owned.get(stream.goal_id)
         if owned is not None and call in owned.calls:
-            owned.calls = tuple(one for one in owned.calls if one is not call)
-            if not owned.calls:
+            if len(owned.calls) > 1:
+                owned.calls = tuple(one for one in owned.calls if one is not call)
+            else:
                 del self._owned[stream.goal_id]
 
     def lose(self, held: HeldGoals, *, left: bool) -> None:

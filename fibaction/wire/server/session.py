@@ -17,8 +17,8 @@ do is decided by the `AccessPolicy`. Its parts:
 A session goes through these steps. `run` starts the link; the `WireServer` ends the session unless
 the client says hello in time. `_handle` gets each frame; it must not wait, so what takes time is a
 task, or a subscription with credit. Each request has an ID that the client has not used on this
-connection before, and gets its answer, or an error: `_answering` turns whatever goes wrong into
-one, by the table in `errors`. A bug of an endpoint is an error for its client, and does not end the
+connection before, and gets its answer, or an error: `_fail` turns whatever goes wrong into one, by
+the table in `errors`. A bug of an endpoint is an error for its client, and does not end the
 session.
 
 A client has a *session*: a secret that it sends with each `Hello`. A new connection of the same
@@ -35,8 +35,7 @@ When the server closes, `drain` waits until the ends of goals are told, and says
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 
 from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
@@ -109,9 +108,7 @@ class Session:
         self._entered = entered
         self._left = False
         self._is_ended = False
-        self._goals = SessionGoals(
-            self.client, owners, settings.limits, memory, link, self._answering
-        )
+        self._goals = SessionGoals(self.client, owners, settings.limits, memory, link, self._fail)
         self._waiting: dict[int, RequestSubscription] = {}
         self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
         self._tasks: TaskGroup
@@ -185,7 +182,7 @@ class Session:
         self._link.post(encode(welcome))
 
     def _subscription(self, request: int) -> Subscription | None:
-        return self._goals.get(request) or self._waiting.get(request)
+        return self._goals.open.get(request) or self._waiting.get(request)
 
     def _admits(self, message: GoalMessage | Request, limit: str) -> bool:
         """Reject the request if a limit, told as a sentence, forbids it."""
@@ -214,8 +211,9 @@ class Session:
 
     async def _answer(self, message: Request, subscription: RequestSubscription) -> None:
         try:
-            with self._answering(message):
-                await self._handlers.handle(message, subscription)
+            await self._handlers.handle(message, subscription)
+        except (Exception, get_cancelled_exc_class()) as exc:
+            self._fail(message, exc)
         finally:
             del self._waiting[message.id]
 
@@ -224,22 +222,12 @@ class Session:
 
     # Errors
 
-    @contextmanager
-    def _answering(self, message: GoalMessage | Request) -> Generator[None, None, None]:
-        """Turn any exception of the block into an answer to the client."""
-        try:
-            yield
-        except (Exception, get_cancelled_exc_class()) as exc:
-            # On asyncio, awaiting a task that was canceled elsewhere raises that, too. Only if a
-            # scope is canceled, the session has ended, and the client cannot be told.
-            if not isinstance(exc, Exception) and current_effective_deadline() == -math.inf:
-                raise
-            self._fail(message, exc)
-            # Since Python 3.12 the frames of a context manager make a cycle with the error, which
-            # would keep the message until the garbage collector runs.
-            exc.__traceback__ = None
-
     def _fail(self, message: GoalMessage | Request, exc: BaseException) -> None:
+        """Answer a request that has raised an exception."""
+        # On asyncio, awaiting a task that was canceled elsewhere raises that, too. Only if a scope
+        # is canceled, the session has ended, and the client cannot be told.
+        if not isinstance(exc, Exception) and current_effective_deadline() == -math.inf:
+            raise exc
         is_goal = isinstance(message, SendGoal | Follow)
         if not isinstance(exc, ActionError) or (isinstance(exc, GoalRejected) and not is_goal):
             # A bug of an endpoint or a callback. It concerns this client only.

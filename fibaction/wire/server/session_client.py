@@ -30,6 +30,10 @@ class SessionClient:
         self._endpoints = endpoints
         self._settings = settings
         self._peer: Peer | None = None
+        self.is_known = False
+        """True if the client has said hello, and was let in."""
+        self.is_trusted = settings.access.is_open
+        """True if its requests need no permission."""
         self.session = b""
         """The digest of the client's secret and of the name of its token, the same on each of its
         connections; empty if it has no secret."""
@@ -41,16 +45,6 @@ class SessionClient:
         """True if the client accepts several feedback messages in one."""
         self.actions: set[str] = set()
         """The actions that the client has named."""
-
-    @property
-    def is_known(self) -> bool:
-        """True if the client has said hello, and was let in."""
-        return self._peer is not None
-
-    @property
-    def is_trusted(self) -> bool:
-        """True if its requests need no permission."""
-        return self._settings.access.is_open
 
     @property
     def name(self) -> str:
@@ -94,6 +88,7 @@ class SessionClient:
         self.sender = Sender(self._peer.name, owner, self._address)
         self.max_frame = message.max_frame
         self.takes_batches = message.batches
+        self.is_known = True
         return message
 
     async def endpoint(self, action: str, permission: Permission) -> Endpoint:

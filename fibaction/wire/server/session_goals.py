@@ -22,10 +22,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Coroutine
-from contextlib import AbstractContextManager
 from time import perf_counter
 from typing import Any, TypeAlias
 
+from anyio import get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.budget import ByteBudget
@@ -48,8 +48,8 @@ from fibaction.words.meta import size_of
 
 GoalMessage: TypeAlias = SendGoal | Follow
 """A message that opens a goal's request."""
-Answering: TypeAlias = Callable[[GoalMessage], AbstractContextManager[None]]
-"""Turns any error of a block into the answer to a message."""
+OnError: TypeAlias = Callable[[GoalMessage, BaseException], None]
+"""Answers a message whose request has raised an error; raises a cancellation of the session."""
 Waiting: TypeAlias = Coroutine[Any, Any, None]
 """The rest of the way to the answer of a request, which takes time."""
 
@@ -72,18 +72,21 @@ class SessionGoals:
         limits: Limits,
         memory: ByteBudget,
         link: Link,
-        answering: Answering,
+        fail: OnError,
     ) -> None:
-        """Let `memory` count the bytes of goals that wait, over all connections."""
+        """Let `memory` count the bytes of goals that wait, over all connections, and `fail` answer
+        the messages whose requests have raised an error.
+        """
         self.tasks: TaskGroup
         self._client = client
         self._owners = owners
         self._limits = limits
         self._memory = memory
         self._link = link
-        self._answering = answering
+        self._fail = fail
         self._held = HeldGoals()
-        self._open = self._held.calls
+        self.open = self._held.calls
+        """The goals, by their requests."""
         self._follows: dict[bytes, int] = {}  # the number of them for each goal
         self._ready: dict[GoalSubscription, None] = {}
         self._on_news = self._tell  # made once, and not for each goal
@@ -93,7 +96,7 @@ class SessionGoals:
     def limit_for(self, message: GoalMessage) -> str:
         """Return a sentence about the limit that forbids this request now; empty if none does."""
         limits = self._limits
-        if len(self._open) >= limits.goals:
+        if len(self.open) >= limits.goals:
             return too_much(limits)
         if self._follows.get(message.goal_id, 0) < limits.follows:
             return ""
@@ -101,10 +104,6 @@ class SessionGoals:
             f"too much at once: this connection follows goal {GoalID(message.goal_id)} already"
             f" {limits.follows} times, which is the limit"
         )
-
-    def get(self, request: int) -> GoalSubscription | None:
-        """Return the goal of a request, if there is one."""
-        return self._open.get(request)
 
     def begin(self, message: GoalMessage) -> None:
         """Send or follow a goal for the client."""
@@ -116,12 +115,12 @@ class SessionGoals:
             client.max_frame,
             takes_batches=client.takes_batches,
         )
-        self._open[message.id] = subscription
+        self.open[message.id] = subscription
         self._follows[message.goal_id] = self._follows.get(message.goal_id, 0) + 1
         if type(message) is Follow:
             self.tasks.start_soon(self._follow, message, subscription)
             return
-        with self._answering(message):
+        try:
             size = self._checked_size(message)
             timeout = message.timeout
             request = GoalRequest(
@@ -138,14 +137,17 @@ class SessionGoals:
                 waiting = self._offer(request, subscription, client.find(message.action))
             else:
                 waiting = self._send_goal(request, subscription)
-            if waiting is not None:
-                self._undecided += size
-                self._memory.take(size)
-                self.tasks.start_soon(self._wait, message, size, waiting)
+        except (Exception, get_cancelled_exc_class()) as exc:
+            self._fail(message, exc)
+            return
+        if waiting is not None:
+            self._undecided += size
+            self._memory.take(size)
+            self.tasks.start_soon(self._wait, message, size, waiting)
 
     def received(self, message: Received) -> None:
         """Note that the client has the end of a goal, or does not wait for it any longer."""
-        goal = self._open.get(message.id)
+        goal = self.open.get(message.id)
         if goal is not None:
             goal.is_wanted = False
             if goal.told or goal.is_observed:  # an observer may stop at any time
@@ -153,8 +155,8 @@ class SessionGoals:
 
     def fail(self, request: int) -> None:
         """Forget a goal whose request was answered with an error."""
-        if request in self._open:
-            self._end(self._open[request])
+        if request in self.open:
+            self._end(self.open[request])
 
     def lose(self) -> None:
         """Leave all goals to the next connection of their client: this one ends."""
@@ -168,7 +170,7 @@ class SessionGoals:
 
     async def drain(self) -> None:
         """Wait until the client was told of every goal that has ended, or the link has ended."""
-        for subscription in tuple(self._open.values()):
+        for subscription in tuple(self.open.values()):
             while self._link.is_open and subscription.has_end_to_tell:
                 await self._told.wait()
 
@@ -192,12 +194,13 @@ class SessionGoals:
         return size
 
     async def _wait(self, message: SendGoal, size: int, waiting: Waiting) -> None:
-        with self._answering(message):
-            try:
-                await waiting
-            finally:
-                self._undecided -= size
-                self._memory.give_back(size)
+        try:
+            await waiting
+        except (Exception, get_cancelled_exc_class()) as exc:
+            self._fail(message, exc)
+        finally:
+            self._undecided -= size
+            self._memory.give_back(size)
 
     async def _send_goal(self, request: GoalRequest, subscription: GoalSubscription) -> None:
         endpoint = await self._client.endpoint(subscription.action, Permission.SEND)
@@ -266,28 +269,32 @@ class SessionGoals:
     # To follow a goal
 
     async def _follow(self, message: Follow, subscription: GoalSubscription) -> None:
-        with self._answering(message):
-            goal_id, owner = GoalID(message.goal_id), self._client.sender.owner
-            own = message.own and (
-                self._owners.is_own(goal_id, owner)
-                or self._client.is_owner(message.action, goal_id)
+        try:
+            await self._begin_followed(message, subscription)
+        except (Exception, get_cancelled_exc_class()) as exc:
+            self._fail(message, exc)
+
+    async def _begin_followed(self, message: Follow, subscription: GoalSubscription) -> None:
+        goal_id, owner = GoalID(message.goal_id), self._client.sender.owner
+        own = message.own and (
+            self._owners.is_own(goal_id, owner) or self._client.is_owner(message.action, goal_id)
+        )
+        permission = Permission.SEND if own else Permission.OBSERVE
+        endpoint = await self._client.endpoint(message.action, permission)
+        stream: GoalStream | None
+        try:
+            stream = await endpoint.feedback(
+                goal_id, after=message.after, own=own, attempt=message.attempt
             )
-            permission = Permission.SEND if own else Permission.OBSERVE
-            endpoint = await self._client.endpoint(message.action, permission)
-            stream: GoalStream | None
-            try:
-                stream = await endpoint.feedback(
-                    goal_id, after=message.after, own=own, attempt=message.attempt
-                )
-            except UnknownGoal:
-                # Its server has forgotten the goal, but its client has not been told the end yet.
-                stream = self._owners.ended(goal_id, owner) if own else None
-                if stream is None:
-                    raise
-                if message.after is not None:
-                    stream.seek(message.after if message.attempt == stream.attempt else 0)
-            own = own and self._owners.own(subscription, stream, owner)
-            self._begin(subscription, endpoint, stream, own=own)
+        except UnknownGoal:
+            # Its server has forgotten the goal, but its client has not been told the end yet.
+            stream = self._owners.ended(goal_id, owner) if own else None
+            if stream is None:
+                raise
+            if message.after is not None:
+                stream.seek(message.after if message.attempt == stream.attempt else 0)
+        own = own and self._owners.own(subscription, stream, owner)
+        self._begin(subscription, endpoint, stream, own=own)
 
     # To tell
 
@@ -332,7 +339,7 @@ class SessionGoals:
 
     def _end(self, subscription: GoalSubscription) -> None:
         """Forget a goal whose end was told, or which has no end to tell."""
-        del self._open[subscription.request]
+        del self.open[subscription.request]
         left = self._follows.pop(subscription.goal_id) - 1
         if left:
             self._follows[subscription.goal_id] = left

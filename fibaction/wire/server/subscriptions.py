@@ -184,15 +184,13 @@ class GoalSubscription(Subscription):
 
     def _following(self, stream: GoalStream, place: int) -> Following:
         """Return the message with the state of the goal, and the attempt that comes next."""
-        self._attempt = stream.attempt
-        return Following(
-            self.request, stream.stamp, stream.status, stream.latest, place, stream.attempt
-        )
+        attempt = self._attempt = stream.attempt
+        return Following(self.request, stream.stamp, stream.status, stream.latest, place, attempt)
 
     def _opening_frame(self, opening: Following) -> bytes:
         """Return the frame of the first message, without the goal if it is too large with it."""
         frame = encode(opening)
-        if len(frame) > self._max_frame and opening.goal is not None:
+        if len(frame) > self._max_frame:
             opening.goal = None
             frame = encode(opening)
         return frame
@@ -234,42 +232,41 @@ class GoalSubscription(Subscription):
 
     def next_frames(self) -> list[bytes]:
         """Return the frames to send next, as far as there is credit; empty if there are none."""
+        stream = self.stream
+        assert stream is not None
         try:
-            return self._next_frames()
-        except GoalKept:
-            # The client follows the goal again on its next connection.
-            self._fail()
-            return []
+            stream.news.on_next = self._tell
+            if self._opening is not None:
+                opening, self._opening = self._opening, None
+                return [self._opening_frame(opening) if opening.goal else encode(opening)]
+            updates = stream.take(min(self.credit, self._piece))
+            # The numbers of the feedback may begin anew, at a gateway whose server was restarted.
+            begins = self._begin_attempt(stream) if stream.attempt != self._attempt else []
+            if not updates:
+                return begins
+            first = updates[0]
+            if isinstance(first, GoalStatus):
+                return [*begins, encode(StatusChanged(self.request, first))]
+            if not isinstance(first, FeedbackItem):
+                return [*begins, self._end(stream, first)]
+            return begins + self._feedback(stream, cast("Sequence[FeedbackItem]", updates))
         except Exception as exc:
-            if not isinstance(exc, ActionError):
-                # A bug of the endpoint. It concerns this client only.
-                logger.error("the stream of a goal failed", exc_info=exc)
-                exc = failure_of(exc)
-            self._fail()
-            return [failed(self.request, exc, self._max_frame)]
+            return self._fail_with(exc)
+
+    def _fail_with(self, exc: Exception) -> list[bytes]:
+        """Return the frame that tells an error of the stream, if the client is to know it."""
+        self._fail()
+        if isinstance(exc, GoalKept):
+            return []  # the client follows the goal again on its next connection
+        if not isinstance(exc, ActionError):
+            # A bug of the endpoint. It concerns this client only.
+            logger.error("the stream of a goal failed", exc_info=exc)
+            exc = failure_of(exc)
+        return [failed(self.request, exc, self._max_frame)]
 
     def _fail(self) -> None:
         self.leave()
         self.own = False  # there is no end to keep
-
-    def _next_frames(self) -> list[bytes]:
-        stream, request = self.stream, self.request
-        assert stream is not None
-        stream.news.on_next = self._tell
-        if self._opening is not None:
-            opening, self._opening = self._opening, None
-            return [self._opening_frame(opening)]
-        updates = stream.take(min(self.credit, self._piece))
-        # The numbers of the feedback may begin anew, at a gateway whose server was started again.
-        begins = self._begin_attempt(stream) if stream.attempt != self._attempt else []
-        if not updates:
-            return begins
-        first = updates[0]
-        if isinstance(first, GoalStatus):
-            return [*begins, encode(StatusChanged(request, first))]
-        if not isinstance(first, FeedbackItem):
-            return [*begins, *self._end(stream, first)]
-        return begins + self._feedback(stream, cast("Sequence[FeedbackItem]", updates))
 
     def _feedback(self, stream: GoalStream, items: Sequence[FeedbackItem]) -> list[bytes]:
         """Return the frames of feedback that was taken, as far as it fills one write."""
@@ -324,11 +321,12 @@ class GoalSubscription(Subscription):
         self._tell()  # there may be more after these
         return [frame for frame in frames if len(frame) <= self._max_frame]
 
-    def _end(self, stream: GoalStream, end: Outcome[bytes]) -> list[bytes]:
+    def _end(self, stream: GoalStream, end: Outcome[bytes]) -> bytes:
         self.leave()
         place = self._place if self.closed else stream.cursor
-        ended = Ended(self.request, end.status, end.result, sendable(end.reason), place)
-        frame = encode(ended)
+        reason = end.reason and sendable(end.reason)
+        frame = encode(Ended(self.request, end.status, end.result, reason, place))
         if len(frame) > self._max_frame:
             self._fail()
-        return [fitting(self.request, frame, self._max_frame)]
+            frame = fitting(self.request, frame, self._max_frame)
+        return frame

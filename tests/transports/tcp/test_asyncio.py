@@ -22,13 +22,9 @@ from fibaction._runtime.slices import SLICE
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.words.errors import ConnectionLost, ProtocolError
-from fibaction_transports._socket_lines import busy_lines, on_asyncio
-from fibaction_transports._socket_lines.on_asyncio import (
-    ProtocolLine,
-    accept,
-    dial_tcp,
-    dial_unix,
-)
+from fibaction_transports._socket_lines import on_asyncio, protocol_line
+from fibaction_transports._socket_lines.on_asyncio import accept, dial_tcp, dial_unix
+from fibaction_transports._socket_lines.protocol_line import ProtocolLine
 from fibaction_transports._socket_lines.sockets import BATCH
 
 pytestmark = pytest.mark.asyncio
@@ -41,8 +37,7 @@ RESET = struct.pack("ii", 1, 0)
 @pytest.fixture(autouse=True)
 def time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no slice end, however busy the machine is; tests of slices have clocks of their own."""
-    for module in (on_asyncio, busy_lines):
-        monkeypatch.setattr(module, "perf_counter", lambda: 0.0)
+    monkeypatch.setattr(protocol_line, "perf_counter", lambda: 0.0)
 
 
 class End:
@@ -271,8 +266,7 @@ async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progre
 def use_up_each_slice(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a line use up the whole slice whenever it handles anything."""
     clock = itertools.count()
-    for module in (on_asyncio, busy_lines):
-        monkeypatch.setattr(module, "perf_counter", lambda: float(next(clock)))
+    monkeypatch.setattr(protocol_line, "perf_counter", lambda: float(next(clock)))
 
 
 def giving_back(end: End, most: int = 1) -> None:
@@ -415,7 +409,7 @@ async def test_frames_that_arrived_before_it_runs_may_be_given_back_as_well() ->
 async def test_writing_ends_after_a_slice_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
     times = itertools.count(step=SLICE / 2)
     async with pair() as (one, other):
-        monkeypatch.setattr(on_asyncio, "perf_counter", lambda: next(times))
+        monkeypatch.setattr(protocol_line, "perf_counter", lambda: next(times))
         one.to_say = [[b"%d" % number] for number in range(6)]
         one.line.wake_writer(at_once=True)
         assert len(one.to_say) == 4
@@ -547,7 +541,7 @@ class Leaving(FrameReader):
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let lines wait for their peers when they close, however busy the machine is."""
-    monkeypatch.setattr(on_asyncio, "LEAVE", 60.0)
+    monkeypatch.setattr(protocol_line, "LEAVE", 60.0)
 
 
 @pytest.mark.usefixtures("patient")

@@ -26,7 +26,7 @@ from fibaction import (
 from fibaction.wire import channel
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import VERSION, Hello
-from fibaction_transports._socket_lines import on_asyncio
+from fibaction_transports._socket_lines import protocol_line
 from fibaction_transports.web import TlsFiles, WebSocketTransport
 from fibaction_transports.web.http.handshake import http_answer
 from tests.support.certificates import pems
@@ -133,7 +133,7 @@ async def test_goals_run_over_it_with_and_without_tls_and_at_a_path(
 async def test_both_ends_close_without_a_wait_whichever_is_first(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (channel, on_asyncio):
+    for module in (channel, protocol_line):
         monkeypatch.setattr(module, "LEAVE", 60)
     monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
     stop, urls = anyio.Event(), list[str]()
@@ -162,7 +162,7 @@ async def test_both_ends_close_without_a_wait_whichever_is_first(
 async def test_a_peer_that_does_not_close_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (channel, on_asyncio):
+    for module in (channel, protocol_line):
         monkeypatch.setattr(module, "LEAVE", 0.05)
     begun = perf_counter()
     async with serve(new_server(), WS) as (url,), raw(url) as peer:

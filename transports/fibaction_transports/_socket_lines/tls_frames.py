@@ -106,6 +106,11 @@ class TlsFraming(Framing):
         return self._frames.has_answer or self._outgoing.pending > 0
 
     @property
+    def has_ended(self) -> bool:  # type: ignore[override]  # here it changes
+        """True if the peer has closed, or TLS has failed."""
+        return self._error is not None or self._frames.has_ended
+
+    @property
     def is_closed(self) -> bool:  # type: ignore[override]  # here it changes
         """True if nothing more is expected of the peer."""
         return self._error is not None

@@ -69,6 +69,11 @@ class WebSocketFraming(Framing):
         return bool(self._answer) or self._pong is not None
 
     @property
+    def has_ended(self) -> bool:  # type: ignore[override]  # here it changes
+        """True if the peer has closed."""
+        return bool(self._lost)
+
+    @property
     def is_closed(self) -> bool:  # type: ignore[override]  # here it changes
         """True if nothing more is expected of the peer."""
         if self._handshake is not None:
