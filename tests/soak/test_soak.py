@@ -35,7 +35,7 @@ def test_the_help_is_laid_out_and_says_what_there_is(
 
 @pytest.mark.asyncio
 async def test_a_soak_beside_load_records_both_processes_over_the_time() -> None:
-    report = await run(Soak(seconds=2, load=1))
+    report = await run(Soak(seconds=0.5, load=1))
 
     assert report["goals"] > 0
     assert len(report["at"]) == SAMPLES
