@@ -40,7 +40,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate properties soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -125,6 +125,9 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 MINUTES ?= 10
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes, or MINUTES=60
 	$(BIN)/python -m tests.simulation --seconds $$(( $(MINUTES) * 60 ))
+
+contract: $(VENV)/.tools  ## Run each test of the contract over each transport, on asyncio and on trio
+	FIBACTION_CONTRACT=whole $(no_other_ros) $(BIN)/python -m pytest -q -n auto --dist worksteal tests/contract
 
 properties: $(VENV)/.tools  ## Run the property tests with a thousand examples each
 	FIBACTION_EXAMPLES=1000 $(no_other_ros) $(BIN)/python -m pytest -q -n auto --dist worksteal -m hypothesis --timeout 1800

@@ -65,7 +65,17 @@ def test_every_long_trial_runs_each_night() -> None:
     job = load(ROOT / ".github/workflows/nightly.yml")["jobs"]["trial"]
     trials = {trial.split()[0] for trial in job["strategy"]["matrix"]["trial"]}
     assert trials <= targets()
-    longer = {"attack", "fleet", "fuzz", "kills", "mutants", "properties", "simulate", "soak"}
+    longer = {
+        "attack",
+        "contract",
+        "fleet",
+        "fuzz",
+        "kills",
+        "mutants",
+        "properties",
+        "simulate",
+        "soak",
+    }
     assert trials == longer
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 from fibaction.border.abc import Transport
@@ -35,6 +36,17 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
     if not separator:
         shown = without_settings(where)
         raise InvalidURL(f"{shown!r} is not a URL: write it like tcp://127.0.0.1:7400")
+    return transport_class(scheme).from_url(where, **settings)
+
+
+@cache  # to read what each installed package declares takes longer than to connect
+def transport_class(scheme: str) -> type[Transport]:
+    """Return the transport of a scheme, which is looked for until it is found.
+
+    Raises:
+        InvalidURL: No installed package has a transport for the scheme.
+        TransportError: A package that the transport needs is not installed.
+    """
     from importlib.metadata import entry_points  # slow to import, and needed here only
 
     found = tuple(entry_points(group=GROUP, name=scheme))
@@ -57,7 +69,7 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
         raise TransportError(
             f"the transport for {scheme}://, {found[0].value}, cannot be imported: {exc}"
         ) from exc
-    return transport.from_url(where, **settings)
+    return transport
 
 
 def _check_is_address(where: object) -> None:

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractAsyncContextManager
 from importlib.metadata import Distribution, EntryPoint, EntryPoints
 from pathlib import Path
@@ -9,7 +9,13 @@ from typing import Any
 import pytest
 
 from fibaction.border.abc import Connection, Endpoint, Transport
-from fibaction.border.urls import GROUP, check_settings, transport_for, without_settings
+from fibaction.border.urls import (
+    GROUP,
+    check_settings,
+    transport_class,
+    transport_for,
+    without_settings,
+)
 from fibaction.words.errors import TransportError
 from tests.support.fibonacci import FIBONACCI
 
@@ -37,8 +43,9 @@ Install = Callable[[EntryPoints], None]
 
 
 @pytest.fixture
-def install(monkeypatch: pytest.MonkeyPatch) -> Install:
+def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
     """Makes these the entry points of all packages that are installed."""
+    transport_class.cache_clear()
 
     def install(installed: EntryPoints) -> None:
         def entry_points(**wanted: Any) -> EntryPoints:
@@ -46,7 +53,8 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Install:
 
         monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
 
-    return install
+    yield install
+    transport_class.cache_clear()
 
 
 def entry(name: str, value: str, group: str = GROUP) -> EntryPoint:
@@ -74,6 +82,16 @@ def test_the_transport_of_a_third_party_is_found_and_gets_the_whole_url(install:
     transport = transport_for("pigeon://loft/3?ring=blue")
     assert isinstance(transport, PigeonTransport)
     assert transport.url == "pigeon://loft/3?ring=blue"
+
+
+def test_a_transport_that_is_installed_later_is_found_and_then_kept(install: Install) -> None:
+    install(EntryPoints())
+    with pytest.raises(TransportError, match="no transport for pigeon://"):
+        transport_for("pigeon://loft")
+    install(EntryPoints([entry("pigeon", HERE)]))
+    assert isinstance(transport_for("pigeon://loft"), PigeonTransport)
+    install(EntryPoints())
+    assert isinstance(transport_for("pigeon://loft"), PigeonTransport)
 
 
 def test_an_entry_point_of_another_group_is_no_transport(install: Install) -> None:

@@ -19,12 +19,12 @@ ID = GoalID(b"\x01" * 16)
 
 
 def test_attach_shows_what_comes_and_ends_as_the_goal_does(
-    started: Start, fibaction: Run, url: str
+    started: Start, here: Run, tcp: str
 ) -> None:
-    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
-    process = started("attach", goal_id[:8], url=url)
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
+    process = started("attach", goal_id[:8], url=tcp)
     lines = lines_until("step: step", process)
-    fibaction("cancel", goal_id, url=url)
+    here("cancel", goal_id, url=tcp)
     code, out, err = ended(process)
 
     assert (code, err) == (ExitCode.CANCELED, "")
@@ -42,22 +42,20 @@ def test_attach_to_a_goal_that_has_ended_gives_its_result(here: Run, url: str) -
     assert done.json[-1]["result"]["goal"]["object_name"] == "cup"
 
 
-def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, fibaction: Run, url: str) -> None:
-    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
-    process = started("attach", goal_id, "--json", url=url)
+def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, here: Run, tcp: str) -> None:
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
+    process = started("attach", goal_id, "--json", url=tcp)
     lines_until("feedback", process)
     interrupt(process)
     code, _, err = ended(process)
 
     assert (code, err) == (ExitCode.INTERRUPTED, f"The goal {goal_id} was left as it is.\n")
-    assert f"{goal_id}  EXECUTING" in fibaction("goals", "wait", url=url).out
+    assert f"{goal_id}  EXECUTING" in here("goals", "wait", url=tcp).out
 
 
 @pytest.mark.parametrize("columns", [80, 160])
-def test_on_a_terminal_there_is_a_bar(
-    terminal: Open, fibaction: Run, tcp: str, columns: int
-) -> None:
-    goal_id = detached(fibaction, tcp, "wait", "{seconds: 60, steps: 600}")
+def test_on_a_terminal_there_is_a_bar(terminal: Open, here: Run, tcp: str, columns: int) -> None:
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
     shown = terminal("attach", goal_id, url=tcp, columns=columns)
     shown.until("step: step")
     shown.press("\x03")

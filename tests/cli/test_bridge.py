@@ -35,18 +35,18 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize("number", [SIGINT, SIGTERM])
 def test_a_bridge_serves_all_that_there_is_until_a_signal_comes(
-    tmp_path: Path, started: Start, fibaction: Run, tcp: str, number: signal.Signals
+    tmp_path: Path, started: Start, here: Run, tcp: str, number: signal.Signals
 ) -> None:
     near = f"unix://{tmp_path}/socket"
     bridge = started("bridge", tcp, near)
     (said,) = lines_until("", bridge)
     assert said.startswith("bridging /")
     assert said.endswith(f" from {tcp} to {near}, Ctrl-C stops it\n")
-    assert fibaction("list", "-t", url=near).lines == fibaction("list", "-t", url=tcp).lines
-    done = fibaction("send_goal", "fibonacci", "order: 4", "-f", url=near)
+    assert here("list", "-t", url=near).lines == here("list", "-t", url=tcp).lines
+    done = here("send_goal", "fibonacci", "order: 4", "-f", url=near)
     assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
-    assert fibaction("send_goal", "arm/pick", "object_name: sun", url=near).code == 4
-    assert fibaction("send_goal", "wait", "-t", "0.3", url=near).code == 5
+    assert here("send_goal", "arm/pick", "object_name: sun", url=near).code == 4
+    assert here("send_goal", "wait", "-t", "0.3", url=near).code == 5
     bridge.send_signal(number)
     code, _, err = ended(bridge)
 
@@ -56,13 +56,13 @@ def test_a_bridge_serves_all_that_there_is_until_a_signal_comes(
 
 @pytest.mark.parametrize("names", [(), ("pick",), ("/arm/pick",)], ids=" ".join)
 def test_a_bridge_serves_a_namespace_and_names_relative_to_it(
-    tmp_path: Path, started: Start, fibaction: Run, tcp: str, names: tuple[str, ...]
+    tmp_path: Path, started: Start, here: Run, tcp: str, names: tuple[str, ...]
 ) -> None:
     near = f"unix://{tmp_path}/socket"
     bridge = started("bridge", tcp, near, *names, "-n", "/arm")
     lines_until(f"bridging /arm/pick from {tcp}", bridge)
 
-    assert fibaction("list", url=near).lines == ["/arm/pick"]
+    assert here("list", url=near).lines == ["/arm/pick"]
 
 
 def test_programs_of_rosbridge_find_a_bridge_in_place_of_their_server(
@@ -85,7 +85,7 @@ def test_programs_of_rosbridge_find_a_bridge_in_place_of_their_server(
 
 
 def test_a_bridge_waits_for_what_is_named_and_survives_the_server(
-    tmp_path: Path, folder: Path, started: Start, fibaction: Run
+    tmp_path: Path, folder: Path, started: Start, here: Run
 ) -> None:
     far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
     bridge = started("bridge", far, near, "count")
@@ -93,7 +93,7 @@ def test_a_bridge_waits_for_what_is_named_and_survives_the_server(
     assert bridge.stderr.readline() == "waiting for /count\n"
     server = started("serve", "robot:several", far)
     lines_until("bridging /count from", bridge)
-    assert fibaction("list", url=near).lines == ["/count"]
+    assert here("list", url=near).lines == ["/count"]
 
     server.send_signal(SIGKILL)
     server.wait(PATIENCE)
@@ -106,12 +106,12 @@ def test_a_bridge_waits_for_what_is_named_and_survives_the_server(
 
 
 def test_the_goals_go_on_when_a_bridge_is_stopped(
-    tmp_path: Path, started: Start, fibaction: Run, tcp: str
+    tmp_path: Path, started: Start, here: Run, tcp: str
 ) -> None:
     near = f"unix://{tmp_path}/near"
     bridge = started("bridge", tcp, near, "wait")
     lines_until("bridging", bridge)
-    done = fibaction("send_goal", "wait", "seconds: 0.5", "--detach", url=near)
+    done = here("send_goal", "wait", "seconds: 0.5", "--detach", url=near)
     bridge.send_signal(SIGTERM)
     assert ended(bridge).code == 0
     status = started("bridge", tcp, near, "wait")
@@ -260,7 +260,7 @@ async def test_a_bridge_that_is_stopped_while_it_looks_has_nothing_to_complain_a
 
 
 def test_actions_that_come_later_are_bridged_and_those_that_leave_are_not(
-    tmp_path: Path, folder: Path, started: Start, fibaction: Run
+    tmp_path: Path, folder: Path, started: Start, here: Run
 ) -> None:
     far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
     server = started("serve", "robot:server", far)
@@ -272,16 +272,16 @@ def test_actions_that_come_later_are_bridged_and_those_that_leave_are_not(
     server = started("serve", "robot:several", far)
     lines_until("serving", server)
 
-    eventually(lambda: len(fibaction("list", url=near).lines) > 1)
-    many = fibaction("list", url=near).lines
+    eventually(lambda: len(here("list", url=near).lines) > 1)
+    many = here("list", url=near).lines
     assert all(name.startswith("/lab/arm/") for name in many)
-    client = fibaction("send_goal", "lab/arm/count", "3", url=near)
+    client = here("send_goal", "lab/arm/count", "3", url=near)
     assert (client.code, client.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
     server.send_signal(SIGKILL)
     server.wait(PATIENCE)
     server = started("serve", "robot:server", far)
     lines_until("serving", server)
-    eventually(lambda: fibaction("list", url=near).lines == ["/lab/arm/count"])
+    eventually(lambda: here("list", url=near).lines == ["/lab/arm/count"])
     bridge.send_signal(SIGTERM)
     code, _, err = ended(bridge)
     assert code == 0
@@ -346,14 +346,14 @@ def test_actions_get_the_names_that_the_options_say(
     expected: list[str],
     tmp_path: Path,
     started: Start,
-    fibaction: Run,
+    here: Run,
     tcp: str,
 ) -> None:
     near = f"unix://{tmp_path}/socket"
     bridge = started("bridge", tcp, near, *options)
     lines_until("bridging", bridge)
 
-    assert sorted(fibaction("list", url=near).lines) == expected
+    assert sorted(here("list", url=near).lines) == expected
 
 
 @pytest.mark.parametrize(

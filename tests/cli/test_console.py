@@ -40,7 +40,7 @@ def fetched(url: str, token: str = "") -> tuple[int, bytes]:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, SIGTERM])
 def test_the_page_and_the_actions_are_served_until_a_signal_comes(
-    started: Start, fibaction: Run, tcp: str, number: signal.Signals
+    started: Start, here: Run, tcp: str, number: signal.Signals
 ) -> None:
     process = started("console", tcp, "--no-open")
     found = ADDRESS.search(lines_until("console of", process)[-1])
@@ -52,7 +52,7 @@ def test_the_page_and_the_actions_are_served_until_a_signal_comes(
     assert fetched(f"{url}/actions")[0] == 401
     names = [info["name"] for info in json.loads(fetched(f"{url}/actions", token)[1])]
     assert "fibonacci" in names
-    done = fibaction("send_goal", "fibonacci", "order: 4", url=f"{url}?token={token}")
+    done = here("send_goal", "fibonacci", "order: 4", url=f"{url}?token={token}")
     assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
     process.send_signal(number)
     assert ended(process).code == 0

@@ -30,14 +30,12 @@ def begun(process: subprocess.Popen[str], fibaction: Run, url: str, name: str) -
     lines_until(goal_id, process)
 
 
-def test_echo_shows_feedback_and_statuses_until_ctrl_c(
-    started: Start, fibaction: Run, url: str
-) -> None:
-    process = started("echo", "wait", url=url)
-    begun(process, fibaction, url, "wait")
-    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
+def test_echo_shows_feedback_and_statuses_until_ctrl_c(started: Start, here: Run, tcp: str) -> None:
+    process = started("echo", "wait", url=tcp)
+    begun(process, here, tcp, "wait")
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
     lines = lines_until(f"^Goal {goal_id}: feedback 2$", process)
-    fibaction("cancel", goal_id, url=url)
+    here("cancel", goal_id, url=tcp)
     lines += lines_until(f"^Goal {goal_id}: CANCELED", process)
     interrupt(process)
     code, _, err = ended(process)
@@ -52,12 +50,12 @@ def test_echo_shows_feedback_and_statuses_until_ctrl_c(
     assert lines[first + 1 : first + 4] == ["    progress: 0.0\n", "    step: step 0\n", "\n"]
 
 
-def test_echo_as_json_is_an_object_a_line(started: Start, fibaction: Run, url: str) -> None:
-    process = started("echo", "/wait", "--json", url=url)
-    begun(process, fibaction, url, "wait")
-    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
+def test_echo_as_json_is_an_object_a_line(started: Start, here: Run, tcp: str) -> None:
+    process = started("echo", "/wait", "--json", url=tcp)
+    begun(process, here, tcp, "wait")
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
     lines = lines_until(f'{goal_id}","number":2', process)
-    fibaction("cancel", goal_id, url=url)
+    here("cancel", goal_id, url=tcp)
     process.terminate()
     assert ended(process).code == 0
 
@@ -72,24 +70,24 @@ def test_echo_as_json_is_an_object_a_line(started: Start, fibaction: Run, url: s
     }
 
 
-def test_ctrl_c_in_a_terminal_ends_echo(terminal: Open, fibaction: Run, tcp: str) -> None:
+def test_ctrl_c_in_a_terminal_ends_echo(terminal: Open, here: Run, tcp: str) -> None:
     shown = terminal("echo", "stubborn", url=tcp)
-    goal_id = detached(fibaction, tcp, "stubborn", "{seconds: 0.5}")
+    goal_id = detached(here, tcp, "stubborn", "{seconds: 0.5}")
     shown.until(f"Goal {goal_id}: SUCCEEDED")
     shown.press("\x03")
 
     assert shown.ends() == 0
 
 
-def test_a_closed_output_ends_echo(started: Start, fibaction: Run, tcp: str) -> None:
+def test_a_closed_output_ends_echo(started: Start, here: Run, tcp: str) -> None:
     process = started("echo", "wait", url=tcp)
-    goal_id = detached(fibaction, tcp, "wait", "{seconds: 60, steps: 600}")
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
     lines_until("feedback", process)
     assert process.stdout is not None
     process.stdout.close()
 
     assert process.wait(30) == 1
-    fibaction("cancel", goal_id, url=tcp)
+    here("cancel", goal_id, url=tcp)
 
 
 def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:

@@ -89,9 +89,9 @@ def test_a_name_is_relative_to_the_namespace_unless_it_has_a_slash(here: Run, tc
 
 @pytest.mark.parametrize("columns", [80, 160])
 def test_on_a_terminal_the_list_fits_and_is_colored(
-    terminal: Open, fibaction: Run, tcp: str, columns: int
+    terminal: Open, here: Run, tcp: str, columns: int
 ) -> None:
-    goal_id = detached(fibaction, tcp, "wait")
+    goal_id = detached(here, tcp, "wait")
     shown = terminal("goals", url=tcp, columns=columns, lines=60)
     assert shown.ends() == 0
 
@@ -103,13 +103,13 @@ def test_on_a_terminal_the_list_fits_and_is_colored(
 
 @pytest.mark.parametrize("columns", [80, 160])
 def test_a_watched_list_is_kept_up_to_date_where_it_is(
-    terminal: Open, fibaction: Run, tcp: str, columns: int
+    terminal: Open, here: Run, tcp: str, columns: int
 ) -> None:
-    goal_id = detached(fibaction, tcp, "wait", "{seconds: 60, steps: 600}")
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
     short = goal_id[:8]
     shown = terminal("goals", "wait", "--watch", url=tcp, columns=columns)
     shown.until(rf"^{short}\w* +EXECUTING")
-    fibaction("cancel", goal_id, url=tcp)
+    here("cancel", goal_id, url=tcp)
     screen = shown.until(lambda lines: any(short in one and "CANCELED" in one for one in lines))
     shown.press("\x03")
 
@@ -120,11 +120,11 @@ def test_a_watched_list_is_kept_up_to_date_where_it_is(
     assert not shown.cursor_hidden
 
 
-def test_piped_each_change_is_a_line(started: Start, fibaction: Run, url: str) -> None:
-    process = started("goals", "--watch", url=url)
-    goal_id = detached(fibaction, url, "wait")
+def test_piped_each_change_is_a_line(started: Start, here: Run, tcp: str) -> None:
+    process = started("goals", "--watch", url=tcp)
+    goal_id = detached(here, tcp, "wait")
     lines_until(f"{goal_id}  EXECUTING  /wait", process)
-    fibaction("cancel", goal_id, url=url)
+    here("cancel", goal_id, url=tcp)
     lines_until(f"{goal_id}  CANCELED ", process)
     interrupt(process)
 

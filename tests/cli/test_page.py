@@ -91,7 +91,7 @@ def test_each_of_these_verbs_is_on_the_page() -> None:
 
 
 def test_the_commands_with_namespaces_print_what_the_page_says(
-    fibaction: Run, started: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    here: Run, started: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "fleet.py").write_text(FLEET)
     url = f"unix://{tmp_path}/socket"
@@ -102,6 +102,6 @@ def test_the_commands_with_namespaces_print_what_the_page_says(
 
     for step in IN_A_FLEET:
         _, *arguments = shlex.split(step.command)
-        done = fibaction(*arguments, env={"FIBACTION_CONFIG": str(config)})
+        done = here(*arguments, env={"FIBACTION_CONFIG": str(config)})
         assert same([*done.lines, *done.err.splitlines()]) == same(step.expected), step.command
     assert len(IN_A_FLEET) == 7

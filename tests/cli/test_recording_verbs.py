@@ -23,17 +23,17 @@ from tests.support.processes import ended, lines_until
 
 
 def test_a_recording_of_a_server_is_shown_and_replayed(
-    folder: Path, started: Start, fibaction: Run
+    folder: Path, started: Start, here: Run
 ) -> None:
     unix, file = f"unix://{folder}/socket", str(folder / "today.jsonl")
     server = started("serve", "robot:several", unix, "--record", file)
     lines_until("serving", server)
-    real = fibaction("send_goal", "count", "3", "-f", url=unix)
-    assert fibaction("send_goal", "count", "--", "-3", url=unix).code != ExitCode.SUCCEEDED
+    real = here("send_goal", "count", "3", "-f", url=unix)
+    assert here("send_goal", "count", "--", "-3", url=unix).code != ExitCode.SUCCEEDED
     server.send_signal(SIGINT)
     assert ended(server)[0] == 0
 
-    shown = fibaction("show", file)
+    shown = here("show", file)
     assert shown.code == ExitCode.SUCCEEDED
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d to .*, 2 goals", shown.lines[0])
     assert shown.lines[1:] == [
@@ -44,10 +44,10 @@ def test_a_recording_of_a_server_is_shown_and_replayed(
     replay = started("replay", file, unix, "--speed", "1000")
     (line,) = lines_until("replaying", replay)
     assert line == f"replaying /count, /arm/tell of {file} at {unix}, Ctrl-C stops it\n"
-    again = fibaction("send_goal", "count", "3", "-f", url=unix)
+    again = here("send_goal", "count", "3", "-f", url=unix)
     no_ids = [re.sub(r"\b[0-9a-f]{32}\b", "ID", "\n".join(one.lines)) for one in (real, again)]
     assert no_ids[0] == no_ids[1]
-    assert fibaction("send_goal", "count", "4", url=unix).code == ExitCode.REJECTED
+    assert here("send_goal", "count", "4", url=unix).code == ExitCode.REJECTED
     replay.send_signal(SIGINT)
     assert ended(replay)[0] == 0
 
@@ -156,18 +156,18 @@ def test_a_recording_that_cannot_be_written_is_one_sentence(folder: Path, invoke
 
 
 def test_a_server_that_runs_already_is_recorded_and_exported(
-    folder: Path, started: Start, fibaction: Run
+    folder: Path, started: Start, here: Run
 ) -> None:
     unix, file = f"unix://{folder}/socket", str(folder / "today.jsonl")
     lines_until("serving", started("serve", "robot:several", unix))
     recording = started("record", unix, file)
     assert lines_until("recording", recording) == [f"recording {unix} to {file}, Ctrl-C stops it\n"]
-    assert fibaction("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
+    assert here("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
     recording.send_signal(SIGINT)
     assert ended(recording)[0] == 0
 
-    assert fibaction("show", file).lines[1].startswith("/count: 1 SUCCEEDED; ")
-    exported = fibaction("export", file, f"{file}.mcap")
+    assert here("show", file).lines[1].startswith("/count: 1 SUCCEEDED; ")
+    exported = here("export", file, f"{file}.mcap")
     assert re.fullmatch(r".*today\.jsonl\.mcap has \d+ messages", exported.lines[0])
     assert Path(f"{file}.mcap").read_bytes().startswith(b"\x89MCAP")
 

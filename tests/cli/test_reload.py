@@ -74,13 +74,13 @@ def said(goal: str) -> str:
 
 
 def test_a_change_ends_the_goals_and_clients_reach_the_next_server_at_the_same_url(
-    file: Path, tmp_path: Path, started: Start, fibaction: Run, unused_tcp_port: int
+    file: Path, tmp_path: Path, started: Start, here: Run, unused_tcp_port: int
 ) -> None:
     url, tcp = f"unix://{tmp_path}/socket", f"tcp://127.0.0.1:{unused_tcp_port}"
     server = started("serve", "reloaded:server", url, tcp, "--reload")
     (first,) = lines_until("", server)
     assert first == f"serving /tell at {url}, {tcp}, Ctrl-C stops it\n"
-    assert fibaction("send_goal", "tell", "0", url=url).out.endswith(said("first"))
+    assert here("send_goal", "tell", "0", url=url).out.endswith(said("first"))
     watching = started("echo", "tell", url=tcp)
     lines_until("SUCCEEDED", watching)
     client = started("send_goal", "tell", "3600", "-f", url=url)
@@ -90,7 +90,7 @@ def test_a_change_ends_the_goals_and_clients_reach_the_next_server_at_the_same_u
     assert code == 1
     assert out.splitlines()[-1] == "Goal finished with status: ABORTED (server stopped)"
     assert lines_until("", server) == [first]  # it serves again
-    done = fibaction("send_goal", "tell", "0", url=url)
+    done = here("send_goal", "tell", "0", url=url)
     assert (done.code, done.err) == (0, "")
     assert done.out.endswith(said("second"))
     lines_until("SUCCEEDED", watching)  # a client that was connected before
@@ -103,7 +103,7 @@ def test_a_change_ends_the_goals_and_clients_reach_the_next_server_at_the_same_u
 
 
 def test_a_syntax_error_is_shown_and_the_next_change_is_waited_for(
-    file: Path, tmp_path: Path, started: Start, fibaction: Run
+    file: Path, tmp_path: Path, started: Start, here: Run
 ) -> None:
     url = f"unix://{tmp_path}/socket"
     file.write_text("print(\n")
@@ -119,7 +119,7 @@ def test_a_syntax_error_is_shown_and_the_next_change_is_waited_for(
     lines_until("waiting for a change", server, errors=True)
     file.write_text(module("another"))
     lines_until("serving /another", server)
-    assert fibaction("list", url=url).lines == ["/another"]
+    assert here("list", url=url).lines == ["/another"]
     server.send_signal(SIGINT)
     assert ended(server).code == 0
 

@@ -53,13 +53,13 @@ def test_a_broker_runs_until_a_signal_comes(
 
 @needs_program
 def test_a_port_or_a_folder_in_use_is_one_sentence(
-    tmp_path: Path, started: Start, fibaction: Run
+    tmp_path: Path, started: Start, here: Run
 ) -> None:
     process = started("broker", "--port", "0", "--data", str(tmp_path / "one"))
     (said,) = lines_until("broker", process)
     port = re.findall(r":(\d+)/", said)[0]
-    same_port = fibaction("broker", "--port", port, "--data", str(tmp_path / "two"))
-    same_folder = fibaction("broker", "--port", "0", "--data", str(tmp_path / "one"))
+    same_port = here("broker", "--port", port, "--data", str(tmp_path / "two"))
+    same_folder = here("broker", "--port", "0", "--data", str(tmp_path / "one"))
     process.send_signal(SIGINT)
     ended(process)
 

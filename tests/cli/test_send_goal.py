@@ -96,8 +96,8 @@ def test_the_type_is_taken_as_ros_users_give_it(here: Run, tcp: str) -> None:
     assert here("send_goal", "/fibonacci", type_name, "{order: 1}", url=tcp).code == 0
 
 
-def test_ctrl_c_cancels_waits_and_says_how_it_ended(started: Start, url: str) -> None:
-    process = started("send_goal", "wait", "--json", url=url)
+def test_ctrl_c_cancels_waits_and_says_how_it_ended(started: Start, tcp: str) -> None:
+    process = started("send_goal", "wait", "--json", url=tcp)
     lines_until("EXECUTING", process)
     interrupt(process)
     code, out, err = ended(process)

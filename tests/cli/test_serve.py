@@ -31,7 +31,7 @@ from tests.support.processes import ended, lines_until
 
 @pytest.mark.parametrize("number", [SIGINT, SIGTERM])
 def test_serve_runs_servers_at_several_urls_until_a_signal_comes(
-    folder: Path, started: Start, fibaction: Run, number: signal.Signals
+    folder: Path, started: Start, here: Run, number: signal.Signals
 ) -> None:
     unix = f"unix://{folder}/socket"
     server = started("serve", "robot:several", "tcp://127.0.0.1:0", unix)
@@ -41,9 +41,9 @@ def test_serve_runs_servers_at_several_urls_until_a_signal_comes(
     )
     assert match
     for url in (match[1], unix):
-        assert fibaction("list", url=url).lines == ["/arm/tell", "/count"]
-    assert fibaction("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
-    assert fibaction("send_goal", "count", "-- -3", url=unix).code == ExitCode.USAGE
+        assert here("list", url=url).lines == ["/arm/tell", "/count"]
+    assert here("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
+    assert here("send_goal", "count", "-- -3", url=unix).code == ExitCode.USAGE
     client = started("send_goal", "count", "100", "-f", url=match[1])
     lines_until("99", client)
     server.send_signal(number)
@@ -61,12 +61,12 @@ def test_serve_runs_servers_at_several_urls_until_a_signal_comes(
     assert "Traceback" not in log
 
 
-def test_the_usual_url_is_the_default(folder: Path, started: Start, fibaction: Run) -> None:
+def test_the_usual_url_is_the_default(folder: Path, started: Start, here: Run) -> None:
     unix = f"unix://{folder}/socket"
     server = started("serve", "robot:server", url=unix)
 
     assert lines_until("", server) == [f"serving /count at {unix}, Ctrl-C stops it\n"]
-    assert fibaction("list", url=unix).lines == ["/count"]
+    assert here("list", url=unix).lines == ["/count"]
 
 
 @pytest.mark.parametrize(
@@ -79,12 +79,12 @@ def test_the_usual_url_is_the_default(folder: Path, started: Start, fibaction: R
     ids=["a clean-up takes long", "a clean-up holds the event loop up", "a thread is left over"],
 )
 def test_a_second_ctrl_c_ends_at_once_and_quietly(
-    folder: Path, terminal: Open, fibaction: Run, order: str, sign: str
+    folder: Path, terminal: Open, here: Run, order: str, sign: str
 ) -> None:
     unix = f"unix://{folder}/socket"
     server = terminal("serve", "robot:server", unix)
     server.until("Ctrl-C stops it")
-    assert fibaction("send_goal", "count", order, "--detach", url=unix).code == 0
+    assert here("send_goal", "count", order, "--detach", url=unix).code == 0
     server.press("\x03")
     server.until(sign)
     # Ctrl-C twice within a moment would count as one.
@@ -206,7 +206,7 @@ async def test_each_change_of_a_goal_is_logged_and_that_it_is_forgotten_is_not(
 
 
 def test_a_goal_that_has_ended_is_there_after_a_kill(
-    folder: Path, started: Start, fibaction: Run
+    folder: Path, started: Start, here: Run
 ) -> None:
     (folder / "robot.py").write_text(
         f"{MODULE}\nserver = ActionServer(COUNT, count, result_timeout=99)\n"
@@ -215,9 +215,9 @@ def test_a_goal_that_has_ended_is_there_after_a_kill(
     command = ("serve", "robot:server", unix, "--store", "goals.db", "--sync", "normal")
     server = started(*command)
     lines_until("serving", server)
-    goal_id = detached(fibaction, unix, "count", "3")
-    assert fibaction("attach", goal_id, url=unix).code == ExitCode.SUCCEEDED
-    second = fibaction(*command)
+    goal_id = detached(here, unix, "count", "3")
+    assert here("attach", goal_id, url=unix).code == ExitCode.SUCCEEDED
+    second = here(*command)
     assert (second.code, second.out) == (ExitCode.STORE, "")
     assert second.err.startswith(f"Error: cannot keep goals in {folder}/goals.db: it is in use by ")
     assert second.err.count("\n") == 1
@@ -226,7 +226,7 @@ def test_a_goal_that_has_ended_is_there_after_a_kill(
 
     (folder / "socket").unlink()
     lines_until("serving", started(*command))
-    assert fibaction("attach", goal_id, url=unix).code == ExitCode.SUCCEEDED
+    assert here("attach", goal_id, url=unix).code == ExitCode.SUCCEEDED
 
 
 @pytest.mark.asyncio

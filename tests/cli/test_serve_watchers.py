@@ -16,14 +16,14 @@ from tests.support.processes import ended, lines_until
 
 
 def test_metrics_of_goals_are_served_until_the_servers_stop(
-    folder: Path, started: Start, fibaction: Run
+    folder: Path, started: Start, here: Run
 ) -> None:
     unix = f"unix://{folder}/socket"
     server = started("serve", "robot:several", unix, "--metrics", ":0")
     lines = lines_until("serving", server)
     found = re.fullmatch(r"metrics at (http://127.0.0.1:\d+/metrics)\n", lines[0])
     assert found
-    assert fibaction("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
+    assert here("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
     with urllib.request.urlopen(found[1], timeout=10) as response:
         text = response.read().decode()
     server.send_signal(SIGINT)

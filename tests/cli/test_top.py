@@ -27,12 +27,12 @@ NEEDS_TERMINAL = (
 
 @pytest.mark.parametrize("columns", [80, 160])
 def test_goals_can_be_watched_followed_and_canceled(
-    terminal: Open, fibaction: Run, url: str, columns: int
+    terminal: Open, here: Run, tcp: str, columns: int
 ) -> None:
-    goal_id = fibaction(
-        "send_goal", "wait", "{seconds: 60, steps: 600}", "--detach", url=url
+    goal_id = here(
+        "send_goal", "wait", "{seconds: 60, steps: 600}", "--detach", url=tcp
     ).out.strip()
-    shown = terminal("top", url=url, columns=columns)
+    shown = terminal("top", url=tcp, columns=columns)
     shown.until(rf"{goal_id[:8]} +/wait +EXECUTING +━*╸?─*  *\d+% .* step: ")
     # Goals of tests before this one may have come before it, and the cursor is at one of them.
     shown.press("\x1b[A" * 10)
@@ -52,10 +52,10 @@ def test_goals_can_be_watched_followed_and_canceled(
 
 
 def test_a_namespace_limits_the_screen_and_is_in_its_first_line(
-    terminal: Open, fibaction: Run, tcp: str
+    terminal: Open, here: Run, tcp: str
 ) -> None:
-    outside = detached(fibaction, tcp, "fibonacci", "order: 1")
-    inside = detached(fibaction, tcp, "arm/pick", "object_name: cup")
+    outside = detached(here, tcp, "fibonacci", "order: 1")
+    inside = detached(here, tcp, "arm/pick", "object_name: cup")
     shown = terminal("top", "-n", "arm", url=tcp, columns=160)
     shown.until(rf"{tcp}  /arm  0 active, ")
     shown.until(rf"{inside[:8]}\w* +/arm/pick +SUCCEEDED")

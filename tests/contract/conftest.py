@@ -3,15 +3,21 @@
 Each test is marked with the promises of docs/guarantees.md that it shows: see
 tests/tools/promises.py. A test that a way cannot keep is listed in `EXCLUSIONS` with the reason,
 and is skipped with it.
+
+Each test runs over each way that has parts of its own. The ways that combine the parts of others,
+and the ways on trio, take turns: see `is_due`. `make contract` runs each test over each way.
 """
 
 from __future__ import annotations
 
 import atexit
 import functools
+import os
 import secrets
 import socket
 import tempfile
+import zlib
+from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Generator
 from contextlib import (
     AbstractAsyncContextManager,
@@ -297,6 +303,68 @@ NOT_ON_TRIO = {
     "nats": "nats:// is made for asyncio: its messages are callbacks of the event loop",
 }
 """The ways that run on asyncio only, with the reasons."""
+
+
+COMBINED = ("gateway", "tls", "unix", "wss", "asgi", "gateway to tcp")
+"""The ways that combine parts, each of which is in another way or has tests of its own."""
+
+ON_TRIO = ("tcp",)
+"""The ways over which each test runs on trio, too."""
+
+TURNS = 4
+"""How many tests share a way that takes turns."""
+
+TAKE_TURNS = [
+    (backend, way)
+    for way in WAYS
+    for backend in ("asyncio", "trio")
+    if not (backend == "trio" and way in NOT_ON_TRIO)
+    and way in (COMBINED if backend == "asyncio" else WAYS.keys() - ON_TRIO)
+]
+"""The combinations that are not run with each test."""
+
+MANY_CASES = 4
+"""A test of more cases than this is a table, and its cases take turns over all combinations."""
+
+
+def is_due(name: str, backend: str, way: str, *, is_case: bool) -> bool:
+    """Return whether a test, or a case of a table, runs over a way when these take turns.
+
+    It depends on the name only, so that each process and each selection of files has the same.
+    """
+    if backend == "trio" and way in NOT_ON_TRIO:
+        return False
+    if (backend, way) in TAKE_TURNS:
+        place = TAKE_TURNS.index((backend, way))
+    elif is_case:
+        place = list(WAYS).index(way) + (backend == "trio")
+    else:
+        return True
+    return (zlib.crc32(name.encode()) + place) % TURNS == 0
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Choose the ways of each test, unless all are asked for, or tests by their names."""
+    if os.environ.get("FIBACTION_CONTRACT") == "whole" or any("::" in one for one in config.args):
+        return
+    here = Path(__file__).parent
+    cases: dict[pytest.Item, tuple[str, str, str, str]] = {}
+    for item in items:
+        if isinstance(item, pytest.Function) and item.path.parent == here:
+            call = getattr(item, "callspec", None)
+            if call is not None and "reach" in call.params:
+                indices = {**call.indices, "anyio_backend": 0, "reach": 0}
+                case = str(sorted(indices.items()))
+                backend, way = call.params["anyio_backend"], call.params["reach"]
+                cases[item] = (item.originalname, case, backend, way)
+    number = Counter(name for name, _ in {case[:2] for case in cases.values()})
+    left_out = {
+        item
+        for item, (name, case, backend, way) in cases.items()
+        if not is_due(name + case, backend, way, is_case=number[name] > MANY_CASES)
+    }
+    items[:] = [item for item in items if item not in left_out]
+    config.hook.pytest_deselected(items=[*left_out])
 
 
 @pytest.fixture(params=["asyncio", "trio"])

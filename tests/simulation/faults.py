@@ -221,7 +221,7 @@ def an_answer_is_dropped(real: Any) -> Any:
     return _say
 
 
-@mistake(Session, "_handle", 14, 5, 8)
+@mistake(Session, "_handle", 5, 8, 14)
 def received_is_not_heard(real: Any) -> Any:
     """Ignore that a client has received the end of a goal."""
 
@@ -242,7 +242,7 @@ def an_orphan_is_never_ended(real: Any) -> Any:
     return _wait
 
 
-@mistake(Subscription, "add", 14, 8, 30)
+@mistake(Subscription, "add", 30, 14, 8)
 def credit_counts_twice(real: Any) -> Any:
     """Send a client more than its credit allows."""
 
@@ -269,7 +269,7 @@ def a_listener_is_lost(real: Any) -> Any:
 # The client's half
 
 
-@mistake(RemoteGoal, "opening", 97, 458, 483)
+@mistake(RemoteGoal, "opening", 483, 97, 458)
 def the_resume_number_is_one_too_large(real: Any) -> Any:
     """Resume a goal on a new connection one message too late."""
 
@@ -381,7 +381,7 @@ def silence_is_not_noticed(real: Any) -> Any:
     return _watch
 
 
-@mistake(StreamChannel, "aclose", 0, 2, 1)
+@mistake(StreamChannel, "aclose", 1, 2, 0)
 def a_connection_is_left_open(real: Any) -> Any:
     """Do not close a connection after its end."""
 

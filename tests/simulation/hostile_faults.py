@@ -31,7 +31,7 @@ def a_limit_is_not_told(real: Any) -> Any:
     return _admits
 
 
-@mistake(AccessPolicy, "permits", 38, 97, 100)
+@mistake(AccessPolicy, "permits", 100, 97, 38)
 def everything_is_permitted(_real: Any) -> Any:
     """Do not ask whether a client has a permission."""
 
@@ -64,7 +64,7 @@ def a_wrong_token_is_accepted(real: Any) -> Any:
     return admit
 
 
-@mistake(SessionClient, "greet", 18, 43, 92)
+@mistake(SessionClient, "greet", 43, 18, 92)
 def a_session_is_not_bound_to_its_token(real: Any) -> Any:
     """Take the session of a client for its own, whatever its token is."""
 
@@ -76,7 +76,7 @@ def a_session_is_not_bound_to_its_token(real: Any) -> Any:
     return greet
 
 
-@mistake(SessionGoals, "limit_for", 24, 27, 35)
+@mistake(SessionGoals, "limit_for", 27, 24, 35)
 def goals_have_no_limit(_real: Any) -> Any:
     """Follow goals without a limit."""
 
@@ -132,7 +132,7 @@ def a_follower_of_statuses_is_never_forgotten(_real: Any) -> Any:
     return leave
 
 
-@mistake(Heartbeat, "agree", 55, 63, 256)
+@mistake(Heartbeat, "agree", 256, 63, 55)
 def a_client_decides_when_it_counts_as_dead(real: Any) -> Any:
     """Wait for a client as long as it likes."""
 

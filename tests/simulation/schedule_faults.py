@@ -58,7 +58,7 @@ def the_total_is_not_kept(_real: Any) -> Any:
     return _has_place
 
 
-@mistake(Scheduler, "leave", 41, 29, 40)
+@mistake(Scheduler, "leave", 29, 41, 40)
 def two_goals_start_for_one_place(real: Any) -> Any:
     """Start the next waiting goal of the key, too, if a successor starts."""
 
@@ -137,7 +137,7 @@ def keys_are_ignored(real: Any) -> Any:
     return offer
 
 
-@mistake(Group, "first", 41, 101, 48)
+@mistake(Group, "first", 48, 101, 41)
 def the_goal_that_has_waited_longest_starts_last(_real: Any) -> Any:
     """Start the goal that came last, whatever its urgency."""
 
@@ -147,7 +147,7 @@ def the_goal_that_has_waited_longest_starts_last(_real: Any) -> Any:
     return first
 
 
-@mistake(Scheduler, "offer", 25, 28, 26)
+@mistake(Scheduler, "offer", 35, 29, 45)
 def a_goal_is_rejected_though_it_may_wait(real: Any) -> Any:
     """Let one goal less wait than `queue` says."""
 
@@ -200,7 +200,7 @@ def a_successor_starts_before_the_clean_up_has_ended(real: Any) -> Any:
     return _carry_out
 
 
-@mistake(Group, "oldest", 150, 393, 426)
+@mistake(Group, "oldest", 426, 150, 393)
 def the_newest_goal_is_preempted(_real: Any) -> Any:
     """Preempt the goal that has run for the shortest time."""
 
@@ -210,7 +210,7 @@ def the_newest_goal_is_preempted(_real: Any) -> Any:
     return oldest
 
 
-@mistake(Scheduler, "_give_way", 41, 101, 213)
+@mistake(Scheduler, "_give_way", 213, 101, 41)
 def the_oldest_goal_is_replaced(real: Any) -> Any:
     """Replace the goal that has waited longest."""
 

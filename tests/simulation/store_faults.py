@@ -42,7 +42,7 @@ def an_acceptance_is_told_before_it_is_kept(real: Any) -> Any:
     return accept
 
 
-@mistake(GoalKeeper, "end", 18, 20, 25)
+@mistake(GoalKeeper, "end", 20, 18, 25)
 def an_end_is_told_before_it_is_kept(real: Any) -> Any:
     """Tell the outcome as soon as it is handed to the store."""
 
@@ -64,7 +64,7 @@ def a_cancel_is_told_before_it_is_kept(real: Any) -> Any:
     return cancel
 
 
-@mistake(Cancels, "__init__", 18, 26, 28)
+@mistake(Cancels, "__init__", 28, 26, 18)
 def a_cancel_is_answered_before_it_is_kept(real: Any) -> Any:
     """Do not wait for the store before a cancel is answered."""
 
@@ -75,7 +75,7 @@ def a_cancel_is_answered_before_it_is_kept(real: Any) -> Any:
     return __init__
 
 
-@mistake(GoalKeeper, "begin", 25, 26, 28)
+@mistake(GoalKeeper, "begin", 28, 26, 25)
 def an_executor_starts_before_its_attempt_is_kept(real: Any) -> Any:
     """Start an executor as soon as its begin is handed to the store."""
 
@@ -86,7 +86,7 @@ def an_executor_starts_before_its_attempt_is_kept(real: Any) -> Any:
     return begin
 
 
-@mistake(GoalKeeper, "kept", 25, 26, 18)
+@mistake(GoalKeeper, "kept", 26, 18, 25)
 def a_checkpoint_returns_before_it_is_kept(_real: Any) -> Any:
     """Do not wait for the store in `checkpoint`."""
 
@@ -110,7 +110,7 @@ def a_failed_write_is_taken_for_kept(_real: Any) -> Any:
 # Forgotten
 
 
-@mistake(GoalKeeper, "cancel", 18, 20, 26)
+@mistake(GoalKeeper, "cancel", 20, 26, 18)
 def a_cancel_is_not_written(_real: Any) -> Any:
     """Accept a cancel, and keep it nowhere."""
 
@@ -120,7 +120,7 @@ def a_cancel_is_not_written(_real: Any) -> Any:
     return cancel
 
 
-@mistake(GoalKeeper, "end", 18, 25, 33)
+@mistake(GoalKeeper, "end", 33, 18, 25)
 def the_result_is_not_written(real: Any) -> Any:
     """Keep the end of a goal without its result."""
 
@@ -155,7 +155,7 @@ def outcomes_are_forgotten(real: Any) -> Any:
 # Recovered wrongly
 
 
-@mistake(Recovery, "claim", 41, 67)
+@mistake(Recovery, "claim", 67, 41)
 def a_cancel_is_forgotten_at_a_restart(real: Any) -> Any:
     """Run goals again whose cancel was accepted."""
 
@@ -177,7 +177,7 @@ def no_checkpoint_is_restored(_real: Any) -> Any:
     return restored
 
 
-@mistake(GoalKeeper, "checkpoint", 25, 26, 33)
+@mistake(GoalKeeper, "checkpoint", 26, 33, 25)
 def only_the_first_checkpoint_is_kept(real: Any) -> Any:
     """Write the first checkpoint of a goal again instead of a later one."""
 
@@ -234,7 +234,7 @@ def an_attempt_has_the_number_of_the_one_before(real: Any) -> Any:
     return begin
 
 
-@mistake(GoalRegistry, "restore", 20, 1, 18)
+@mistake(GoalRegistry, "restore", 18, 1, 20)
 def a_restored_goal_has_another_stamp(real: Any) -> Any:
     """Give goals a new stamp at each restart, so that they look like others to their clients."""
 
@@ -262,7 +262,7 @@ def the_outcome_of_a_restored_goal_expires_at_once(real: Any) -> Any:
 # At a stop
 
 
-@mistake(Runs, "_is_kept", 52, 192)
+@mistake(Runs, "_is_kept", 192, 52)
 def a_goal_that_is_kept_is_told_as_aborted(_real: Any) -> Any:
     """End goals at a planned restart that are to be kept."""
 
@@ -272,7 +272,7 @@ def a_goal_that_is_kept_is_told_as_aborted(_real: Any) -> Any:
     return _is_kept
 
 
-@mistake(GoalKeeper, "release", 52, 192)
+@mistake(GoalKeeper, "release", 192, 52)
 def a_goal_that_is_kept_is_not_released(_real: Any) -> Any:
     """Leave goals that are kept at a planned restart as running."""
 

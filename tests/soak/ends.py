@@ -112,6 +112,7 @@ async def answer(given: AsyncIterator[str], ends: Counter[str]) -> None:
 async def run(end: str, url: str) -> None:
     given = orders()
     await anext(given)
+    gc.freeze()  # modules stay, and each collection would look at them again
     await anyio.getaddrinfo("127.0.0.1", 0)  # asyncio keeps the thread that it starts for this
     say(state())
     found = await (server if end == "server" else client)(url, given)

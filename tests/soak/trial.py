@@ -65,7 +65,7 @@ def busy(count: int) -> Iterator[list[int]]:
             process.wait()
 
 
-async def run(soak: Soak) -> dict[str, Any]:
+async def run(soak: Soak, *, count: int = SAMPLES) -> dict[str, Any]:
     """Run a soak, and return its report; tell how it goes ten times meanwhile."""
     about = {
         "name": soak.name,
@@ -89,7 +89,7 @@ async def run(soak: Soak) -> dict[str, Any]:
                 before["client"] = await client.ask("begin")
                 ends = {"server": server, "client": client}
                 began = _processors(loaders)
-                samples = await _samples(ends, soak.seconds)
+                samples = await _samples(ends, soak.seconds, count)
                 passed, others = (
                     now - then for now, then in zip(_processors(loaders), began, strict=True)
                 )
@@ -108,16 +108,16 @@ async def run(soak: Soak) -> dict[str, Any]:
     }
 
 
-async def _samples(ends: dict[str, Program], seconds: float) -> dict[str, Any]:
+async def _samples(ends: dict[str, Program], seconds: float, count: int) -> dict[str, Any]:
     samples: dict[str, Any] = {"at": [], **{end: {} for end in ends}}
     start = anyio.current_time()
-    for number in range(1, SAMPLES + 1):
-        await anyio.sleep_until(start + number * seconds / SAMPLES)
+    for number in range(1, count + 1):
+        await anyio.sleep_until(start + number * seconds / count)
         samples["at"].append(round(anyio.current_time() - start, 2))
         for end, process in ends.items():
             for what, value in (await process.ask("state")).items():
                 samples[end].setdefault(what, []).append(value)
-        if number % (SAMPLES // 10) == 0:
+        if number % (count // 10) == 0:
             told = {end: {what: samples[end][what][-1] for what in USED} for end in ends}
             goals = samples["client"]["goals"][-1]
             print(f"{samples['at'][-1]:4.0f} s: {goals:,} goals, {told}", flush=True)

@@ -52,6 +52,7 @@ class Tracer:
         self._tests = {test for _, tests in self._modules for test in tests}
         self._probes = Probes(*PACKAGES)
         self._found: dict[Path, dict[str, set[Place]]] = {}
+        self._followed = IMPORTING
         self._test: Path | None = IMPORTING
         # Else the test file that is the first to need a module would get its definitions.
         for module, _ in self._modules:
@@ -59,7 +60,8 @@ class Tracer:
 
     def follow(self, path: Path) -> None:
         """Count from now on for the tests at this path, if they cover a module."""
-        if path != self._test:
+        if path != self._followed:
+            self._followed = path
             self._take()
             is_wanted = path in self._tests or not self._tests.isdisjoint(path.parents)
             self._test = path if is_wanted else None
