@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction import GoalID, GoalStatus, Outcome
-from fibaction.server.registry.registry import GoalRegistry
 from fibaction.words.statuses import INITIAL
 from tests.simulation.facts import Life, Truth
 from tests.simulation.invariants import Record
@@ -23,7 +22,7 @@ class Known:
         server = ServerPlan(schedule=SchedulePlan(**rules), shutdown_timeout=5.0)
         self.record = Record(Scenario(0, "calm", server, ()), lambda: self.now)
         self.places: Places = self.record.places
-        self.life = Life(1, 0.0, GoalRegistry())
+        self.life = Life(1, 0.0, lambda _: False)
         self.record.lives.append(self.life)
         self.record.may_cancel(None)
 
