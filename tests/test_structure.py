@@ -19,11 +19,8 @@ LINES_OF_SLACK = 10
 
 REPEATED_CLASSES: dict[str, int] = {}
 AMBIGUOUS_CONSTANTS = {
-    "MOST": 2,
     "MOST_AT_ONCE": 2,
     "PATIENCE": 2,
-    "PAUSE": 2,
-    "TIMEOUT": 2,
     "TRY_AGAIN": 2,
 }
 FACADES = {
