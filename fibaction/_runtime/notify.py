@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import asyncio  # noqa: TID251  # the type of an event
 
 
-def new_event() -> anyio.Event | asyncio.Event:
+def _new_event() -> anyio.Event | asyncio.Event:
     """Return an event for the tasks of this event loop.
 
     On asyncio it is asyncio's own: anyio's takes longer to make, and a goal that is sent needs two.
@@ -51,5 +51,5 @@ class Notifier:
     async def wait(self) -> None:
         """Wait for the next `notify()`."""
         if self._event is None:
-            self._event = new_event()
+            self._event = _new_event()
         await self._event.wait()
