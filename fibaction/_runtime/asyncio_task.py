@@ -1,10 +1,8 @@
-"""asyncio behind anyio: its task and its event loop, which run the caller, and its events."""
+"""asyncio behind anyio: its task and its event loop, which run the caller."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
-
-import anyio
 
 if TYPE_CHECKING:
     import asyncio  # noqa: TID251  # the one module that asks for it, for all
@@ -18,16 +16,6 @@ def asyncio_task() -> asyncio.Task[Any] | None:
         return asyncio.current_task()
     except RuntimeError:  # no loop of asyncio runs
         return None
-
-
-def new_event() -> anyio.Event | asyncio.Event:
-    """Return an event for the tasks of this event loop.
-
-    On asyncio it is asyncio's own: anyio's takes longer to make, and a goal that is sent needs two.
-    """
-    import asyncio  # noqa: TID251  # as above
-
-    return anyio.Event() if asyncio_task() is None else asyncio.Event()
 
 
 def asyncio_loop() -> asyncio.AbstractEventLoop:

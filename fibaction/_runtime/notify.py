@@ -5,12 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from fibaction._runtime.asyncio_task import new_event
+import anyio
 
 if TYPE_CHECKING:
     import asyncio  # noqa: TID251  # the type of an event
 
-    import anyio
+
+def _new_event() -> anyio.Event | asyncio.Event:
+    """Return an event for the tasks of this event loop.
+
+    On asyncio it is asyncio's own: anyio's takes longer to make, and a goal that is sent needs two.
+    """
+    import asyncio  # noqa: TID251  # not imported with `fibaction`, since a program may be of trio
+
+    try:  # as `asyncio_task` does, which would be one more call for each wait
+        is_asyncio = asyncio.current_task() is not None
+    except RuntimeError:  # no loop of asyncio runs
+        is_asyncio = False
+    return asyncio.Event() if is_asyncio else anyio.Event()
 
 
 class Notifier:
@@ -39,5 +51,5 @@ class Notifier:
     async def wait(self) -> None:
         """Wait for the next `notify()`."""
         if self._event is None:
-            self._event = new_event()
+            self._event = _new_event()
         await self._event.wait()

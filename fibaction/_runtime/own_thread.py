@@ -14,15 +14,16 @@ class OwnThread:
     It is the one that makes the object in a task, or else the one that uses it first.
     """
 
-    __slots__ = ("_ident",)
+    __slots__ = ("ident",)
 
     def __init__(self) -> None:
-        self._ident = 0
+        self.ident = 0
+        """The number of the thread; 0 before it is known."""
         try:
             anyio.get_current_task()
         except RuntimeError:
             return  # the object is made before the event loop runs
-        self._ident = get_ident()
+        self.ident = get_ident()
 
     def check(self) -> None:
         """Raise an error in another thread.
@@ -30,15 +31,15 @@ class OwnThread:
         Raises:
             RuntimeError: This is another thread; the text says what to do.
         """
-        if get_ident() != self._ident:
-            if self._ident:
+        if get_ident() != self.ident:
+            if self.ident:
                 raise RuntimeError(
                     f"this client belongs to the event loop of thread {self._name()!r}, and was"
                     f" used in thread {current_thread().name!r}: call it in its own thread, for"
                     f" example with anyio.from_thread.run(client.call, goal)"
                 )
-            self._ident = get_ident()
+            self.ident = get_ident()
 
     def _name(self) -> str:
-        names = [thread.name for thread in enumerate_threads() if thread.ident == self._ident]
+        names = [thread.name for thread in enumerate_threads() if thread.ident == self.ident]
         return names[0] if names else "one that has ended"

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
+from threading import get_ident
 from typing import Generic, TypeVar
 
 import anyio
@@ -80,14 +81,15 @@ class FeedbackReader(Generic[FeedbackT]):
             TransportError: As for `ClientGoal.outcome`.
             ProtocolError: The feedback is not of its type.
         """
-        self._thread.check()
+        if self._thread.ident != get_ident():  # else without a call: each message is here
+            self._thread.check()
         if not self._holding:
             self._holding = True
             self.stream.hold(True)
         if self._attempts is not None:
             return await self._next_in_time(self._attempts)
         stream = self.stream
-        while stream.reads:  # as `GoalStream.receive`, without a call: each message is here
+        while stream.reads:  # as in `GoalStream.receive`
             updates = stream.take()
             if not updates:
                 await stream.news.wait()

@@ -325,4 +325,5 @@ class FeedbackCursor(GoalStream):
     def _leave(self) -> None:
         self._may_hold = self.holding = False
         self.news.notify()
-        self._log.leave(self)
+        if self._log.outcome is None:  # else the log references it no longer
+            self._log.leave(self)

@@ -7,7 +7,7 @@ import anyio
 import anyio.to_thread
 import pytest
 
-from fibaction._runtime.asyncio_task import asyncio_loop, asyncio_task, new_event
+from fibaction._runtime.asyncio_task import asyncio_loop, asyncio_task
 
 
 @pytest.mark.asyncio
@@ -43,26 +43,3 @@ async def test_the_loop_is_that_of_the_caller(
     if not has_sniffio:
         monkeypatch.setitem(sys.modules, "sniffio", None)
     assert asyncio_loop() is asyncio.get_running_loop()
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_an_event_wakes_the_tasks_of_either_loop(backend: str) -> None:
-    async def wake() -> bool:
-        event = new_event()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(event.wait)
-            await anyio.wait_all_tasks_blocked()
-            event.set()
-        return event.is_set()
-
-    assert anyio.run(wake, backend=backend)
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_a_wait_for_an_event_is_canceled_by_a_scope(backend: str) -> None:
-    async def wait() -> bool:
-        with anyio.move_on_after(0) as scope:
-            await new_event().wait()
-        return scope.cancelled_caught
-
-    assert anyio.run(wait, backend=backend)

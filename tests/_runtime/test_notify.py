@@ -5,7 +5,7 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from fibaction._runtime.notify import Notifier
+from fibaction._runtime.notify import Notifier, _new_event
 
 
 @pytest.mark.asyncio
@@ -111,3 +111,26 @@ async def test_a_listener_may_wake_and_listen_again() -> None:
             await anyio.wait_all_tasks_blocked()
             waking.notify()
     assert rounds == [0, 1]
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_an_event_wakes_the_tasks_of_either_loop(backend: str) -> None:
+    async def wake() -> bool:
+        event = _new_event()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(event.wait)
+            await anyio.wait_all_tasks_blocked()
+            event.set()
+        return event.is_set()
+
+    assert anyio.run(wake, backend=backend)
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_a_wait_for_an_event_is_canceled_by_a_scope(backend: str) -> None:
+    async def wait() -> bool:
+        with anyio.move_on_after(0) as scope:
+            await _new_event().wait()
+        return scope.cancelled_caught
+
+    assert anyio.run(wait, backend=backend)

@@ -16,9 +16,9 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.process.exit_codes import ExitCode, reason_of
 from fibaction.cli.verbs import cancel
-from fibaction.cli.verbs.cancel import cancel_many, reason_of
+from fibaction.cli.verbs.cancel import cancel_many
 from tests.cli.conftest import Invoke, Run, detached
 from tests.cli.robot import WAIT
 from tests.cli.served import counter

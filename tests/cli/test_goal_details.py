@@ -58,7 +58,7 @@ async def test_the_end_of_a_goal_is_its_reason_and_its_result(
     outcome: Any, expected: Detail, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if outcome is Ellipsis:
-        monkeypatch.setattr(goal_details, "TIMEOUT", 0.01)
+        monkeypatch.setattr(goal_details, "DETAILS_TIMEOUT", 0.01)
     details = GoalDetails(Answering(outcome))
     await details.ask(details.unknown([ONE], []))
 

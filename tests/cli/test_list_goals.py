@@ -194,8 +194,8 @@ def screen(monkeypatch: pytest.MonkeyPatch) -> Console:
     console = Console(file=io.StringIO(), force_terminal=True, width=80, height=10, highlight=False)
     monkeypatch.setattr(list_goals, "on_terminal", lambda: True)
     monkeypatch.setattr(list_goals, "console", lambda: console)
-    monkeypatch.setattr(list_goals, "PAUSE", 0.01)
-    monkeypatch.setattr(list_goals, "TIMEOUT", 0.05)
+    monkeypatch.setattr(list_goals, "UPDATE_PAUSE", 0.01)
+    monkeypatch.setattr(list_goals, "AWAY_TIMEOUT", 0.05)
     return console
 
 
@@ -324,8 +324,8 @@ async def test_the_connection_is_checked_for_a_moment(monkeypatch: pytest.Monkey
         await list_goals._check_connection(clients)
         return anyio.current_time() - start
 
-    assert await seconds([client]) == pytest.approx(list_goals.TIMEOUT)  # it does not run yet
-    assert await seconds([]) == pytest.approx(list_goals.TIMEOUT)
+    assert await seconds([client]) == pytest.approx(list_goals.AWAY_TIMEOUT)  # it does not run yet
+    assert await seconds([]) == pytest.approx(list_goals.AWAY_TIMEOUT)
     async with server:
         assert await seconds([client]) == 0
 

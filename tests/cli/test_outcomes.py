@@ -37,7 +37,7 @@ async def test_goals_that_have_ended_have_a_reason_or_a_result(
         assert empty is not None
         assert running is None
 
-        monkeypatch.setattr(outcomes, "MOST", 1)
+        monkeypatch.setattr(outcomes, "MOST_ENDS", 1)
         newest = await Outcomes().of(clients, rows)
         assert [row.outcome is not None for row in newest] == [False, False, True, False]
 
@@ -45,7 +45,7 @@ async def test_goals_that_have_ended_have_a_reason_or_a_result(
 async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(outcomes, "TIMEOUT", 0.01)
+    monkeypatch.setattr(outcomes, "ENDS_TIMEOUT", 0.01)
     async with counter("count", ["done"]) as server:
         client = ActionClient(server, server.action)
         await client.call(1)

@@ -313,7 +313,7 @@ async def test_keys_quit(key: str) -> None:
 
 @pytest.mark.asyncio
 async def test_some_of_many_actions_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(screen, "MOST", 2)
+    monkeypatch.setattr(screen, "MOST_SHOWN", 2)
     monitor = filled()
     monitor.on_actions([ActionInfo(f"name{number}") for number in range(1000)], "")
     async with shown(monitor) as pilot:

@@ -463,7 +463,7 @@ async def test_the_trace_of_the_environment_goes_with_the_goal(
 async def test_a_goal_that_waits_in_a_queue_tells_its_place(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(send_goal, "PAUSE", 0)
+    monkeypatch.setattr(send_goal, "QUEUE_PAUSE", 0)
     told = anyio.Event()
 
     def note(text: str) -> None:
@@ -490,7 +490,7 @@ async def test_a_goal_that_waits_in_a_queue_tells_its_place(
 async def test_a_goal_of_a_client_that_may_not_observe_goes_on_without_its_place(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(send_goal, "PAUSE", 0)
+    monkeypatch.setattr(send_goal, "QUEUE_PAUSE", 0)
     asked = anyio.Event()
     server = waiting()
     status = server.status
@@ -605,7 +605,7 @@ async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
 async def test_a_goal_that_is_not_answered_in_time_is_withdrawn(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
+    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     server, _, decide = deciding()
 
     async with serve(server, "inproc://keys"):
@@ -675,7 +675,7 @@ async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
     cancel_goals: Callable[..., Any] | None,
     text: str,
 ) -> None:
-    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
+    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
 
     async with serve(server, "inproc://keys"):
@@ -712,7 +712,7 @@ async def test_an_output_that_is_closed_cancels_the_goal(
 async def test_an_output_that_is_closed_does_not_wait_for_a_server_that_is_silent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
+    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     monkeypatch.setattr(send_goal, "print_goal", closed)
     server = waiting()
 

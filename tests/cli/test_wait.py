@@ -30,7 +30,7 @@ def test_an_action_that_does_not_come_is_an_error(here: Run, tcp: str, nobody: s
 
 @pytest.mark.asyncio
 async def test_a_server_that_starts_later_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "PAUSE", 0.001)
+    monkeypatch.setattr(module, "LOOK_PAUSE", 0.001)
     server = counter("count")
     with anyio.fail_after(10):
         async with serve(counter("reserve"), "tcp://127.0.0.1:0") as (url,):

@@ -64,7 +64,7 @@ def project(tmp_path: Path) -> Path:
         "fibaction/first.py": FIRST,
         "fibaction/wire/__init__.py": '"""A package."""\n',
         "fibaction/wire/sign.py": SIGN,
-        "fibaction/wire/messages.py": SIGN,
+        "fibaction/wire/codec.py": SIGN,
         "transports/fibaction_transports/__init__.py": '"""Nothing."""\n',
         "tests/__init__.py": "",
         "tests/tools/__init__.py": "",
@@ -175,7 +175,7 @@ def test_a_module_that_has_a_test_file_of_its_own_in_a_unit_is_covered_by_that_a
     test.rename(test.with_name("test_more.py"))
     test.write_text("")
     status, said = run(project, "tests")
-    assert "fibaction/wire/messages.py: 4, 5, 6\n" in said
+    assert "fibaction/wire/codec.py: 4, 5, 6\n" in said
     assert status == 1
 
 

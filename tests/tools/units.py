@@ -51,7 +51,7 @@ UNITS = {
     "fibaction/stores/journal_rows.py": ["tests/stores/test_journal_rows.py"],
     "fibaction/stores/sqlite_store.py": ["tests/stores/test_sqlite_store.py"],
     "fibaction/wire/codec.py": ["tests/wire/test_messages.py"],
-    "fibaction/wire/messages.py": ["tests/wire/test_messages.py"],
+    "fibaction/wire/messages": ["tests/wire/test_messages.py"],
     "fibaction/wire": ["tests/wire"],
     "fibaction/wire/settings.py": ["tests/wire", "tests/transports/tcp"],
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],

@@ -19,7 +19,7 @@ from fibaction.words.errors import ActionError
 
 MOST_AT_ONCE = 10
 """Goals that are asked for at once."""
-TIMEOUT = 5.0
+DETAILS_TIMEOUT = 5.0
 """Seconds for the answer."""
 
 
@@ -104,8 +104,8 @@ class GoalDetails:
 
 async def _answer(question: DetailQuestion) -> Detail:
     """Return the answer; the reason instead, if it cannot be had."""
-    reason = f"there was no answer within {TIMEOUT:g} s"
-    with anyio.move_on_after(TIMEOUT):
+    reason = f"there was no answer within {DETAILS_TIMEOUT:g} s"
+    with anyio.move_on_after(DETAILS_TIMEOUT):
         try:
             return await question.ask(question.key)
         except ActionError as exc:

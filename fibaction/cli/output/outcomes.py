@@ -15,10 +15,10 @@ from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import GoalID, Outcome
 
-MOST = 50
+MOST_ENDS = 50
 """Goals whose outcomes are asked for, the newest: each is a request, and a result may be large."""
 MOST_AT_ONCE = 10
-TIMEOUT = 2.0
+ENDS_TIMEOUT = 2.0
 """Seconds for all of them; the list is shown then, without those that have not come."""
 
 
@@ -32,10 +32,10 @@ class Outcomes:
         self,
         clients: Mapping[str, AnyClient],
         rows: Sequence[GoalRow],
-        timeout: float = TIMEOUT,
+        timeout: float = ENDS_TIMEOUT,
     ) -> list[GoalRow]:
         """Return the rows, those of the newest goals that have ended with their outcomes."""
-        newest = [row for row in rows if not row.info.status.is_active][-MOST:]
+        newest = [row for row in rows if not row.info.status.is_active][-MOST_ENDS:]
         ids = {row.info.goal_id for row in newest}
         self._known = {key: one for key, one in self._known.items() if key in ids}
         limit = anyio.CapacityLimiter(MOST_AT_ONCE)

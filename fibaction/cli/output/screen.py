@@ -17,14 +17,13 @@ from fibaction.cli.output.goal_details import DetailQuestion, GoalDetails
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.goal_view import GoalView
 from fibaction.cli.output.screen_tables import GoalTable, Table, action_table
-from fibaction.cli.process.exit_codes import message_of
-from fibaction.cli.verbs.cancel import reason_of
+from fibaction.cli.process.exit_codes import message_of, reason_of
 from fibaction.observe.monitor import GoalKey, GoalSnapshot, Monitor, Snapshot
 from fibaction.words.errors import ActionError
 
 PERIOD = 0.5
 """Seconds between two pictures."""
-MOST = 200
+MOST_SHOWN = 200
 """Goals and actions that are shown: each costs time at every picture."""
 
 
@@ -60,7 +59,7 @@ class TopScreen(App[None]):
         super().__init__()
         self._monitor = monitor
         self._where = where
-        self._view = GoalView(monitor, MOST)
+        self._view = GoalView(monitor, MOST_SHOWN)
         self._details = GoalDetails(monitor)
         self._goal_table = GoalTable(self._details)
         self._followed: GoalSnapshot | None = None
@@ -99,7 +98,7 @@ class TopScreen(App[None]):
             self._draw_state(snapshot)
             # Actions with active goals come first, if not all of them fit.
             actions = sorted(snapshot.actions, key=lambda one: (not one.active, one.info.name))
-            self._fill("actions", action_table(actions[:MOST]))
+            self._fill("actions", action_table(actions[:MOST_SHOWN]))
             width = self.size.width
             self._fill("goals", self._goal_table.table(snapshot.goals, width, time.time()))
             self._goals().move_cursor(row=self._view.place_of(selected, cursor), scroll=False)

@@ -31,6 +31,7 @@ from fibaction.words.errors import (
     TransportError,
     UnknownGoal,
 )
+from fibaction.words.goals import CancelAnswer, CancelCode
 
 
 class ExitCode(IntEnum):
@@ -115,6 +116,13 @@ def advising(advice: str) -> Generator[None, None, None]:
         yield
     except ServerNotFound as exc:
         raise failure_of(exc, advice) from exc
+
+
+def reason_of(answer: CancelAnswer) -> str:
+    """Return why goals are not canceled."""
+    if answer.return_code is CancelCode.GOAL_TERMINATED:
+        return "it has ended already"
+    return answer.reason or "the server does not say why"
 
 
 def message_of(error: ActionError | str, advice: str = "") -> str:

@@ -21,7 +21,7 @@ from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.lines import note, say, say_json
-from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, reason_of, run
 from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError, UnknownGoal
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
@@ -163,13 +163,6 @@ def _print_answer(
     for goal_id in rejected:
         _print_goal(action, goal_id, None, why, as_json)
     return ExitCode.ABORTED if rejected else ExitCode.SUCCEEDED
-
-
-def reason_of(answer: CancelAnswer) -> str:
-    """Return why goals are not canceled."""
-    if answer.return_code is CancelCode.GOAL_TERMINATED:
-        return "it has ended already"
-    return answer.reason or "the server does not say why"
 
 
 def _print_goal(

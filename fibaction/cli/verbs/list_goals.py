@@ -26,9 +26,9 @@ from fibaction.cli.verbs.echo import EventPrinter, print_events
 from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError
 
-PAUSE = 0.5
+UPDATE_PAUSE = 0.5
 """Seconds between two updates of a list that is watched."""
-TIMEOUT = 1.0
+AWAY_TIMEOUT = 1.0
 """Seconds without an answer after which the server is shown as away."""
 
 
@@ -141,26 +141,26 @@ async def _watch_screen(connection: ClientConnection, name: str | None) -> None:
     with Live(console=screen, auto_refresh=False, redirect_stderr=to_terminal) as live:
         while True:
             live.update(picture(screen, rows, away, actions=name is None), refresh=True)
-            await anyio.sleep(PAUSE)
+            await anyio.sleep(UPDATE_PAUSE)
             away = "it does not answer"
-            with anyio.move_on_after(TIMEOUT):
+            with anyio.move_on_after(AWAY_TIMEOUT):
                 try:
                     clients = await actions.now()
                     rows, away = await goals_of(clients), ""
                 except ActionError as exc:
                     away = message_of(exc)
-            rows = await outcomes.of(clients, rows, PAUSE)
+            rows = await outcomes.of(clients, rows, UPDATE_PAUSE)
             if away:
                 await _check_connection(clients.values())
 
 
 async def _check_connection(clients: Iterable[AnyClient]) -> None:
-    """Wait for a server, at most `TIMEOUT` seconds.
+    """Wait for a server, at most `AWAY_TIMEOUT` seconds.
 
     Raises:
         ActionError: The connection is lost and is not reopened.
     """
-    with anyio.move_on_after(TIMEOUT):
+    with anyio.move_on_after(AWAY_TIMEOUT):
         for client in clients:
             return await client.wait_for_server()  # all have the same connection
-        await anyio.sleep(TIMEOUT)
+        await anyio.sleep(AWAY_TIMEOUT)

@@ -32,11 +32,11 @@ from fibaction.words.errors import ActionError, GoalRejected
 from fibaction.words.goals import CancelCode, GoalID
 from fibaction.words.meta import trace_meta
 
-TIMEOUT = 5.0
+CANCEL_TIMEOUT = 5.0
 """Seconds for a goal to be canceled and to end after its --timeout, and for a cancel without which
 the command could end."""
 
-PAUSE = 0.5
+QUEUE_PAUSE = 0.5
 """Seconds after which the command tells that a goal waits in a queue."""
 
 _TYPE_NAME = re.compile(r"\w+/action/\w+", re.ASCII)
@@ -217,7 +217,7 @@ class _GoalSender:
                     tasks.start_soon(self._tell_place)
                 return await print_goal(stream, action, self._printer, live=live)
         except OSError:
-            with anyio.move_on_after(TIMEOUT):
+            with anyio.move_on_after(CANCEL_TIMEOUT):
                 await self._cancel()  # the reader of the output has gone
             raise
 
@@ -234,7 +234,7 @@ class _GoalSender:
             )
         except get_cancelled_exc_class():
             # It may have arrived, and no client would know of it.
-            self._withdrawal.deadline = anyio.current_time() + TIMEOUT
+            self._withdrawal.deadline = anyio.current_time() + CANCEL_TIMEOUT
             with self._withdrawal, suppress(ActionError):
                 await self._endpoint.cancel_goals(self._goal_id)
             raise
@@ -243,7 +243,7 @@ class _GoalSender:
 
     async def _tell_place(self) -> None:
         """Print the goal's place if it still waits in a queue after a while."""
-        await anyio.sleep(PAUSE)
+        await anyio.sleep(QUEUE_PAUSE)
         with suppress(ActionError):  # the client may not observe, for example
             with await self._endpoint.status() as statuses:
                 infos = await statuses.listed()
@@ -280,7 +280,7 @@ class _GoalSender:
         self._late = True
         if self._phase == "accepted":
             note(f"The goal has not ended within {seconds:g} s. Canceling goal...")
-            with anyio.move_on_after(TIMEOUT):
+            with anyio.move_on_after(CANCEL_TIMEOUT):
                 if await self._cancel():
                     await anyio.sleep_forever()
         self._all.cancel()

@@ -15,7 +15,7 @@ from fibaction.cli.arguments.options import url_option
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.words.errors import ConnectionLost, ServerNotFound
 
-PAUSE = 0.2
+LOOK_PAUSE = 0.2
 """Seconds between two looks for the actions."""
 
 
@@ -54,7 +54,7 @@ async def wait(url: str, names: Sequence[str], timeout: float | None) -> int:
                 missing -= await _served(connection)
                 if not missing:
                     return ExitCode.SUCCEEDED
-                await anyio.sleep(PAUSE)
+                await anyio.sleep(LOOK_PAUSE)
     raise Failure(
         f"{', '.join(sorted(missing))}: not served within {timeout:g} s", ExitCode.UNREACHABLE
     )

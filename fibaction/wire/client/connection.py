@@ -11,7 +11,7 @@ Its parts know each other in one direction only:
   followed from the last feedback that arrived.
 - `Reconnector` decides when to connect, again and again, and when calls stop waiting.
 - `RemoteEndpoint` turns the methods of an `Endpoint` into calls.
-- This module opens a line, says hello, and hands messages to the calls.
+- `RemoteConnection` opens a line, says hello, and hands messages to the calls.
 
 A line goes through these steps. `_attempt` opens it and posts `Hello`, which has the version, the
 token and the *session*: 16 random bytes, the same on every line of this client, by which the server
@@ -32,27 +32,35 @@ Leaving says `Goodbye`, so that the server does not wait for this client, and th
 from __future__ import annotations
 
 import secrets
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
 
 from fibaction._runtime.tasks import Background
-from fibaction.border.abc import Connection, Endpoint
+from fibaction._runtime.text import shortened
+from fibaction.border.abc import Connection, Endpoint, GoalRequest
 from fibaction.types.action import Action, ActionInfo
 from fibaction.wire.channel import Line
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.reconnect import Reconnector
-from fibaction.wire.client.remote_endpoint import RemoteEndpoint
+from fibaction.wire.client.remote_goal import RemoteGoal
+from fibaction.wire.client.remote_statuses import RemoteStatuses
 from fibaction.wire.codec import FromServer, decode_from_server, encode
 from fibaction.wire.errors import error_of_goodbye
 from fibaction.wire.link import FIRST_PING, Link, naming
 from fibaction.wire.messages import (
+    LARGEST,
     VERSION,
     Actions,
     AskPeers,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Done,
     Ended,
+    Follow,
     Goodbye,
     Hello,
     ListActions,
@@ -63,8 +71,14 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.wire.settings import ClientSettings
-from fibaction.words.errors import ActionError, ProtocolError, ServerNotFound
-from fibaction.words.goals import ActionPeers
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    LimitReached,
+    ProtocolError,
+    ServerNotFound,
+)
+from fibaction.words.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
 
 OPEN_TIMEOUT = 5.0
 """Seconds that one attempt to connect may take."""
@@ -206,6 +220,66 @@ class RemoteConnection(Connection):
         self.lost_at = None
         self.calls.reopen(self._link, welcome.max_frame)
         self._reconnector.opened()
+
+
+class RemoteEndpoint(Endpoint):
+    """An action whose server is at the other end of a connection."""
+
+    def __init__(self, calls: OpenCalls, reconnector: Reconnector, info: ActionInfo) -> None:
+        self._calls = calls
+        self._reconnector = reconnector
+        self._info = info
+
+    @property
+    def info(self) -> ActionInfo:
+        return self._info
+
+    def offer_goal(self, request: GoalRequest) -> Coroutine[Any, Any, RemoteGoal]:
+        return self._calls.send(self._info.name, request)
+
+    async def feedback(
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
+    ) -> RemoteGoal:
+        if after is not None:
+            after = min(max(after, 0), LARGEST)  # as the server would do
+        return await self._calls.follow(
+            goal_id,
+            lambda call_id, credit: Follow(
+                call_id, self._info.name, goal_id, after, own, credit, attempt
+            ),
+        )
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        if stamp:  # 0 is not a stamp; a number that cannot be sent keeps its meaning
+            stamp = min(max(stamp, 1), LARGEST)
+        answer: CancelAnswered = await self._calls.ask(
+            lambda call_id: CancelGoals(call_id, self._info.name, goal_id, stamp), CancelAnswered
+        )
+        goals = tuple(
+            GoalInfo(GoalID(goal), accepted, status) for goal, accepted, status in answer.goals
+        )
+        return CancelAnswer(CancelCode(answer.return_code), goals, shortened(answer.reason))
+
+    async def status(self) -> RemoteStatuses:
+        return await self._calls.follow_statuses(self._info.name)
+
+    async def wait_for_server(self) -> None:
+        while True:
+            changes = self._reconnector.changes
+            try:
+                await self._calls.ask(lambda call_id: AwaitServer(call_id, self._info.name), Done)
+                return
+            except (ServerNotFound, ConnectionLost, LimitReached) as exc:
+                if isinstance(exc, LimitReached) and self._reconnector.is_open:
+                    raise  # too many requests are open on this connection
+                await self._reconnector.changed(changes)
 
 
 @asynccontextmanager

@@ -345,5 +345,6 @@ class SessionGoals:
             self._follows[subscription.goal_id] = left
         self._ready.pop(subscription, None)
         if subscription.stream is not None:
-            subscription.leave()
+            if not subscription.told:
+                subscription.leave()
             self._owners.end(subscription)

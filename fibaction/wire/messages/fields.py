@@ -1,0 +1,44 @@
+"""The base of all messages, the types of their fields, and the messages of both sides."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias, final
+
+import msgspec
+
+VERSION = 1
+"""Version of the protocol. A peer of another version is rejected."""
+LARGEST = 2**63 - 1
+"""Largest number that a message can contain; as a stamp, later than every goal."""
+
+ID: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
+"""ID of a request and of all messages that belong to it; the client uses each number once."""
+GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=16)]
+Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
+AttemptNumber: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=LARGEST)]
+Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
+FrameSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1, lt=2**32)]
+LONGEST_HEARTBEAT = 3600.0
+"""Longest heartbeat that a message can contain, in seconds."""
+Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_HEARTBEAT)]
+LONGEST_TIMEOUT = 1e9
+"""Longest timeout of a goal that a message can contain, in seconds: some 30 years."""
+Timeout: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_TIMEOUT)]
+
+
+class WireMessage(msgspec.Struct, array_like=True, gc=False):
+    """Base of all messages. A message cannot be part of a cycle: it needs no garbage collector."""
+
+
+@final
+class Ping(WireMessage, tag=0):
+    """Heartbeat of a side that has nothing else to send. Not answered."""
+
+
+@final
+class Goodbye(WireMessage, tag=1):
+    """Last message of a side, with the reason why it closes the connection. Not answered."""
+
+    reason: str
+    why: int = 0
+    """One of the `Why` numbers; 0 if there is no error."""
