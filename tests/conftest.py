@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, settings
 
 settings.register_profile(
     "fibaction",
-    # `make test-pythons` and `make test-lowest` ask for few: they look for what another version of
-    # Python or of a library does otherwise.
-    max_examples=int(os.environ.get("FIBACTION_EXAMPLES", "100")),
+    # `make properties`, each night, asks for a thousand; `make test-pythons` and `make test-lowest`
+    # for few: they look for what another version of Python or of a library does otherwise.
+    max_examples=int(os.environ.get("FIBACTION_EXAMPLES", "50")),
     # Machines that run tests are shared: time says nothing about the code.
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],

@@ -8,11 +8,13 @@ the figures of today, with their places.
 from __future__ import annotations
 
 import ast
+from functools import cache
 
 from tests.tools import structure
 from tests.tools.structure import Finding, Source, complaints
 
-SOURCES = structure.product()
+sources = cache(structure.product)
+"""Every module of the product, read when the first test asks."""
 
 LINES_OF_SLACK = 10
 """Lines that a long module may lose before its exception must be lowered."""
@@ -64,35 +66,35 @@ OUTSIDE_WIRING = {
 
 
 def test_no_class_name_occurs_twice() -> None:
-    assert complaints(structure.repeated_classes(SOURCES), REPEATED_CLASSES) == []
+    assert complaints(structure.repeated_classes(sources()), REPEATED_CLASSES) == []
 
 
 def test_no_constant_has_two_values_in_a_folder() -> None:
-    assert complaints(structure.ambiguous_constants(SOURCES), AMBIGUOUS_CONSTANTS) == []
+    assert complaints(structure.ambiguous_constants(sources()), AMBIGUOUS_CONSTANTS) == []
 
 
 def test_a_module_name_is_unique_in_its_folder() -> None:
-    assert complaints(structure.repeated_modules(SOURCES), {}) == []
+    assert complaints(structure.repeated_modules(sources()), {}) == []
 
 
 def test_no_function_has_too_many_parameters() -> None:
-    assert complaints(structure.wide_functions(SOURCES), FACADES | WIDE_FUNCTIONS) == []
+    assert complaints(structure.wide_functions(sources()), FACADES | WIDE_FUNCTIONS) == []
 
 
 def test_no_function_has_too_many_lines() -> None:
-    assert complaints(structure.long_functions(SOURCES), LONG_FUNCTIONS) == []
+    assert complaints(structure.long_functions(sources()), LONG_FUNCTIONS) == []
 
 
 def test_no_module_has_too_many_lines() -> None:
-    assert complaints(structure.long_modules(SOURCES), LONG_MODULES, LINES_OF_SLACK) == []
+    assert complaints(structure.long_modules(sources()), LONG_MODULES, LINES_OF_SLACK) == []
 
 
 def test_no_folder_has_too_many_modules() -> None:
-    assert complaints(structure.crowded_folders(SOURCES), CROWDED_FOLDERS) == []
+    assert complaints(structure.crowded_folders(sources()), CROWDED_FOLDERS) == []
 
 
 def test_no_callback_is_set_from_outside() -> None:
-    assert complaints(structure.outside_wiring(SOURCES), OUTSIDE_WIRING) == []
+    assert complaints(structure.outside_wiring(sources()), OUTSIDE_WIRING) == []
 
 
 # Each rule finds what it is for
@@ -103,7 +105,7 @@ def figures(found: structure.Findings) -> dict[str, int]:
 
 
 def test_the_product_is_read() -> None:
-    there = {str(source.path) for source in SOURCES}
+    there = {str(source.path) for source in sources()}
     assert {"fibaction/__init__.py", "transports/fibaction_transports/__init__.py"} <= there
 
 

@@ -14,7 +14,7 @@ from fibaction.cli.arguments import completion
 from tests.cli.conftest import Run, detached
 
 
-def complete(fibaction: Run, words: str, url: str) -> list[str]:
+def complete(run: Run, words: str, url: str) -> list[str]:
     """What bash is offered for the last of the words."""
     count = len(words.split(" ")) - 1
     env = {
@@ -22,7 +22,7 @@ def complete(fibaction: Run, words: str, url: str) -> list[str]:
         "COMP_WORDS": words,
         "COMP_CWORD": str(count),
     }
-    code, out, err = fibaction(url=url, env=env)
+    code, out, err = run(url=url, env=env)
     assert (code, err) == (0, "")
     return [line.partition(",")[2] for line in out.split()]
 
@@ -43,9 +43,9 @@ def complete(fibaction: Run, words: str, url: str) -> list[str]:
     ],
 )
 def test_verbs_options_actions_and_types_are_completed(
-    fibaction: Run, tcp: str, words: str, offered: list[str]
+    here: Run, tcp: str, words: str, offered: list[str]
 ) -> None:
-    assert complete(fibaction, words, tcp) == offered
+    assert complete(here, words, tcp) == offered
 
 
 def test_the_url_on_the_command_line_counts(fibaction: Run, tcp: str, nobody: str) -> None:
@@ -53,14 +53,14 @@ def test_the_url_on_the_command_line_counts(fibaction: Run, tcp: str, nobody: st
     assert complete(fibaction, f"fibaction info -u {tcp} fib", nobody) == ["fibonacci"]
 
 
-def test_where_no_server_is_nothing_is_completed(fibaction: Run, nobody: str) -> None:
-    assert complete(fibaction, "fibaction info fib", nobody) == []
-    assert complete(fibaction, "fibaction info fib", "nonsense") == []
+def test_where_no_server_is_nothing_is_completed(here: Run, nobody: str) -> None:
+    assert complete(here, "fibaction info fib", nobody) == []
+    assert complete(here, "fibaction info fib", "nonsense") == []
 
 
-def test_click_has_a_script_for_each_shell(fibaction: Run) -> None:
+def test_click_has_a_script_for_each_shell(here: Run) -> None:
     for shell in ("bash", "zsh", "fish"):
-        _, out, err = fibaction(env={"_FIBACTION_COMPLETE": f"{shell}_source"})
+        _, out, err = here(env={"_FIBACTION_COMPLETE": f"{shell}_source"})
         assert "_FIBACTION_COMPLETE" in out, err
 
 

@@ -17,8 +17,8 @@ def expected() -> str:
     return (FILES / "pick_up_types.py").read_text(encoding="utf-8")
 
 
-def test_a_module_is_written_to_stdout(fibaction: Run, expected: str) -> None:
-    done = fibaction("gen", PICK_UP)
+def test_a_module_is_written_to_stdout(here: Run, expected: str) -> None:
+    done = here("gen", PICK_UP)
 
     assert (done.code, done.err) == (0, "")
     assert done.out == expected

@@ -78,9 +78,9 @@ def same(lines: list[str]) -> str:
 
 
 @pytest.mark.parametrize("step", STEPS, ids=[step.command for step in STEPS])
-def test_a_command_prints_what_the_page_says(fibaction: Run, server: str, step: Step) -> None:
+def test_a_command_prints_what_the_page_says(here: Run, server: str, step: Step) -> None:
     _, *arguments = shlex.split(step.command)
-    done = fibaction(*arguments, url=server)
+    done = here(*arguments, url=server)
 
     assert same([*done.lines, *done.err.splitlines()]) == same(step.expected)
 
