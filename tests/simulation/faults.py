@@ -28,6 +28,7 @@ from fibaction.server.registry.registry import GoalRegistry, Verdict, _Undecided
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.client.calls import Credits
 from fibaction.wire.client.connection import RemoteConnection
+from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.reconnect import Reconnector
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.codec import decode_from_client
@@ -333,16 +334,16 @@ def a_call_is_not_opened_again(real: Any) -> Any:
     return _begin
 
 
-@mistake(RemoteConnection, "_fail_calls", 2, 3)
+@mistake(OpenCalls, "fail", 2, 3)
 def giving_up_forgets_a_waiter(real: Any) -> Any:
     """Do not fail one waiting call when a connection is given up."""
 
-    def _fail_calls(self: RemoteConnection, error: Any) -> None:
-        if self.calls._calls:
-            self.calls._calls.popitem()
-        real(self, error)
+    def fail(self: OpenCalls, error: Any, absent: Any) -> None:
+        if self._calls:
+            self._calls.popitem()
+        real(self, error, absent)
 
-    return _fail_calls
+    return fail
 
 
 @mistake(Reconnector, "_lose_patience", 2, 4)
