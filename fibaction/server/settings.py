@@ -140,10 +140,15 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
             raise ValueError(f"max_attempts is at least 1, not {self.max_attempts}")
         if self.at_stop not in ("abort", "keep"):
             raise ValueError(f"at_stop is 'abort' or 'keep', not {self.at_stop!r}")
-        if not isinstance(self.schedule, Schedule | None):
-            raise TypeError(f"schedule is a Schedule, not {self.schedule!r}")
+        if self.schedule is not None:
+            _check_is_schedule(self.schedule)
         if self.store is not None:
             check_is_store(self.store)
+
+
+def _check_is_schedule(schedule: object) -> None:
+    if not isinstance(schedule, Schedule):
+        raise TypeError(f"schedule is a Schedule, not {schedule!r}")
 
 
 def check_is_store(store: object) -> None:

@@ -109,13 +109,13 @@ class GoalKeeper(Keeper):
         self.failure: StoreError | None = None
         """The error of the first write that has failed."""
         self._events: KeeperEvents
-        self.block: CancelScope
+        self._scope: CancelScope
         self.tells_statuses = store.tells_statuses
 
     @asynccontextmanager
     async def open(self, tasks: TaskGroup, events: KeeperEvents) -> AsyncGenerator[None, None]:
         self._events = events
-        self.block = CancelScope()
+        self.block = self._scope = CancelScope()
         tasks.start_soon(self._run, name=f"store of {self._action}")
         async with self._store.open(
             self._action,
@@ -291,7 +291,7 @@ class GoalKeeper(Keeper):
         self.failure = error
         self._end_waits()
         self._events.fail()
-        self.block.cancel()
+        self._scope.cancel()
 
     def close(self) -> None:
         # What the answers are about is kept, and is told after the next start.
