@@ -97,7 +97,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             goal_id = GoalID.random()
         else:
             _check_is_id(goal_id)
-        attempts = self._attempts(goal_id, timeout, None)
+        attempts = None if timeout is None else self._attempts(goal_id, timeout, None)
         sending = self._send(goal, goal_id, attempts)
         return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
 

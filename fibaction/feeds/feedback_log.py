@@ -325,5 +325,4 @@ class FeedbackCursor(GoalStream):
     def _leave(self) -> None:
         self._may_hold = self.holding = False
         self.news.notify()
-        if self._log.outcome is None:  # else the log references it no longer
-            self._log.leave(self)
+        self._log.leave(self)  # also of a goal that had ended before it was followed

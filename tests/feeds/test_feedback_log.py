@@ -458,6 +458,20 @@ def test_a_log_keeps_its_readers_alive_and_no_other_cursor() -> None:
     assert wakes
 
 
+def test_a_log_that_is_followed_after_its_end_is_freed_when_the_stream_is_closed() -> None:
+    log = new_log()
+    end(log)
+    stream = log.follow()
+    gone = weakref.ref(log)
+    gc.disable()
+    try:
+        stream.close()
+        del log, stream
+        assert gone() is None
+    finally:
+        gc.enable()
+
+
 def test_a_log_that_has_ended_is_freed_with_the_last_of_its_streams() -> None:
     log = new_log()
     one, other = log.follow(own=True), log.follow()

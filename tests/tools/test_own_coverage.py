@@ -72,7 +72,7 @@ def project(tmp_path: Path) -> Path:
         "tests/test_first.py": WHOLE_FIRST,
         "tests/wire/test_minus.py": NEGATIVE,
         "tests/wire/test_plus.py": POSITIVE,
-        "tests/wire/test_messages.py": WHOLE_SIGN.replace("sign import", "wire.messages import"),
+        "tests/wire/test_messages.py": WHOLE_SIGN.replace("sign import", "wire.codec import"),
     }.items():
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)

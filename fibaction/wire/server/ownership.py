@@ -164,7 +164,8 @@ class Owners:
         """Close the stream of a call whose client has the end of the goal, or does not wait for it,
         or only observes it.
         """
-        stream = _stream_of(call)
+        stream = call.stream
+        assert stream is not None
         stream.close()
         owned = self._owned.get(stream.goal_id)
         if owned is not None and call in owned.calls:
