@@ -156,13 +156,14 @@ def test_a_recording_that_cannot_be_written_is_one_sentence(folder: Path, invoke
 
 
 def test_a_server_that_runs_already_is_recorded_and_exported(
-    folder: Path, started: Start, here: Run
+    folder: Path, started: Start, fibaction: Run, here: Run
 ) -> None:
     unix, file = f"unix://{folder}/socket", str(folder / "today.jsonl")
     lines_until("serving", started("serve", "robot:several", unix))
     recording = started("record", unix, file)
     assert lines_until("recording", recording) == [f"recording {unix} to {file}, Ctrl-C stops it\n"]
-    assert here("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
+    # In a process of its own: when it has ended, the recording has heard of the goal.
+    assert fibaction("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
     recording.send_signal(SIGINT)
     assert ended(recording)[0] == 0
 

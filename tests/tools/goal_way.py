@@ -142,7 +142,6 @@ def recorded() -> Generator[Way, None, None]:
             way.append(step)
 
     before, has_collected = sys.getprofile(), gc.isenabled()
-    gc.collect()
     gc.disable()  # finalizers would be calls
     sys.setprofile(note)
     try:
