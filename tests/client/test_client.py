@@ -489,6 +489,13 @@ async def test_the_feedback_of_a_goal_that_is_read_no_more_ends() -> None:
     assert [each async for each in goal.feedback] == []
 
 
+async def test_a_goal_that_is_closed_closes_its_stream() -> None:
+    stream = BrokenStream()
+    goal = await client_of(Broken(stream)).send_goal(Goal(1))
+    goal.close()
+    assert stream.closed == 1
+
+
 async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
     stream = BrokenStream()
     goal = await client_of(Broken(stream)).send_goal(Goal(1))
