@@ -239,9 +239,10 @@ async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
 
 @pytest.mark.promise("STOP-10")
 async def test_a_server_whose_block_is_canceled_stops_as_any_other() -> None:
-    cleaned = []
+    begun, cleaned = anyio.Event(), []
 
     async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        begun.set()
         try:
             await anyio.sleep_forever()
         finally:
@@ -249,11 +250,13 @@ async def test_a_server_whose_block_is_canceled_stops_as_any_other() -> None:
             cleaned.append(goal.request.order)
         yield Result([])
 
-    with anyio.move_on_after(0.02) as patience:
+    with anyio.CancelScope() as scope:
         async with ActionServer(FIBONACCI, tidies_up) as server:
             stream = await server.send_goal(GoalID.random(), packed(7))
+            await begun.wait()
+            scope.cancel()
             await anyio.sleep_forever()
-    assert patience.cancelled_caught
+    assert scope.cancelled_caught
     assert cleaned == [7]
     assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
 

@@ -21,6 +21,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction._runtime import slices
 from fibaction.border.abc import FeedbackItem, ForwardingEndpoint, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.server import watcher_group
@@ -141,7 +142,10 @@ async def test_a_watcher_sees_what_a_slow_follower_misses_and_what_is_left_unrea
     assert min(losses.counts) > 0
 
 
-async def test_a_watcher_sees_cancels_and_aborts_each_with_its_reason() -> None:
+async def test_a_watcher_sees_cancels_and_aborts_each_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(slices, "SLICE", 60.0)  # the executor has no turn during the cancel
     diary = Diary()
     async with ActionServer(FIBONACCI, waits, watchers=[diary]) as server:
         client = ActionClient(server, FIBONACCI)
