@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
 from contextlib import asynccontextmanager, suppress
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -24,6 +25,7 @@ from fibaction import (
 )
 from fibaction.border.abc import FeedbackItem, GoalStream
 from fibaction.server.scheduling import goal_dispatcher
+from fibaction.server.scheduling.dispatcher import NoScheduleDispatcher
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.virtual_time import in_virtual_time
@@ -867,3 +869,16 @@ async def test_without_a_schedule_a_goal_never_has_a_successor() -> None:
                     await settled()
                     scope.cancel()
             assert scope.cancelled_caught
+
+
+def test_without_a_schedule_a_goal_begins_when_it_is_accepted_unless_the_server_stops() -> None:
+    begun: list[GoalID] = []
+    goals: Any = SimpleNamespace(begin=begun.append)
+    tasks: Any = None  # it needs none
+    dispatcher = NoScheduleDispatcher()
+    dispatcher.open(tasks, goals, lambda: None)
+    one, other = GoalID.random(), GoalID.random()
+    dispatcher.accepted(one)
+    dispatcher.close()
+    dispatcher.accepted(other)
+    assert begun == [one]

@@ -98,6 +98,14 @@ async def test_a_store_is_given_once_and_before_the_start() -> None:
             other.keep_in(MemoryStore())
 
 
+async def test_a_store_that_is_given_later_keeps_the_goals() -> None:
+    server, store = ActionServer(PAINT, paint), MemoryStore()
+    server.keep_in(store)
+    async with server:
+        assert await client_of(server).call(2) == "painted 2 in attempt 1"
+    assert [goal.status for goal in store.goals.values()] == [GoalStatus.SUCCEEDED]
+
+
 async def test_goals_cannot_be_kept_at_a_stop_without_a_store() -> None:
     server = ActionServer(PAINT, paint, at_stop="keep")
     with pytest.raises(ValueError, match="needs a store"):

@@ -45,8 +45,7 @@ class GoalCallbacks(Generic[GoalT]):
             GoalRejected: It rejects the goal, or has failed, here or in the coroutine.
         """
         on_goal, ask = self._on_goal, self._callbacks.ask
-        if on_goal is None:
-            return None
+        assert on_goal is not None  # else no goal is decided
         asked = (request, sender)
         if context is None:
             return ask("on_goal", on_goal, asked, GoalRejected, goal_id)
