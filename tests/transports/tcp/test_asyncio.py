@@ -456,6 +456,31 @@ async def test_what_fetch_raises_is_the_end_too() -> None:
         assert one.error is wrong
 
 
+class LastFrame(FrameReader):
+    """Frames of a form in which a peer can say that one is the last."""
+
+    has_ended = True
+
+    def check(self) -> None:
+        raise ConnectionLost("that was the last frame")
+
+
+async def test_the_last_frame_is_handed_over_before_the_end() -> None:
+    async with listening() as ((host, port), ends):
+        one = End(await dial_tcp(host, port, LastFrame(), "the server"))
+        await until(lambda: ends)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(one.run)
+            tasks.start_soon(ends[0].run)
+            ends[0].say(b"last")
+            with anyio.fail_after(5):
+                await one.ended.wait()
+            ends[0].stop()
+        await one.line.aclose()
+    assert one.heard == [b"last"]
+    assert str(one.error) == "that was the last frame"
+
+
 async def test_a_frame_that_is_too_large_is_the_end() -> None:
     async with listening(max_frame=10) as (address, ends):
         with socket.create_connection(address) as peer:
