@@ -8,13 +8,11 @@ the figures of today, with their places.
 from __future__ import annotations
 
 import ast
-from functools import cache
+
+import pytest
 
 from tests.tools import structure
 from tests.tools.structure import Finding, Source, complaints
-
-sources = cache(structure.product)
-"""Every module of the product, read when the first test asks."""
 
 LINES_OF_SLACK = 10
 """Lines that a long module may lose before its exception must be lowered."""
@@ -65,36 +63,44 @@ OUTSIDE_WIRING = {
 }
 
 
-def test_no_class_name_occurs_twice() -> None:
-    assert complaints(structure.repeated_classes(sources()), REPEATED_CLASSES) == []
+@pytest.fixture(scope="module")
+def product() -> list[Source]:
+    """Every module of the product. Kept longer, their trees would slow down each later collection
+    of garbage.
+    """
+    return structure.product()
 
 
-def test_no_constant_has_two_values_in_a_folder() -> None:
-    assert complaints(structure.ambiguous_constants(sources()), AMBIGUOUS_CONSTANTS) == []
+def test_no_class_name_occurs_twice(product: list[Source]) -> None:
+    assert complaints(structure.repeated_classes(product), REPEATED_CLASSES) == []
 
 
-def test_a_module_name_is_unique_in_its_folder() -> None:
-    assert complaints(structure.repeated_modules(sources()), {}) == []
+def test_no_constant_has_two_values_in_a_folder(product: list[Source]) -> None:
+    assert complaints(structure.ambiguous_constants(product), AMBIGUOUS_CONSTANTS) == []
 
 
-def test_no_function_has_too_many_parameters() -> None:
-    assert complaints(structure.wide_functions(sources()), FACADES | WIDE_FUNCTIONS) == []
+def test_a_module_name_is_unique_in_its_folder(product: list[Source]) -> None:
+    assert complaints(structure.repeated_modules(product), {}) == []
 
 
-def test_no_function_has_too_many_lines() -> None:
-    assert complaints(structure.long_functions(sources()), LONG_FUNCTIONS) == []
+def test_no_function_has_too_many_parameters(product: list[Source]) -> None:
+    assert complaints(structure.wide_functions(product), FACADES | WIDE_FUNCTIONS) == []
 
 
-def test_no_module_has_too_many_lines() -> None:
-    assert complaints(structure.long_modules(sources()), LONG_MODULES, LINES_OF_SLACK) == []
+def test_no_function_has_too_many_lines(product: list[Source]) -> None:
+    assert complaints(structure.long_functions(product), LONG_FUNCTIONS) == []
 
 
-def test_no_folder_has_too_many_modules() -> None:
-    assert complaints(structure.crowded_folders(sources()), CROWDED_FOLDERS) == []
+def test_no_module_has_too_many_lines(product: list[Source]) -> None:
+    assert complaints(structure.long_modules(product), LONG_MODULES, LINES_OF_SLACK) == []
 
 
-def test_no_callback_is_set_from_outside() -> None:
-    assert complaints(structure.outside_wiring(sources()), OUTSIDE_WIRING) == []
+def test_no_folder_has_too_many_modules(product: list[Source]) -> None:
+    assert complaints(structure.crowded_folders(product), CROWDED_FOLDERS) == []
+
+
+def test_no_callback_is_set_from_outside(product: list[Source]) -> None:
+    assert complaints(structure.outside_wiring(product), OUTSIDE_WIRING) == []
 
 
 # Each rule finds what it is for
@@ -104,8 +110,8 @@ def figures(found: structure.Findings) -> dict[str, int]:
     return {name: finding.figure for name, finding in found.items()}
 
 
-def test_the_product_is_read() -> None:
-    there = {str(source.path) for source in sources()}
+def test_the_product_is_read(product: list[Source]) -> None:
+    there = {str(source.path) for source in product}
     assert {"fibaction/__init__.py", "transports/fibaction_transports/__init__.py"} <= there
 
 
