@@ -93,7 +93,7 @@ def without_settings(url: str) -> str:
 
 
 def check_settings(where: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Check that a transport has all settings that it is given by keyword.
+    """Check that a transport, or a server, has all settings that it is given by keyword.
 
     Raises:
         TypeError: It does not have one; the text lists those that it has.
@@ -105,7 +105,7 @@ def check_settings(where: str, given: Iterable[str], known: Iterable[str]) -> No
 
 
 def unknown_setting(where: str, name: str, known: Iterable[str]) -> str:
-    """Return the sentence about a setting that a transport does not have."""
+    """Return the sentence about a setting that there is not."""
     from difflib import get_close_matches  # needed for this sentence only
 
     names = tuple(known)

@@ -28,6 +28,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Endpoint, GoalRequest
 from fibaction.border.goal_store import GoalStore
+from fibaction.border.urls import check_settings
 from fibaction.border.watchers import Watcher
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
@@ -93,6 +94,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         check_is_executor(executor)
         self.action = action
         self._executor = executor
+        check_settings("ActionServer", settings, ActionServerSettings.__struct_fields__)
         self._settings = ActionServerSettings(**settings)
         self._callbacks = GoalCallbacks(action.name, self._settings)
         self._dispatcher: Dispatcher[GoalT] = _dispatcher_of(action.name, self._settings)

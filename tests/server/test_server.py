@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import gc
 import math
+import re
 import tracemalloc
 from collections.abc import AsyncIterator, Coroutine, Iterator
 from contextlib import suppress
@@ -191,6 +192,12 @@ async def test_whatever_gives_an_async_generator_is_an_executor(executor: Any) -
     async with ActionServer(FIBONACCI, executor) as server:
         client = ActionClient(server, FIBONACCI)
         assert await client.call(Goal(0)) == Result([0])
+
+
+def test_a_setting_that_there_is_not_is_named_with_the_one_that_was_meant() -> None:
+    meant = "ActionServer has no setting 'stall_timout': did you mean 'stall_timeout'?"
+    with pytest.raises(TypeError, match=re.escape(meant)):
+        ActionServer(FIBONACCI, fibonacci, stall_timout=1)  # type: ignore[call-arg]  # on purpose
 
 
 def test_an_action_without_types_cannot_be_executed() -> None:
