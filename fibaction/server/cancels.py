@@ -98,7 +98,7 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
         if not goal.phase.is_open:
             return None  # it has ended since it was chosen
-        if goal.status is not GoalStatus.CANCELING:
+        if self._callbacks.are_cancels_decided and goal.status is not GoalStatus.CANCELING:
             try:
                 asking = self._callbacks.ask_cancel(self._runs.handle_of(goal.goal_id))
             except CancelRejected as exc:

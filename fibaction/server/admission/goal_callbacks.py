@@ -58,13 +58,10 @@ class GoalCallbacks(Generic[GoalT]):
             CancelRejected: It rejects the cancel, or has failed, here or in the coroutine.
             RuntimeError: `on_cancel` itself cancels the goal that it decides upon.
         """
-        if self._on_cancel is None:
-            return None
-        goal_id = handle.goal_id
+        on_cancel, goal_id = self._on_cancel, handle.goal_id
+        assert on_cancel is not None  # else no cancel is decided
         self._callbacks.check_not_within("on_cancel", goal_id, "cancels")
-        return self._callbacks.ask(
-            "on_cancel", self._on_cancel, (handle,), CancelRejected, about=goal_id
-        )
+        return self._callbacks.ask("on_cancel", on_cancel, (handle,), CancelRejected, about=goal_id)
 
     def check_not_deciding(self, goal_id: GoalID) -> None:
         """Raise RuntimeError if this is called by the `on_goal` that decides on that goal: it would
