@@ -118,13 +118,12 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             lose=self._losses.lose,
             refuse=self._losses.lose_record,
             fail=self._give_up,
-            change=self.room.update,
+            look_at_room=self.room.update,
         )
         await stack.enter_async_context(self.keeper.open(tasks, events))
         self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail before that
-        self.dispatcher.open(tasks, self.runs, self.room.update)
-        self.recovery.open(tasks)
-        tasks.start_soon(self.room.run, name=f"room of {self._name}")
+        self.dispatcher.open(tasks, self.runs, self.keeper.look_at_room)
+        self.keeper.start(tasks, self.recovery.open, self.room.watch)
 
     async def recover(self) -> None:
         """Take over what the store has.
@@ -160,25 +159,22 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.close()
         self.dispatcher.close()
         timeout = self._settings.shutdown_timeout
+        patience = max(timeout, STORE_PATIENCE)
         if self._settings.at_stop == "keep":
             self.runs.keep_for(SERVER_STOPPED)
         shutdown = Shutdown(self.runs, self.logs.ended, self._name, SERVER_STOPPED, timeout)
         try:
             try:
-                await self._settle()  # what is accepted by then is among the goals to stop
+                # What is accepted by then is among the goals to stop.
+                await self.keeper.settled_within(patience)
             finally:  # asyncio can cancel the task itself
                 await shutdown.run()
-            await self._settle()
+            await self.keeper.settled_within(patience)
         finally:
             self.keeper.close()
             self.runs.let_go()
             self.admission.wake()
             self.logs.close()
-
-    async def _settle(self) -> None:
-        """Wait until all that was written is kept, for some seconds at most."""
-        with move_on_after(max(self._settings.shutdown_timeout, STORE_PATIENCE), shield=True):
-            await self.keeper.settled()
 
     def _give_up(self) -> None:
         """Let go of what cannot be kept any more: the store has failed."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from anyio import sleep
+from anyio.abc import TaskGroup
 
 from fibaction._runtime.notify import Notifier
 from fibaction.server.durability.keeper import Keeper
@@ -61,8 +62,11 @@ class Room:
             return 0, 0
         return self._dispatcher.room()
 
-    async def run(self) -> None:
-        """Look again after a shortage of bytes, until canceled."""
+    def watch(self, tasks: TaskGroup) -> None:
+        """Look again after a shortage of bytes, in a task of this group."""
+        tasks.start_soon(self._run, name="room for goals")
+
+    async def _run(self) -> None:
         while True:
             while not (self._is_open and self._registry.has_too_many_bytes):
                 await self._shortage.wait()

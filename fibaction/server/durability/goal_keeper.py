@@ -32,7 +32,7 @@ from functools import partial
 from heapq import heappop, heappush
 from typing import NamedTuple
 
-from anyio import CancelScope, current_time
+from anyio import CancelScope, current_time, move_on_after
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
@@ -124,6 +124,13 @@ class GoalKeeper(Keeper):
             lose=events.lose,
         ) as self._journal:
             yield
+
+    def start(self, tasks: TaskGroup, *parts: Callable[[TaskGroup], None]) -> None:
+        for start in parts:
+            start(tasks)
+
+    def look_at_room(self) -> None:
+        self._events.look_at_room()
 
     def set_room(self, running: float, waiting: float) -> None:
         self._journal.set_room(running, waiting)
@@ -240,7 +247,7 @@ class GoalKeeper(Keeper):
         self._written += 1
         if self.failure is None and not self._is_closed:
             method(stored, partial(self._note, goal, then, too_large))
-            self._events.change()
+            self._events.look_at_room()
         return self._written
 
     # Answers
@@ -282,7 +289,7 @@ class GoalKeeper(Keeper):
                 answer.too_large(error)
             elif answer.then is not None:
                 answer.then()
-        self._events.change()
+        self._events.look_at_room()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 
@@ -324,6 +331,10 @@ class GoalKeeper(Keeper):
 
     async def settled(self) -> None:
         await self._wait(self._written)
+
+    async def settled_within(self, seconds: float) -> None:
+        with move_on_after(seconds, shield=True):
+            await self.settled()
 
     async def _wait(self, write: int) -> None:
         if self._answered < write and self.failure is None and not self._is_closed:

@@ -55,8 +55,9 @@ class KeeperEvents:
     """Let go of a goal of which a write is refused for that reason."""
     fail: Callable[[], None]
     """Stop: a write has failed."""
-    change: Callable[[], None]
-    """Look at the room for goals: called after each write, and after its answer."""
+    look_at_room: Callable[[], None]
+    """Tell the store the room for goals, if it has changed: called after each write, and after its
+    answer."""
 
 
 class Keeper(ABC):
@@ -86,6 +87,14 @@ class Keeper(ABC):
     @abstractmethod
     def close(self) -> None:
         """Carry out no more answers: the server has stopped without waiting for them."""
+
+    @abstractmethod
+    def start(self, tasks: TaskGroup, *parts: Callable[[TaskGroup], None]) -> None:
+        """Start the parts that only a server with a store needs, with tasks of this group."""
+
+    @abstractmethod
+    def look_at_room(self) -> None:
+        """Let the store know if the room of the server has changed."""
 
     @abstractmethod
     def set_room(self, running: float, waiting: float) -> None:
@@ -145,6 +154,10 @@ class Keeper(ABC):
     async def settled(self) -> None:
         """Wait until all writes so far are durable, or one has failed."""
 
+    @abstractmethod
+    async def settled_within(self, seconds: float) -> None:
+        """Wait for that, for some seconds at most, also if the caller is canceled."""
+
 
 class NoStoreKeeper(Keeper):
     """The keeper of a server without a store: all is kept at once, as long as the server runs."""
@@ -162,8 +175,14 @@ class NoStoreKeeper(Keeper):
     def close(self) -> None:
         """Do nothing: there are no answers."""
 
+    def start(self, tasks: TaskGroup, *parts: Callable[[TaskGroup], None]) -> None:
+        """Start none of them."""
+
+    def look_at_room(self) -> None:
+        """Do nothing: no goals are handed over."""
+
     def set_room(self, running: float, waiting: float) -> None:
-        """Do nothing: nobody hands goals over."""
+        """Do nothing, as above."""
 
     def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
         return {}
@@ -193,4 +212,7 @@ class NoStoreKeeper(Keeper):
         """Return at once."""
 
     async def settled(self) -> None:
+        """Return at once."""
+
+    async def settled_within(self, seconds: float) -> None:
         """Return at once."""
