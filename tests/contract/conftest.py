@@ -312,7 +312,7 @@ ON_TRIO = ("tcp",)
 """The ways over which each test runs on trio, too."""
 
 TURNS = 4
-"""How many tests share a way that takes turns."""
+"""The number of tests that share a way which takes turns."""
 
 TAKE_TURNS = [
     (backend, way)

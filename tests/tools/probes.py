@@ -27,7 +27,7 @@ NAME = "__probes__"
 
 
 POSITION = ("lineno", "col_offset", "end_lineno", "end_col_offset")
-"""What each node of a tree has."""
+"""The names of the place of a node in a tree."""
 
 
 class Place(NamedTuple):
