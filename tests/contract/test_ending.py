@@ -356,17 +356,19 @@ async def test_a_server_closes_without_executors_that_do_not_end_and_names_their
 ) -> None:
     monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", 0.05)
 
+    # A stop that arrives at a `yield` ends the executor before it can refuse.
+    refusing = [anyio.Event(), anyio.Event()]
+
     async def refuses(goal: GoalHandle[Goal]) -> Items:
-        yield Feedback([1])
+        refusing[goal.request.order].set()
         await (is_shielded() if goal.request.order else catches_every_cancellation())
         yield Result([])
 
     server = ActionServer(FIBONACCI, refuses, shutdown_timeout=0.01)
     async with reach(server) as client:
         goals = [await client.send_goal(Goal(order)) for order in (0, 1)]
-        for goal in goals:
-            async for _ in goal.feedback:
-                break
+        for begun in refusing:
+            await begun.wait()
         await server.stop()
         for goal in goals:
             assert (await goal.outcome()).status is GoalStatus.ABORTED
