@@ -242,7 +242,7 @@ class Apart(Generic[T]):
         await settled()
         assert not self._task.done()
         self._task.cancel()
-        with anyio.fail_after(0.5):
+        with anyio.fail_after(5):
             await asyncio.wait([self._task])
         assert self._task.cancelled()
 

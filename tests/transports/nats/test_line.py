@@ -191,7 +191,7 @@ async def test_has_no_responders_where_no_worker_is(shared_broker: NatsServer, f
     async with open_broker(FleetSettings(fleet, (shared_broker.address,))) as broker:
         lines = ClientLines(broker, FleetNames(fleet))
         await lines.open()
-        with anyio.fail_after(0.5), pytest.raises(ServerNotFound, match="'w' does not answer"):
+        with anyio.fail_after(10), pytest.raises(ServerNotFound, match="'w' does not answer"):
             await lines.dial("w")
 
 

@@ -436,7 +436,7 @@ async def test_messages_wait_for_a_broker_that_is_away_in_bounded_memory(
 async def test_a_connection_ends_at_once_while_there_is_none(
     own_broker: NatsServer, log: Hearing
 ) -> None:
-    with anyio.fail_after(1):
+    with anyio.fail_after(10):
         async with open_broker(settings_of(own_broker)):
             own_broker.kill()
             await log.until("is lost")
