@@ -1,4 +1,21 @@
-"""`OpenCalls`: the calls that a client has open, whatever connection they are on."""
+"""`OpenCalls`: the calls that a client has open, whatever connection they are on.
+
+Theory of operation
+-------------------
+
+A call is a request that is over with its answer, a goal or a watch of statuses. It is open from
+`_start` until its last message, and outlives connections: `reopen` has the openings of all open
+calls written on the next one, and a call's `opening` says by itself how far it had come. Without a
+connection calls wait, or fail at once with `_absent`, if the owner has said so by `fail`.
+
+What only its caller needs is held weakly: goals that are observed, and watches, which all callers
+of an action share. When the last of them is dropped, nothing of it is opened again. A goal that
+this client has sent is held until it is over, as its result must not be lost.
+
+Openings wait in `_unopened`, and the link fetches as many as fill a write; a call that was given up
+meanwhile is left out. A message from the server goes to its call by the ID in it. One that belongs
+to no call is not an error here: it may have crossed the call's end.
+"""
 
 from __future__ import annotations
 

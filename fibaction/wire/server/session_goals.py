@@ -1,5 +1,8 @@
 """`SessionGoals`: the goals that one client sends and follows over one connection.
 
+Theory of operation
+-------------------
+
 Most goals need no task here: `offer_goal` often has an answer at once, and what there is to tell is
 fetched by the link, which asks `next_frames` when the line can take more. A goal whose stream has
 news is *ready*, and the ready goals take turns. A write ends when it is large enough, or has taken

@@ -1,6 +1,20 @@
 """Subscriptions: the credit of each request of a client, and the frames that it is sent for it.
 
-They do not know connections: the owner is told that a subscription is ready, and fetches frames.
+Theory of operation
+-------------------
+
+A subscription does not know its connection. It calls `ready` when there is something to tell, and
+the owner fetches `next_frames` when the line can take more: a slow line thus holds no frames that
+were made too early, and its goals take turns by the piece. Each feedback message takes one credit;
+statuses and the end take none, so a client that reads no feedback still hears of its goal.
+
+A goal is told in this order: `Following` with the state from which its stream begins, then what the
+stream gives, then the end or an error. Another attempt of the goal begins with a `Following` of its
+own, since feedback is counted anew. Feedback that does not fit the client's frames is left out, and
+the client sees it from the numbers. Whatever an endpoint's stream raises ends this goal only.
+
+When its connection is lost, a subscription stays in `HeldGoals` with what the client was told last;
+the next connection takes the stream over, from which moment `news` calls the new subscription.
 """
 
 from __future__ import annotations
