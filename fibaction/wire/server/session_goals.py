@@ -121,7 +121,7 @@ class SessionGoals:
         self.open[message.id] = subscription
         self._follows[message.goal_id] = self._follows.get(message.goal_id, 0) + 1
         if type(message) is Follow:
-            self.tasks.start_soon(self._follow, message, subscription)
+            self.tasks.start_soon(self._wait, message, 0, self._follow(message, subscription))
             return
         try:
             size = self._checked_size(message)
@@ -196,7 +196,7 @@ class SessionGoals:
             )
         return size
 
-    async def _wait(self, message: SendGoal, size: int, waiting: Waiting) -> None:
+    async def _wait(self, message: GoalMessage, size: int, waiting: Waiting) -> None:
         try:
             await waiting
         except (Exception, get_cancelled_exc_class()) as exc:
@@ -272,12 +272,6 @@ class SessionGoals:
     # To follow a goal
 
     async def _follow(self, message: Follow, subscription: GoalSubscription) -> None:
-        try:
-            await self._begin_followed(message, subscription)
-        except (Exception, get_cancelled_exc_class()) as exc:
-            self._fail(message, exc)
-
-    async def _begin_followed(self, message: Follow, subscription: GoalSubscription) -> None:
         goal_id, owner = GoalID(message.goal_id), self._client.sender.owner
         own = message.own and (
             self._owners.is_own(goal_id, owner) or self._client.is_owner(message.action, goal_id)
