@@ -2,10 +2,10 @@
 
     python docs/build.py
 
-First the parts that are generated from the code are written: docs/states.svg, and the marked parts
-of docs/concepts.md, docs/protocol.md and docs/howto/secure.md. Then the site is built strictly, and
-the built pages are checked: a link or an anchor without a target, or a resource from another site,
-is a fault. The exit code is 1 if there are faults.
+First the parts that are generated from the code are written: the pictures of the statuses and of a
+goal's life, and the marked parts of docs/concepts.md, docs/protocol.md and docs/howto/secure.md.
+Then the site is built strictly, and the built pages are checked: a link or an anchor without a
+target, or a resource from another site, is a fault. The exit code is 1 if there are faults.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from concepts_parts import errors_part, states_part
+from life_picture import life_diagram
 from page_parts import with_parts
 from protocol_parts import descriptions_part, limits_part, messages_part
 from secure_parts import limits_part as all_limits_part
@@ -29,6 +30,9 @@ from states_picture import diagram
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 SITE = ROOT / "site"
+
+PICTURES: dict[str, Callable[[], str]] = {"states.svg": diagram, "life.svg": life_diagram}
+"""Function that draws each picture from a table of the product."""
 
 PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "concepts.md": {"states": states_part, "errors": errors_part},
@@ -43,8 +47,9 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
 
 
 def generate() -> None:
-    """Write docs/states.svg, and the generated parts of the pages."""
-    (DOCS / "states.svg").write_text(diagram(), encoding="utf-8")
+    """Write the pictures that are drawn from tables, and the generated parts of the pages."""
+    for name, picture in PICTURES.items():
+        (DOCS / name).write_text(picture(), encoding="utf-8")
     for name, parts in PARTS.items():
         path = DOCS / name
         path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")

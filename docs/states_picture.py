@@ -33,10 +33,25 @@ COLORS = {
 """Fill and line of each end; a status that goes on has `ACTIVE`."""
 ACTIVE = ("#e8f0fe", "#1f56b3")
 
-HEAD = f"""\
-<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}"
-     height="{HEIGHT}" role="img" aria-labelledby="title">
-<title id="title">The statuses of a goal, and the events between them</title>
+
+def diagram() -> str:
+    """Return the state machine as an SVG picture."""
+    parts = [
+        head("The statuses of a goal, and the events between them", WIDTH, HEIGHT),
+        *(_arrow(source, event, target) for (source, event), target in TRANSITIONS.items()),
+        *(_box(status) for status in STORED),
+        *_legend(),
+        "</svg>",
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def head(title: str, width: int, height: int) -> str:
+    """Return the begin of a picture: its size, its styles, and a white ground for dark pages."""
+    return f"""\
+<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}"
+     height="{height}" role="img" aria-labelledby="title">
+<title id="title">{title}</title>
 <style>
   text {{ font: 600 13px system-ui, "Segoe UI", "DejaVu Sans", sans-serif; text-anchor: middle; }}
   .event {{ font-size: 11px; font-weight: 400; fill: #37414d; paint-order: stroke;
@@ -49,21 +64,8 @@ HEAD = f"""\
   <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" markerHeight="8"
           orient="auto"><path d="M0,1 L9,5 L0,9 z" fill="#6b7682"/></marker>
 </defs>
-<rect x="0.5" y="0.5" width="{WIDTH - 1}" height="{HEIGHT - 1}" rx="12" fill="#ffffff"
+<rect x="0.5" y="0.5" width="{width - 1}" height="{height - 1}" rx="12" fill="#ffffff"
       stroke="#d5dbe1"/>"""
-# White below: the picture is shown on dark pages, too.
-
-
-def diagram() -> str:
-    """Return the state machine as an SVG picture."""
-    parts = [
-        HEAD,
-        *(_arrow(source, event, target) for (source, event), target in TRANSITIONS.items()),
-        *(_box(status) for status in STORED),
-        *_legend(),
-        "</svg>",
-    ]
-    return "\n".join(parts) + "\n"
 
 
 def _arrow(source: GoalStatus, event: GoalEvent, target: GoalStatus) -> str:

@@ -47,6 +47,7 @@ import fibaction_transports.mcp
 import fibaction_transports.tcp
 from fibaction import CancelCode, GoalStatus, connect, serve
 from fibaction.border.urls import GROUP
+from fibaction.server.life import LIFE
 from fibaction.states import TRANSITIONS
 from fibaction.testing import ScriptedServer
 from fibaction.wire import codec, messages
@@ -173,6 +174,7 @@ def load(path: Path) -> ModuleType:
 
 sys.path.insert(0, str(DOCS))  # as Python does for a script that is run
 build = load(DOCS / "build.py")
+life_picture = load(DOCS / "life_picture.py")
 
 every_page = pytest.mark.parametrize(
     "path", PAGES, ids=[str(path.relative_to(ROOT)) for path in PAGES]
@@ -277,8 +279,9 @@ def test_an_example_that_needs_ros_is_left_out_unless_it_is_there() -> None:
 # What is made from the code
 
 
-def test_the_picture_of_the_states_is_the_one_that_the_table_makes() -> None:
-    assert (DOCS / "states.svg").read_text(encoding="utf-8") == build.diagram()
+@pytest.mark.parametrize("name", build.PICTURES)
+def test_a_picture_is_the_one_that_its_table_makes(name: str) -> None:
+    assert (DOCS / name).read_text(encoding="utf-8") == build.PICTURES[name]()
 
 
 def test_the_picture_of_the_parts_has_every_transport() -> None:
@@ -287,6 +290,20 @@ def test_the_picture_of_the_parts_has_every_transport() -> None:
     texts = " ".join(picture.getroot().itertext())
     assert {entry.name for entry in entry_points(group=GROUP)} == set(
         re.findall(r"([\w+]+)://", texts)
+    )
+
+
+def test_the_picture_of_a_life_has_an_arrow_for_every_event_that_changes_the_phase() -> None:
+    drawn = [
+        (phase, arrow.event, arrow.target)
+        for arrow in life_picture.arrows()
+        for phase in arrow.sources
+    ]
+
+    assert sorted(drawn) == sorted(
+        (phase, event, step.phase)
+        for (phase, event), step in LIFE.items()
+        if step.phase is not phase
     )
 
 
