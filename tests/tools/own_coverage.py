@@ -16,7 +16,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -55,14 +55,22 @@ class Tracer:
         self._followed = IMPORTING
         self._test: Path | None = IMPORTING
         # Else the test file that is the first to need a module would get its definitions.
-        for module, _ in self._modules:
-            importlib.import_module(dotted(module))
+        imported = [importlib.import_module(dotted(module)) for module, _ in self._modules]
+        self._forgets: list[Callable[[], None]] = [
+            value.cache_clear
+            for module in imported
+            for value in vars(module).values()
+            if hasattr(value, "cache_clear")
+        ]
 
     def follow(self, path: Path) -> None:
         """Count from now on for the tests at this path, if they cover a module."""
         if path != self._followed:
             self._followed = path
             self._take()
+            # Else only the first test file that needs what is cached would reach the function.
+            for forget in self._forgets:
+                forget()
             is_wanted = path in self._tests or not self._tests.isdisjoint(path.parents)
             self._test = path if is_wanted else None
 

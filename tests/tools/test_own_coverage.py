@@ -132,6 +132,15 @@ def test_what_runs_while_another_test_file_is_collected_does_not_count(project: 
     assert status == 1
 
 
+def test_what_another_test_file_has_cached_is_forgotten(project: Path) -> None:
+    cached = SIGN.replace("def sign", "from functools import cache\n@cache\ndef sign")
+    (project / "fibaction/sign.py").write_text(cached)
+    (project / "tests/test_first.py").write_text(WHOLE_FIRST.replace("3", "2"))
+    status, said = run(project, "tests")
+    assert COVERED in said
+    assert status == 0
+
+
 def test_what_a_test_file_reaches_while_it_is_collected_counts(project: Path) -> None:
     (project / "tests/test_sign.py").write_text(f"{HALF_SIGN}\nsign(-1)\n")
     status, said = run(project, "tests")
