@@ -35,7 +35,7 @@ from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.admission.admission import Offer
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import STORE_FAILED, GoalKeeper
-from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
+from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
 from fibaction.server.execution.executor import Executor
 from fibaction.server.execution.executor_check import check_is_executor
 from fibaction.server.execution.runs import GOAL_IS_KEPT
@@ -197,7 +197,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             )
         if settings.at_stop == "keep":
             raise ValueError(f"{self!r} has at_stop='keep', which needs a store")
-        return NoStoreKeeper()
+        if settings.recovery != "abort":
+            logger.warning(
+                "action server %r has no store, so its `recovery` has no effect: %s",
+                self.action.name,
+                ADD_A_STORE,
+            )
+        return NoStoreKeeper(self.action.name)
 
     async def __aexit__(
         self,

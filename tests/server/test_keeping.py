@@ -112,6 +112,48 @@ async def test_goals_cannot_be_kept_at_a_stop_without_a_store() -> None:
         await server.__aenter__()
 
 
+ADVICE = "give the server a store, such as store=SqliteStore('goals.db')"
+
+
+def warnings_in(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+
+
+def decide(goal: GoalHandle[int]) -> None:
+    """Run each goal again."""
+
+
+@pytest.mark.parametrize("recovery", ["rerun", decide])
+async def test_a_recovery_without_a_store_is_warned_of_at_the_start(
+    recovery: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with ActionServer(PAINT, paint, recovery=recovery):
+        assert warnings_in(caplog) == [
+            f"action server 'paint' has no store, so its `recovery` has no effect: {ADVICE}"
+        ]
+
+
+async def test_the_first_checkpoint_without_a_store_is_warned_of(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with ActionServer(PAINT, paint) as server:
+        assert caplog.records == []
+        for _ in range(2):
+            await client_of(server).call(2)
+    assert warnings_in(caplog) == [
+        f"action server 'paint' has no store, so goal.checkpoint() keeps nothing: {ADVICE}"
+    ]
+
+
+async def test_a_server_with_a_store_warns_of_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    given_later = ActionServer(PAINT, paint, recovery="rerun", at_stop="keep")
+    given_later.keep_in(MemoryStore())
+    for one in (server_with(MemoryStore(), recovery=decide, at_stop="keep"), given_later):
+        async with one as server:
+            await client_of(server).call(2)
+    assert caplog.records == []
+
+
 # Acceptance
 
 

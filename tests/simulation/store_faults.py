@@ -70,7 +70,7 @@ def a_cancel_is_answered_before_it_is_kept(real: Any) -> Any:
 
     def __init__(self: Cancels[Any, Any, Any], *args: Any, **keywords: Any) -> None:
         real(self, *args, **keywords)
-        self._keeper = NoStoreKeeper()
+        self._keeper = NoStoreKeeper("")
 
     return __init__
 
