@@ -29,7 +29,7 @@ VERBS = {
     "list": ("list", "list_command", "List the actions that are served."),
     "info": ("info", "info_command", "Show the servers and the clients of an action."),
     "type": ("type", "type_command", "Print the type of an action."),
-    "find": ("find", "find_command", "List the actions of a type."),
+    "find": ("list", "find_command", "List the actions of a type."),
     "wait": ("wait", "wait_command", "Wait until an action is served."),
     "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
     "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
