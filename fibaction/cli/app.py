@@ -44,6 +44,7 @@ VERBS = {
     "replay": ("replay_file", "replay_command", "Answer goals as a recording has it."),
     "show": ("show_file", "show_command", "Summarise a recording."),
     "export": ("export_file", "export_command", "Write a recording as an MCAP file."),
+    "store": ("store", "store_command", "Back up the file in which a server keeps its goals."),
     "broker": ("run_broker", "broker_command", "Run a broker for a fleet on this machine."),
     "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
     "console": ("console", "console_command", "Operate actions in the browser."),
