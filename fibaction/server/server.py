@@ -83,8 +83,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 function, or is a generator function that is not async; `on_goal` takes neither
                 one argument nor two; the schedule is not a `Schedule`; a watcher is not a
                 `Watcher`; or there is no such setting.
-            ValueError: A number is out of range; or `feedback`, `recovery` or `at_stop` is not one
-                of its words.
+            ValueError: A number is out of range; or `feedback`, `recovery`, `unreadable` or
+                `at_stop` is not one of its words.
         """
         if object in action.feedback.classes:
             raise TypeError(
@@ -153,7 +153,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             RuntimeError: It was started before.
             ValueError: Goals are to be kept at a stop, and there is no store.
-            StoreError: The store cannot be used.
+            StoreError: The store cannot be used, or has goals that cannot be read.
         """
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")

@@ -85,6 +85,8 @@ async def test_settings_that_cannot_be_used_are_rejected() -> None:
         ActionServer(PAINT, paint, max_attempts=0)
     with pytest.raises(ValueError, match="at_stop is 'abort' or 'keep', not 'run'"):
         ActionServer(PAINT, paint, at_stop="run")  # type: ignore[arg-type]  # wrong on purpose
+    with pytest.raises(ValueError, match="unreadable is 'refuse' or 'abort', not 'run'"):
+        ActionServer(PAINT, paint, unreadable="run")  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(TypeError, match="store is a GoalStore, such as SqliteStore"):
         ActionServer(PAINT, paint, store="goals.db")  # type: ignore[arg-type]  # wrong on purpose
 
@@ -433,7 +435,8 @@ async def test_a_schedule_that_rejects_a_stored_goal_ends_it() -> None:
 async def test_a_stored_goal_that_does_not_fit_any_more_is_aborted(
     goal: StoredGoal, reason: str
 ) -> None:
-    async with server_with(store_with(goal, stored(number=2))) as server:
+    store = store_with(goal, stored(number=2))
+    async with server_with(store, unreadable="abort") as server:
         outcome = await (await attached(server)).outcome()
         assert outcome.status is GoalStatus.ABORTED
         assert outcome.reason.startswith(reason)
@@ -469,7 +472,7 @@ async def test_very_long_times_are_kept_as_unlimited() -> None:
 async def test_a_checkpoint_of_an_action_without_checkpoints_ends_its_goal() -> None:
     plain = Action("paint", goal=int, feedback=int, result=str)
     store = store_with(stored(checkpoint=PAINT.goal.encode(1)))
-    async with ActionServer(plain, paint, store=store) as server:
+    async with ActionServer(plain, paint, store=store, unreadable="abort") as server:
         outcome = await (await ActionClient(server, plain).attach(ID)).outcome()
     assert "has no checkpoints any more" in outcome.reason
 
