@@ -129,8 +129,8 @@ class GoalHandle(Generic[GoalT]):
         """Keep a state in the server's store, and return when it is kept.
 
         The next attempt at the goal gets it as `restored`: this one, or a later one. It replaces
-        the checkpoint before, and is encoded at once. Without a store nothing is kept, and nothing
-        is waited for.
+        the checkpoint before, and is encoded at once. Without a store nothing is kept, nothing is
+        waited for, and the first call of a server is a warning in the log.
 
             async def paint(goal):
                 done = goal.restored or 0

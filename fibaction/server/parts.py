@@ -107,7 +107,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         """Open the store, and start the tasks. The stack ends both.
 
         Raises:
-            StoreError: The store cannot be used.
+            StoreError: The store cannot be used, or has goals that cannot be read.
         """
         self._watch.open()
         stack.callback(self._watch.close)
@@ -121,6 +121,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             look_at_room=self.room.update,
         )
         await stack.enter_async_context(self.keeper.open(tasks, events))
+        await self.recovery.check()
         self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail before that
         self.dispatcher.open(tasks, self.runs, self.keeper.look_at_room)
         self.keeper.start(tasks, self.recovery.open, self.room.watch)

@@ -35,7 +35,7 @@ from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.admission.admission import Offer
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import STORE_FAILED, GoalKeeper
-from fibaction.server.durability.keeper import Keeper, NoStoreKeeper
+from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
 from fibaction.server.execution.executor import Executor
 from fibaction.server.execution.executor_check import check_is_executor
 from fibaction.server.execution.runs import GOAL_IS_KEPT
@@ -83,8 +83,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 function, or is a generator function that is not async; `on_goal` takes neither
                 one argument nor two; the schedule is not a `Schedule`; a watcher is not a
                 `Watcher`; or there is no such setting.
-            ValueError: A number is out of range; or `feedback`, `recovery` or `at_stop` is not one
-                of its words.
+            ValueError: A number is out of range; or `feedback`, `recovery`, `unreadable` or
+                `at_stop` is not one of its words.
         """
         if object in action.feedback.classes:
             raise TypeError(
@@ -153,7 +153,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             RuntimeError: It was started before.
             ValueError: Goals are to be kept at a stop, and there is no store.
-            StoreError: The store cannot be used.
+            StoreError: The store cannot be used, or has goals that cannot be read.
         """
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
@@ -197,7 +197,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             )
         if settings.at_stop == "keep":
             raise ValueError(f"{self!r} has at_stop='keep', which needs a store")
-        return NoStoreKeeper()
+        if settings.recovery != "abort":
+            logger.warning(
+                "action server %r has no store, so its `recovery` has no effect: %s",
+                self.action.name,
+                ADD_A_STORE,
+            )
+        return NoStoreKeeper(self.action.name)
 
     async def __aexit__(
         self,

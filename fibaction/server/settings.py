@@ -54,6 +54,7 @@ class ActionServerKeywords(TypedDict, Generic[GoalT], total=False):
     store: GoalStore | None
     recovery: RecoveryRule[GoalT]
     max_attempts: int
+    unreadable: Literal["refuse", "abort"]
     at_stop: Literal["abort", "keep"]
     watchdog: float
     watchers: Iterable[Watcher]
@@ -107,6 +108,11 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     case."""
     max_attempts: int = 3
     """The number of attempts that a goal may lose in this way; then it ends as ABORTED."""
+    unreadable: Literal["refuse", "abort"] = "refuse"
+    """The rule for goals that the store has at the start, and that do not fit the action any more,
+    or for which the `key` or the `priority` of the schedule fails. With `refuse`, the server does
+    not start, and leaves the store as it is for the version that can read them; with `abort`, they
+    end as ABORTED. Goals that are handed over later, as in a fleet, end as ABORTED in any case."""
     at_stop: Literal["abort", "keep"] = "abort"
     """With `abort`, a server that stops ends its goals. With `keep`, it interrupts their executors,
     and goals that do not end by themselves stay in the store: they run again after the next
@@ -123,8 +129,8 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
 
         Raises:
             TypeError: The schedule is not a `Schedule`, or the store not a `GoalStore`.
-            ValueError: A number is out of range; or `feedback`, `recovery` or `at_stop` is not one
-                of its words.
+            ValueError: A number is out of range; or `feedback`, `recovery`, `unreadable` or
+                `at_stop` is not one of its words.
         """
         if self.feedback not in ("every", "latest"):
             raise ValueError(f"feedback is 'every' or 'latest', not {self.feedback!r}")
@@ -138,6 +144,8 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
             raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {self.recovery!r}")
         if self.max_attempts < 1:
             raise ValueError(f"max_attempts is at least 1, not {self.max_attempts}")
+        if self.unreadable not in ("refuse", "abort"):
+            raise ValueError(f"unreadable is 'refuse' or 'abort', not {self.unreadable!r}")
         if self.at_stop not in ("abort", "keep"):
             raise ValueError(f"at_stop is 'abort' or 'keep', not {self.at_stop!r}")
         if self.schedule is not None:

@@ -1,4 +1,4 @@
-"""The goals in a file, read from a copy of it, so that a server can go on using the file.
+"""The goals in a file, in a copy of it, so that a server can go on using the file.
 
 A server keeps its file locked. But SQLite only appends to its write-ahead log, until it has written
 all of the log to the file and begins the log anew, with another header. So a copy of both is of one
@@ -12,9 +12,13 @@ from __future__ import annotations
 import os
 import sys
 import time
-from contextlib import closing, suppress
-from shutil import copyfile
+from collections.abc import Callable, Generator
+from contextlib import closing, contextmanager, suppress
+from functools import partial
+from shutil import copyfile, copymode
+from stat import S_ISREG
 from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 import anyio
 from anyio import to_thread
@@ -24,6 +28,8 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import HEADER
 from fibaction.words.errors import StoreError
+
+ValueT = TypeVar("ValueT")
 
 TRIES = 50
 PAUSE = 0.02
@@ -38,39 +44,78 @@ async def stored_goals(path: str) -> dict[str, list[StoredGoal]]:
     Raises:
         StoreError: There is no such file, or it is not a store; the text says why.
     """
+    failing = f"cannot read the goals in {excerpt(path)}"
+    return await _with_copy(path, failing, None, partial(_read, failing))
+
+
+async def back_up(path: str, target: str) -> int:
+    """Copy the file of a `SqliteStore` and its log into one new file, and return the number of its
+    goals. A file of that name is replaced.
+
+    Raises:
+        StoreError: There is no such file, or it is not a store; the text says why.
+        OSError: The new file cannot be written.
+    """
+    failing = f"cannot back up the goals in {excerpt(path)}"
+    return await _with_copy(path, failing, target, partial(_keep, failing, path, target))
+
+
+async def _with_copy(
+    path: str, failing: str, target: str | None, use: Callable[[str], ValueT]
+) -> ValueT:
+    """Return what `use` makes of a copy of the file and its log."""
     for _ in range(TRIES):
-        goals = await to_thread.run_sync(_read, path)
-        if goals is not None:
-            return goals
+        made = await to_thread.run_sync(_try, path, failing, target, use)
+        if made:
+            return made[0]
         await anyio.sleep(PAUSE)
-    raise StoreError(
-        f"{_failing(path)}: it changes all the time; try again when there is less work"
-    )
+    raise StoreError(f"{failing}: it changes all the time; try again when there is less work")
 
 
-def _failing(path: str) -> str:
-    return f"cannot read the goals in {excerpt(path)}"
-
-
-def _read(path: str) -> dict[str, list[StoredGoal]] | None:
-    """Return the goals; None if a copy cannot be made now."""
+def _try(
+    path: str, failing: str, target: str | None, use: Callable[[str], ValueT]
+) -> tuple[ValueT] | tuple[()]:
+    """Return what `use` makes of a copy, which is on the disk of the target, in a tuple; an empty
+    one if a copy cannot be made now.
+    """
     path = os.path.realpath(path)  # the log is beside the file, and not beside a link to it
-    if os.path.exists(path) and not os.path.isfile(path):
-        raise StoreError(f"{_failing(path)}: it is not a file")
-    with TemporaryDirectory(prefix="fibaction-") as folder:
-        copy = os.path.join(folder, "goals.db")
-        try:
+    with _explained(failing):
+        if not S_ISREG(os.stat(path).st_mode):
+            raise StoreError(f"{failing}: it is not a file")
+    folder = None if target is None else os.path.dirname(os.path.abspath(target))
+    with TemporaryDirectory(prefix=".fibaction-", dir=folder) as within:
+        copy = os.path.join(within, "goals.db")
+        with _explained(failing):
             if not _copied(path, copy):
-                return None
-        except FileNotFoundError:
-            raise StoreError(f"{_failing(path)}: there is no such file") from None
-        except OSError as exc:
-            raise StoreError(f"{_failing(path)}: {exc.strerror}") from exc
-        with closing(JournalFile(copy, "normal", failing=_failing(path))) as file:
-            goals = file.goals()
+                return ()
+        return (use(copy),)
+
+
+def _read(failing: str, copy: str) -> dict[str, list[StoredGoal]]:
+    # "normal": a log that is written while it is copied may look like a damaged one.
+    with closing(JournalFile(copy, "normal", failing=failing)) as file:
+        goals = file.goals()
     for of_action in goals.actions.values():
         of_action.drop_expired(sys.maxsize, time.time_ns())
     return {action: of_action.in_order() for action, of_action in goals.actions.items()}
+
+
+def _keep(failing: str, path: str, target: str, copy: str) -> int:
+    """Check the copy, which leaves one file, and give it its name."""
+    goals = _read(failing, copy)
+    copymode(path, copy)
+    os.replace(copy, target)
+    return sum(map(len, goals.values()))
+
+
+@contextmanager
+def _explained(failing: str) -> Generator[None, None, None]:
+    try:
+        yield
+    except FileNotFoundError:
+        raise StoreError(f"{failing}: there is no such file") from None
+    except OSError as exc:
+        raise StoreError(f"{failing}: {exc.strerror}") from exc
 
 
 def _copied(path: str, copy: str) -> bool:

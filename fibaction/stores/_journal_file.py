@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from fibaction._runtime.text import excerpt
+from fibaction.stores._log_mark import LOG_IS_MISSING, begin_log, lacks_log, prepare_mark
 from fibaction.stores._wal import PAGE, is_damaged
 from fibaction.stores.journal_rows import DamagedRow, KeptGoals
 from fibaction.words.errors import StoreError
@@ -17,6 +18,8 @@ APPLICATION = 0x66696261
 """The `application_id` in the header of the file: "fiba"."""
 VERSION = 1
 """The `user_version` in the header of the file: the version of the table and of its rows."""
+LARGEST_LOG = 4 * 1024 * 1024
+"""Bytes that are written to the write-ahead log before it is copied to the file."""
 
 WHAT_TO_DO = {
     sqlite3.SQLITE_BUSY: (
@@ -45,12 +48,14 @@ class JournalFile:
         self._path = path
         self._failing = failing or f"cannot keep goals in {excerpt(path)}"
         self._last = 0
-        self._log_identity: tuple[int, int] | None = None  # once there is a log
+        self._logged = 0
         self.size = 0
         """Bytes of all rows."""
         self.first_size = 0
         """Bytes of the rows that `replace` wrote last."""
         _check_place(path)
+        if lacks_log(path):
+            raise self._error(LOG_IS_MISSING)
         if sync == "full":  # without it, several of the last commits may be torn after a power cut
             self._check_log()
         with self._explained():
@@ -61,6 +66,7 @@ class JournalFile:
                 self._prepare(sync)
                 self._last = self._db.execute("select coalesce(max(n), 0) from log").fetchone()[0]
             self._identity = _identity_of(path)
+            self._log_identity = _identity_of(path + "-wal")
         except BaseException:
             self._db.close()
             raise
@@ -91,6 +97,7 @@ class JournalFile:
         self._db.execute(f"pragma fullfsync={int(sync == 'full')}")
         if self._pragma("quick_check") != "ok":
             raise DamagedRow("its pages do not fit together")
+        prepare_mark(self._db)
 
     def _pragma(self, name: str) -> object:
         return self._db.execute(f"pragma {name}").fetchone()[0]
@@ -125,9 +132,11 @@ class JournalFile:
     def add(self, row: bytes) -> None:
         """Add a row; it is durable when this returns."""
         with self._explained():
+            self._bound_log()
             self._db.execute("insert into log values (?, ?)", (self._last + 1, row))
             self._last += 1
             self.size += len(row)
+            self._logged += PAGE + len(row)
             self._check_path()
 
     def rows(self) -> Iterator[tuple[int, bytes]]:
@@ -150,6 +159,7 @@ class JournalFile:
     def replace(self, rows: Iterable[bytes]) -> None:
         """Write these rows instead of all that there are."""
         with self._explained():
+            self._bound_log()
             last, size = self._last, 0
             self._db.execute("begin immediate")
             for number, row in enumerate(rows, last + 1):
@@ -159,7 +169,14 @@ class JournalFile:
             self._db.execute("delete from log where n <= ?", (last,))
             self._db.execute("commit")
             self.size = self.first_size = size
+            self._logged += size
             self._check_path()
+
+    def _bound_log(self) -> None:
+        """Begin the log again when it is large; before a write, so that none fails that is kept."""
+        if self._logged > LARGEST_LOG:
+            self._logged = 0
+            begin_log(self._db)
 
     def close(self) -> None:
         """Close the file, whatever state it is in."""
@@ -168,11 +185,9 @@ class JournalFile:
 
     def _check_path(self) -> None:
         """Check that what was written to is still there for the next start."""
-        log = _identity_of(self._path + "-wal")
         if _identity_of(self._path) != self._identity:
             raise self._error("the file was removed or replaced while it was in use")
-        self._log_identity = self._log_identity or log
-        if log != self._log_identity:
+        if _identity_of(self._path + "-wal") != self._log_identity:
             raise self._error(
                 f"{excerpt(self._path)}-wal was removed or replaced while it was in use"
             )

@@ -52,7 +52,9 @@ class Bench:
         self.goal.status = GoalStatus.EXECUTING
         self.log = FeedbackLog(self.goal, window=window)
         self.stream = self.log.follow(own=True)
-        handle = GoalHandle(self.goal, Goal(order), Checkpoints("fibonacci", None, NoStoreKeeper()))
+        handle = GoalHandle(
+            self.goal, Goal(order), Checkpoints("fibonacci", None, NoStoreKeeper("fibonacci"))
+        )
         self.execution = Execution(
             FIBONACCI, executor, handle, self.log, stall_timeout, Watch(FIBONACCI.name, 0)
         )
@@ -427,7 +429,7 @@ def test_a_field_of_the_goal_is_looked_for_in_the_request(
 ) -> None:
     record = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
     handle: GoalHandle[Any] = GoalHandle(
-        record, request_, Checkpoints("fibonacci", None, NoStoreKeeper())
+        record, request_, Checkpoints("fibonacci", None, NoStoreKeeper("fibonacci"))
     )
     with pytest.raises(AttributeError) as caught:
         getattr(handle, name)

@@ -85,6 +85,8 @@ async def test_settings_that_cannot_be_used_are_rejected() -> None:
         ActionServer(PAINT, paint, max_attempts=0)
     with pytest.raises(ValueError, match="at_stop is 'abort' or 'keep', not 'run'"):
         ActionServer(PAINT, paint, at_stop="run")  # type: ignore[arg-type]  # wrong on purpose
+    with pytest.raises(ValueError, match="unreadable is 'refuse' or 'abort', not 'run'"):
+        ActionServer(PAINT, paint, unreadable="run")  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(TypeError, match="store is a GoalStore, such as SqliteStore"):
         ActionServer(PAINT, paint, store="goals.db")  # type: ignore[arg-type]  # wrong on purpose
 
@@ -110,6 +112,48 @@ async def test_goals_cannot_be_kept_at_a_stop_without_a_store() -> None:
     server = ActionServer(PAINT, paint, at_stop="keep")
     with pytest.raises(ValueError, match="needs a store"):
         await server.__aenter__()
+
+
+ADVICE = "give the server a store, such as store=SqliteStore('goals.db')"
+
+
+def warnings_in(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+
+
+def decide(goal: GoalHandle[int]) -> None:
+    """Run each goal again."""
+
+
+@pytest.mark.parametrize("recovery", ["rerun", decide])
+async def test_a_recovery_without_a_store_is_warned_of_at_the_start(
+    recovery: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with ActionServer(PAINT, paint, recovery=recovery):
+        assert warnings_in(caplog) == [
+            f"action server 'paint' has no store, so its `recovery` has no effect: {ADVICE}"
+        ]
+
+
+async def test_the_first_checkpoint_without_a_store_is_warned_of(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with ActionServer(PAINT, paint) as server:
+        assert caplog.records == []
+        for _ in range(2):
+            await client_of(server).call(2)
+    assert warnings_in(caplog) == [
+        f"action server 'paint' has no store, so goal.checkpoint() keeps nothing: {ADVICE}"
+    ]
+
+
+async def test_a_server_with_a_store_warns_of_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    given_later = ActionServer(PAINT, paint, recovery="rerun", at_stop="keep")
+    given_later.keep_in(MemoryStore())
+    for one in (server_with(MemoryStore(), recovery=decide, at_stop="keep"), given_later):
+        async with one as server:
+            await client_of(server).call(2)
+    assert caplog.records == []
 
 
 # Acceptance
@@ -391,7 +435,8 @@ async def test_a_schedule_that_rejects_a_stored_goal_ends_it() -> None:
 async def test_a_stored_goal_that_does_not_fit_any_more_is_aborted(
     goal: StoredGoal, reason: str
 ) -> None:
-    async with server_with(store_with(goal, stored(number=2))) as server:
+    store = store_with(goal, stored(number=2))
+    async with server_with(store, unreadable="abort") as server:
         outcome = await (await attached(server)).outcome()
         assert outcome.status is GoalStatus.ABORTED
         assert outcome.reason.startswith(reason)
@@ -427,7 +472,7 @@ async def test_very_long_times_are_kept_as_unlimited() -> None:
 async def test_a_checkpoint_of_an_action_without_checkpoints_ends_its_goal() -> None:
     plain = Action("paint", goal=int, feedback=int, result=str)
     store = store_with(stored(checkpoint=PAINT.goal.encode(1)))
-    async with ActionServer(plain, paint, store=store) as server:
+    async with ActionServer(plain, paint, store=store, unreadable="abort") as server:
         outcome = await (await ActionClient(server, plain).attach(ID)).outcome()
     assert "has no checkpoints any more" in outcome.reason
 

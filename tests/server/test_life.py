@@ -48,7 +48,7 @@ NO_TURN = (Phase.DECIDING, Phase.ACCEPTANCE_IN_WRITING)
 
 def test_without_a_store_nothing_fails() -> None:
     with pytest.raises(NotImplementedError, match="only a store can fail"):
-        NoStoreKeeper().stopped()
+        NoStoreKeeper("paint").stopped()
 
 
 def test_without_a_store_nothing_is_written_and_the_same_is_told() -> None:

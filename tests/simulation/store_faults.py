@@ -70,7 +70,7 @@ def a_cancel_is_answered_before_it_is_kept(real: Any) -> Any:
 
     def __init__(self: Cancels[Any, Any, Any], *args: Any, **keywords: Any) -> None:
         real(self, *args, **keywords)
-        self._keeper = NoStoreKeeper()
+        self._keeper = NoStoreKeeper("")
 
     return __init__
 
@@ -171,7 +171,7 @@ def a_cancel_is_forgotten_at_a_restart(real: Any) -> Any:
 def no_checkpoint_is_restored(_real: Any) -> Any:
     """Begin each attempt from nothing."""
 
-    def restored(self: Checkpoints, goal: GoalRecord) -> None:
+    def restored(self: Checkpoints, stored: StoredGoal) -> None:
         return None
 
     return restored

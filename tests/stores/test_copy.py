@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from contextlib import closing
@@ -13,7 +14,7 @@ import pytest
 from fibaction import StoreError
 from fibaction._runtime.text import excerpt
 from fibaction.stores import _copy
-from fibaction.stores._copy import stored_goals
+from fibaction.stores._copy import back_up, stored_goals
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
 from fibaction.words.statuses import GoalStatus
@@ -116,15 +117,42 @@ def test_a_file_that_changed_just_now_is_copied_again(path: Path) -> None:
 
 
 def test_a_copy_has_everything_that_was_told_before(path: Path) -> None:
+    backup = path.with_name("backup.db")
     program = [sys.executable, "-c", KILLED, str(path), "normal"]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         try:
             for _ in range(5):  # meanwhile the log begins anew several times
                 told = [child.stdout.readline().split() for _ in range(2000)]
+                count = anyio.run(back_up, str(path), str(backup))
                 goals = {goal.stamp: goal for goal in anyio.run(stored_goals, str(path))["a"]}
+                kept = {goal.stamp: goal for goal in anyio.run(stored_goals, str(backup))["a"]}
+                assert len(kept) == count
                 for what, number in told:
-                    assert goals[int(number)].status.is_terminal or what == "accepted"
+                    for of_copy in (goals, kept):
+                        assert of_copy[int(number)].status.is_terminal or what == "accepted"
         finally:
             child.kill()
             child.stdout.read()
+
+
+def test_a_store_that_a_killed_process_has_left_is_backed_up(path: Path) -> None:
+    left, backup = path.with_name("left.db"), path.with_name("backup.db")
+    with closing(JournalFile(str(path), "full")) as file:
+        add(file, "paint", 1)
+        shutil.copy(path, left)
+        shutil.copy(f"{path}-wal", f"{left}-wal")
+    assert anyio.run(back_up, str(left), str(backup)) == 1
+    assert read(backup) == {"paint": [1]}
+    assert not backup.with_name("backup.db-wal").exists()
+    assert left.with_name("left.db-wal").exists()
+
+
+def test_a_backup_that_cannot_be_written_leaves_nothing(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")):
+        pass
+    backup = path.with_name("folder.db")
+    backup.mkdir()
+    with pytest.raises(OSError, match=r"folder\.db"):
+        anyio.run(back_up, str(path), str(backup))
+    assert sorted(file.name for file in path.parent.iterdir()) == ["folder.db", "goals.db"]

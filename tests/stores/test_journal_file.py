@@ -102,6 +102,17 @@ def test_rows_can_be_replaced(path: Path) -> None:
     assert stamps(path) == [11]
 
 
+def test_the_log_is_copied_to_the_file_before_it_becomes_large(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_journal_file, "LARGEST_LOG", 50_000)
+    with closing(JournalFile(str(path), "normal")) as file:
+        for number in range(1, 200):
+            add(file, number)
+        assert path.with_name("goals.db-wal").stat().st_size < 150_000
+        assert path.stat().st_size > 500_000
+
+
 def test_a_file_that_is_empty_becomes_a_store(path: Path) -> None:
     path.touch()
     write(path, 1)
@@ -199,6 +210,18 @@ def test_a_log_that_is_removed_is_an_error(path: Path) -> None:
         path.with_name("goals.db-wal").unlink()
         with pytest.raises(StoreError, match=r"goals\.db-wal was removed or replaced while it was"):
             add(file, 2)
+
+
+def test_a_log_that_is_removed_before_the_first_write_is_an_error(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        path.with_name("goals.db-wal").unlink()
+        with pytest.raises(StoreError, match=r"-wal was removed or replaced while it was in use"):
+            add(file, 1)
+
+
+def test_a_log_that_was_removed_after_a_kill_is_an_error(left: Path) -> None:
+    left.with_name("goals.db-wal").unlink()
+    assert why_not(left).startswith("the file beside it that ends in -wal is missing, and with it")
 
 
 def test_a_damaged_log_without_its_file_does_not_hinder_a_new_start(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`fibaction list`: list the actions that are served, as `ros2 action list` prints them."""
+"""`fibaction list` and `find`: list all actions, or those of a type, as `ros2 action` does."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import click
 
 from fibaction._api import connect
 from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.arguments.completion import TYPE
 from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace, namespace_of
 from fibaction.cli.arguments.options import json_option, url_option
@@ -63,6 +64,25 @@ async def list_actions(
         actions = await namespace.narrow(connection).actions()
     print_found = print_groups if group else print_actions
     print_found(actions, show_types=show_types, count=count, as_json=as_json)
+    return ExitCode.SUCCEEDED
+
+
+@click.command("find", epilog="\b\nExample:\n  fibaction find arduinobot_msgs/action/Fibonacci")
+@click.argument("type_name", metavar="TYPE", type=TYPE)
+@count_option
+@json_option
+@url_option
+def find_command(type_name: str, count: bool, as_json: bool, url: str) -> None:
+    """List the actions of the type TYPE, written as package/action/Type."""
+    run(find, url, type_name, count=count, as_json=as_json)
+
+
+async def find(url: str, type_name: str, *, count: bool, as_json: bool) -> int:
+    """Print the names of the actions of a type, one a line, or their number."""
+    async with connect(url) as connection:
+        actions = await connection.actions()
+    found = [info for info in actions if info.type_name == type_name]
+    print_actions(found, show_types=False, count=count, as_json=as_json)
     return ExitCode.SUCCEEDED
 
 

@@ -9,6 +9,7 @@ from fibaction._runtime.text import excerpt
 from fibaction.words.errors import ProtocolError
 
 if TYPE_CHECKING:
+    from fibaction.border.goal_store import StoredGoal
     from fibaction.server.durability.keeper import Keeper
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import Codec
@@ -43,17 +44,17 @@ class Checkpoints:
             )
         await self._keeper.keep_state(goal, partial(codec.encode, state))
 
-    def restored(self, goal: GoalRecord) -> Any:
+    def restored(self, stored: StoredGoal) -> Any:
         """Return the last checkpoint of a goal; None if there is none.
 
         Raises:
             ProtocolError: It is not of the type of checkpoints.
         """
-        if goal.stored is None or goal.stored.checkpoint is None:
+        if stored.checkpoint is None:
             return None
         if self._codec is None:
             raise ProtocolError(f"action {self._action!r} has no checkpoints any more")
-        return self._codec.decode(goal.stored.checkpoint)
+        return self._codec.decode(stored.checkpoint)
 
 
 def _name_of(kind: object) -> str:

@@ -13,6 +13,7 @@ from contextlib import AbstractAsyncContextManager, AbstractContextManager, null
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
+from fibaction._runtime.log import clean_logger
 from fibaction.server.life import LIFE_IN_MEMORY, Effect, Event, Phase, Step
 
 if TYPE_CHECKING:
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.errors import GoalKept, StoreError
     from fibaction.words.goals import GoalID, Outcome
+
+ADD_A_STORE = "give the server a store, such as store=SqliteStore('goals.db')"
+"""The advice for a setting or a call that has no effect without a store."""
+
+logger = clean_logger("fibaction.server")
 
 Kept: TypeAlias = Callable[[], None]
 """A function that is called when a write is durable."""
@@ -169,6 +175,10 @@ class NoStoreKeeper(Keeper):
     block = nullcontext()
     life = LIFE_IN_MEMORY
 
+    def __init__(self, action: str) -> None:
+        self._action = action
+        self._has_warned = False
+
     def open(self, tasks: TaskGroup, events: KeeperEvents) -> AbstractAsyncContextManager[None]:
         return nullcontext()
 
@@ -200,7 +210,14 @@ class NoStoreKeeper(Keeper):
         return 0
 
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
-        """Keep nothing: there is no next attempt."""
+        """Keep nothing: there is no next attempt. The first call warns of that."""
+        if not self._has_warned:
+            self._has_warned = True
+            logger.warning(
+                "action server %r has no store, so goal.checkpoint() keeps nothing: %s",
+                self._action,
+                ADD_A_STORE,
+            )
 
     def check(self) -> None:
         """Do nothing: what is kept in memory does not fail."""

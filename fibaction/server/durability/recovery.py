@@ -21,7 +21,8 @@ on, and one of these happens:
 - It was running when its process was gone: the attempt is lost. By the rule of the server, the goal
   ends as ABORTED, or runs again, or a function decides. After too many lost attempts it ends in any
   case, because it may be the goal that kills the server.
-- It is not of its type any more: it ends as ABORTED, with the reason.
+- It is not of its type any more: it ends as ABORTED, with the reason. That is for goals that come
+  later, and for a server that is told so: else the server does not start (see `readable`).
 
 A goal that runs again begins another attempt. `Runs` writes that before the executor starts.
 """
@@ -46,6 +47,7 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.callbacks import awaited, failures_as
 from fibaction.server.durability.goal_keeper import SECOND
+from fibaction.server.durability.readable import ReadableCheck
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
@@ -92,6 +94,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher = dispatcher
         self._watchers = watchers
         self._admission = admission
+        self._readable = ReadableCheck(action, runs.checkpoints, dispatcher, settings)
         self._rule = settings.recovery
         self._max_attempts = settings.max_attempts
         self._keep_for = settings.result_timeout
@@ -101,6 +104,14 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._is_taking = False
         self._is_closed = False
         self._tasks: TaskGroup
+
+    async def check(self) -> None:
+        """Check that the goals which were claimed can be read, before any is taken over.
+
+        Raises:
+            StoreError: Some cannot be read, and the server is to refuse them.
+        """
+        await self._readable.check(tuple(self._claimed))
 
     def open(self, tasks: TaskGroup) -> None:
         """Take goals over in tasks of this group."""
@@ -166,7 +177,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         )
         try:
             request = self._action.goal.decode(stored.goal)
-            restored = self._runs.checkpoints.restored(goal)
+            restored = self._runs.checkpoints.restored(stored)
         except ProtocolError as exc:
             reason = f"the stored goal does not fit the action any more: {exc}"
             nothing = cast("GoalT", None)  # no executor gets it

@@ -80,6 +80,12 @@ class Dispatcher(Succession[GoalT]):
         """
 
     @abstractmethod
+    def failure_of(self, request: GoalT, sender: Sender) -> str:
+        """Return how the function `key` or `priority` of the schedule fails for a goal; empty if it
+        does not fail.
+        """
+
+    @abstractmethod
     def left(self, goal_id: GoalID) -> None:
         """Free the place of a goal whose executor is gone; of an unknown one, do nothing."""
 
@@ -125,6 +131,9 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
 
     def resume(self, goal_id: GoalID, request: Any, sender: Sender) -> None:
         self._goals.begin(goal_id)
+
+    def failure_of(self, request: Any, sender: Sender) -> str:
+        return ""
 
     def left(self, goal_id: GoalID) -> None:
         """Do nothing, as above."""

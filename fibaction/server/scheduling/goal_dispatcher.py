@@ -42,7 +42,7 @@ from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.scheduler import Act, Order, Scheduler
 from fibaction.types.action import GoalT
-from fibaction.words.errors import GoalRejected
+from fibaction.words.errors import GoalRejected, text_of
 from fibaction.words.goals import GoalID, Sender
 
 if TYPE_CHECKING:
@@ -99,6 +99,19 @@ class GoalDispatcher(Dispatcher[GoalT]):
         key, urgency = self._rank(request, sender)
         now = self._now()
         self._carry_out(self._scheduler.restore(goal_id, key=key, urgency=urgency, now=now))
+
+    def failure_of(self, request: GoalT, sender: Sender) -> str:
+        functions = ("key", _hashable, self._key), ("priority", _number, self._priority)
+        for name, check, function in functions:
+            if function is None:
+                continue
+            try:
+                _asked(check, function, request, sender)
+            except GoalRejected:
+                return ""  # as the function wants it
+            except Exception as exc:
+                return f"{name} failed: {text_of(exc)}"
+        return ""
 
     def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
         """Return the key and the urgency of a goal."""
@@ -187,12 +200,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
             GoalRejected: It raised this or another exception, or its answer cannot be used.
         """
         with failures_as(GoalRejected, name, self._action):
-            answer = function(request, sender)
-            if isinstance(answer, Awaitable):
-                if isinstance(answer, Coroutine):
-                    answer.close()  # or Python warns that it was never awaited
-                raise TypeError("it returned something to await, and not a value")
-            return check(answer)
+            return _asked(check, function, request, sender)
 
     def note_places(self) -> None:
         """Note in the records of waiting goals their places in the queue, for observers.
@@ -235,6 +243,21 @@ class GoalDispatcher(Dispatcher[GoalT]):
         news = self._successor_news.pop(goal_id, None)
         if news is not None:
             news.notify()
+
+
+def _asked(
+    check: Callable[[Any], Any],
+    function: Callable[[GoalT, Sender], Any],
+    request: GoalT,
+    sender: Sender,
+) -> Any:
+    """Return what a function of the schedule returns, as `check` returns it."""
+    answer = function(request, sender)
+    if isinstance(answer, Awaitable):
+        if isinstance(answer, Coroutine):
+            answer.close()  # or Python warns that it was never awaited
+        raise TypeError("it returned something to await, and not a value")
+    return check(answer)
 
 
 def _hashable(key: Hashable) -> Hashable:

@@ -1,0 +1,228 @@
+"""A write-ahead log that was removed: when it is noticed, and what does not count as one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import anyio
+import pytest
+
+from fibaction import ActionServer, SqliteStore, StoreError
+from fibaction.stores import _journal_file
+from fibaction.stores._copy import stored_goals
+from fibaction.stores._journal_file import JournalFile
+from fibaction.stores.journal_rows import WholeRecord, encode_row
+from tests.server.test_keeping import PAINT, paint
+from tests.stores.made import a_goal
+from tests.stores.test_sqlite_store import KILLED
+
+MISSING = (
+    "the file beside it that ends in -wal is missing, and with it the newest goals; put it back,"
+    " restore both files from a copy, or make it an empty file to go on without those goals"
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "goals.db"
+
+
+def log_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}-wal")
+
+
+def add(file: JournalFile, number: int) -> None:
+    goal = a_goal(number, result=bytes(3000))
+    file.add(encode_row(file.next_number, [WholeRecord("paint", goal)]))
+
+
+def stamps(path: Path) -> list[int]:
+    with closing(JournalFile(str(path), "full")) as file:
+        return [goal.stamp for goal in file.goals().of("paint").in_order()]
+
+
+def is_refused(path: Path) -> bool:
+    reason = ""
+    try:
+        stamps(path)
+    except StoreError as exc:
+        reason = str(exc)
+    assert reason in ("", f"cannot keep goals in {path}: {MISSING}")
+    return bool(reason)
+
+
+@pytest.fixture
+def left(path: Path, tmp_path: Path) -> Path:
+    """A file with three goals, as a killed process leaves it: all of them are in the log."""
+    left = tmp_path / "left" / "goals.db"
+    left.parent.mkdir()
+    with closing(JournalFile(str(path), "full")) as file:
+        for number in (1, 2, 3):
+            add(file, number)
+        shutil.copy(path, left)
+        shutil.copy(log_of(path), log_of(left))
+    return left
+
+
+@pytest.mark.promise("KEEP-10")
+def test_a_store_whose_log_was_removed_after_a_kill_is_refused_at_each_start(left: Path) -> None:
+    log = log_of(left).rename(left.with_name("elsewhere"))
+    before = left.read_bytes()
+    for _ in range(2):
+        assert is_refused(left)
+    assert sorted(os.listdir(left.parent)) == ["elsewhere", "goals.db"]
+    assert left.read_bytes() == before
+    log.rename(log_of(left))
+    assert stamps(left) == [1, 2, 3]
+
+
+@pytest.mark.promise("KEEP-10")
+def test_a_server_does_not_start_with_a_store_whose_log_was_removed(left: Path) -> None:
+    async def start() -> None:
+        async with ActionServer(PAINT, paint, store=SqliteStore(left)):
+            raise AssertionError("it does not start")
+
+    log_of(left).unlink()
+    with pytest.raises(StoreError, match=rf"^cannot keep goals in .*: {MISSING}$"):
+        anyio.run(start)
+
+
+def test_goals_are_not_read_without_a_log_that_was_removed(left: Path) -> None:
+    log_of(left).unlink()
+    with pytest.raises(StoreError, match=rf"^cannot read the goals in .*: {MISSING}$"):
+        anyio.run(stored_goals, str(left))
+
+
+def test_an_empty_log_says_to_go_on_without_the_newest_goals(left: Path) -> None:
+    log_of(left).write_bytes(b"")
+    assert stamps(left) == []
+    assert stamps(left) == []
+
+
+# What is not a missing log
+
+
+def test_a_store_that_was_closed_has_no_log_and_needs_none(path: Path) -> None:
+    for number in (1, 2):
+        with closing(JournalFile(str(path), "full")) as file:
+            add(file, number)
+        assert not log_of(path).exists()
+    assert stamps(path) == [1, 2]
+
+
+def test_another_program_may_read_the_file_after_a_kill(left: Path) -> None:
+    with closing(sqlite3.connect(left)) as db:
+        assert db.execute("select count(*) from log").fetchone() == (4,)
+    assert not log_of(left).exists()  # it has copied the log to the file
+    assert stamps(left) == [1, 2, 3]
+
+
+def test_a_file_of_an_older_release_has_no_mark_and_gets_one(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        add(file, 1)
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("drop table mark")
+    assert stamps(path) == [1]
+    with closing(sqlite3.connect(path)) as db:
+        assert db.execute("select needs_log from mark").fetchall() == [(0,)]
+
+
+class Moment(NamedTuple):
+    """The bytes of the file and of its log, and the goals that were told by then."""
+
+    file: bytes
+    log: bytes | None
+    told: int
+
+    def put(self, path: Path, *, with_log: bool) -> None:
+        """Write the bytes to this path."""
+        path.write_bytes(self.file)
+        log_of(path).unlink(missing_ok=True)
+        if with_log and self.log is not None:
+            log_of(path).write_bytes(self.log)
+
+
+@pytest.fixture
+def moments(path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Moment]:
+    """The moments before each statement in the lives of a store, each of them that of a kill."""
+    moments: list[Moment] = []
+    told: list[int] = []
+    real: Callable[..., sqlite3.Connection] = sqlite3.connect
+
+    def note(_statement: str) -> None:
+        log = log_of(path).read_bytes() if log_of(path).exists() else None
+        moments.append(Moment(path.read_bytes(), log, len(told)))
+
+    def connect(*args: Any, **settings: Any) -> sqlite3.Connection:
+        db = real(*args, **settings)
+        db.set_trace_callback(note)
+        return db
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_journal_file, "LARGEST_LOG", 20_000)
+        patch.setattr(sqlite3, "connect", connect)
+        for _ in range(3):
+            with closing(JournalFile(str(path), "normal")) as file:
+                for _ in range(10):
+                    add(file, len(told) + 1)
+                    told.append(len(told) + 1)
+                file.replace(file.goals().rows(file.next_number))
+    return moments
+
+
+@pytest.mark.promise("KEEP-1")
+def test_what_was_told_is_there_after_a_kill_at_any_moment(
+    moments: list[Moment], tmp_path: Path
+) -> None:
+    path = tmp_path / "left.db"
+    for moment in moments:
+        moment.put(path, with_log=True)
+        assert len(stamps(path)) >= moment.told
+    assert len(moments) > 100
+
+
+@pytest.mark.promise("KEEP-10")
+def test_a_store_without_its_log_is_refused_or_has_all_that_was_told(
+    moments: list[Moment], tmp_path: Path
+) -> None:
+    path = tmp_path / "left.db"
+    refused = 0
+    for moment in moments:
+        moment.put(path, with_log=False)
+        if is_refused(path):
+            refused += 1
+        else:
+            assert len(stamps(path)) >= moment.told
+    assert len(moments) // 2 < refused < len(moments)
+
+
+def test_sqlite_does_not_copy_the_log_to_the_file_by_itself(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_journal_file, "LARGEST_LOG", 10**9)
+    copied = tmp_path / "copied.db"
+    with closing(JournalFile(str(path), "normal")) as file:
+        for number in range(1, 1100):  # more than the pages after which it would
+            file.add(encode_row(file.next_number, [WholeRecord("paint", a_goal(number))]))
+        copied.write_bytes(path.read_bytes())
+    assert is_refused(copied)
+
+
+def test_a_program_that_was_killed_and_lost_its_log_is_noticed(path: Path) -> None:
+    program = [sys.executable, "-c", KILLED, str(path), "full"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        for _ in range(50):
+            child.stdout.readline()
+        child.kill()
+        child.stdout.read()
+    log_of(path).unlink()
+    assert is_refused(path)
