@@ -62,7 +62,8 @@ def stored(request: Any = 3, number: int = 1, **fields: Any) -> StoredGoal:
     """Return a goal as an earlier process has left it."""
     goal = PAINT.goal.encode(request)
     goal_id = GoalID(number.to_bytes(16, "big"))
-    return StoredGoal(goal_id, number, UNKNOWN_SENDER, digest_of(goal), goal, **fields)
+    fields.setdefault("stamp", number)
+    return StoredGoal(goal_id, sender=UNKNOWN_SENDER, digest=digest_of(goal), goal=goal, **fields)
 
 
 def store_with(*goals: StoredGoal) -> MemoryStore:
@@ -745,3 +746,37 @@ async def test_a_checkpoint_after_the_store_has_failed_is_not_written() -> None:
             await anyio.sleep_forever()
     assert len(errors) == 2
     assert store.writes == 2
+
+
+# Time
+
+
+@pytest.mark.promise("SCHEDULE-8")
+async def test_the_time_in_the_queue_goes_on_while_no_server_runs() -> None:
+    now = time.time_ns()
+    store = store_with(
+        stored(number=1, stamp=now - 300 * SECOND, attempt=1),  # it had its turn before
+        stored(number=2, stamp=now - 300 * SECOND),
+        stored(5, number=3, stamp=now - 60 * SECOND),
+        stored(number=4, stamp=now - 98 * SECOND),
+        stored(number=5, stamp=now + 300 * SECOND),  # the clock was set back
+    )
+    schedule = Schedule(concurrency=1, queue=9, queue_timeout=100)
+    async with server_with(store, schedule=schedule) as server:
+        began = current_time()
+        ends = {}
+        async with anyio.create_task_group() as tasks:
+
+            async def wait_for(number: int) -> None:
+                outcome = await (await attached(server, number)).outcome()
+                ends[number] = outcome.result or outcome.reason, round(current_time() - began)
+
+            for number in range(1, 6):
+                tasks.start_soon(wait_for, number)
+    assert ends == {
+        1: ("painted 3 in attempt 2", 3),
+        2: ("waited for 100 s", 0),
+        3: ("painted 5 in attempt 1", 8),
+        4: ("waited for 100 s", 2),
+        5: ("painted 3 in attempt 1", 11),
+    }

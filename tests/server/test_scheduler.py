@@ -171,21 +171,29 @@ class Fleet(RuleBasedStateMachine):
             orders = self.scheduler.offer(new, key=key, urgency=self.urgency[new][0], now=self.now)
             assert orders == expected
 
-    @rule(key=st.integers(0, 2), urgency=st.integers(0, 2))
-    def restore(self, key: int, urgency: int) -> None:
+    @rule(
+        key=st.integers(0, 2),
+        urgency=st.integers(0, 2),
+        waited=st.sampled_from([0.0, 0.0, 4.0, 5.0, 9.0]),
+    )
+    def restore(self, key: int, urgency: int, waited: float) -> None:
         self.count += 1
         new = goal(self.count)
         self.key[new] = key
         self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
-        self.since[new] = self.now
+        self.since[new] = self.now - waited
         expected = []
-        if self.has_place(key):
+        if waited >= self.limits.queue_timeout:
+            expected.append(Order(Act.END, new, "waited for 5 s"))
+        elif self.has_place(key):
             self.start(new)
             expected.append(Order(Act.START, new))
         else:
             self.queue.append(new)  # beyond any limit
-        urgency = int(self.urgency[new][0])
-        assert self.scheduler.restore(new, key=key, urgency=urgency, now=self.now) == expected
+        orders = self.scheduler.restore(
+            new, key=key, urgency=self.urgency[new][0], now=self.now, waited=waited
+        )
+        assert orders == expected
 
     def place(self, new: GoalID) -> list[Order] | None:
         """Give a new goal its place in the model, and return the orders; None if it has none."""

@@ -232,8 +232,12 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             self._begin(goal, request)
 
     def _begin(self, goal: GoalRecord, request: GoalT) -> None:
+        stored = goal.stored
+        assert stored is not None
+        # What has run before has had its turn, and waits anew.
+        waited = 0.0 if stored.attempt else max(0.0, (time.time_ns() - stored.stamp) / SECOND)
         try:
-            self._dispatcher.resume(goal.goal_id, request, goal.sender)
+            self._dispatcher.resume(goal.goal_id, request, goal.sender, waited=waited)
         except GoalRejected as exc:
             self._end(goal, Ending(EndKind.FAILED, reason=exc.reason))
 

@@ -71,9 +71,11 @@ class Dispatcher(Succession[GoalT]):
         """Free the place of a goal that is not accepted after all."""
 
     @abstractmethod
-    def resume(self, goal_id: GoalID, request: GoalT, sender: Sender) -> None:
+    def resume(
+        self, goal_id: GoalID, request: GoalT, sender: Sender, *, waited: float = 0.0
+    ) -> None:
         """Find a place for a goal that an earlier process has accepted, and begin it if it has its
-        turn: it waits if it cannot run, also in a full queue.
+        turn: it waits if it cannot run, also in a full queue. It has waited for so many seconds.
 
         Raises:
             GoalRejected: As for `offer`.
@@ -129,7 +131,7 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
     def withdraw(self, goal_id: GoalID) -> None:
         """Do nothing: there are no places."""
 
-    def resume(self, goal_id: GoalID, request: Any, sender: Sender) -> None:
+    def resume(self, goal_id: GoalID, request: Any, sender: Sender, *, waited: float = 0.0) -> None:
         self._goals.begin(goal_id)
 
     def failure_of(self, request: Any, sender: Sender) -> str:

@@ -95,10 +95,14 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._held[goal_id] = orders
         return any(order.act is Act.START for order in orders)
 
-    def resume(self, goal_id: GoalID, request: GoalT, sender: Sender) -> None:
+    def resume(
+        self, goal_id: GoalID, request: GoalT, sender: Sender, *, waited: float = 0.0
+    ) -> None:
         key, urgency = self._rank(request, sender)
-        now = self._now()
-        self._carry_out(self._scheduler.restore(goal_id, key=key, urgency=urgency, now=now))
+        orders = self._scheduler.restore(
+            goal_id, key=key, urgency=urgency, now=self._now(), waited=waited
+        )
+        self._carry_out(orders)
 
     def failure_of(self, request: GoalT, sender: Sender) -> str:
         functions = ("key", _hashable, self._key), ("priority", _number, self._priority)

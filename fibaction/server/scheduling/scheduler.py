@@ -47,6 +47,7 @@ from typing import NamedTuple
 
 from fibaction.server.scheduling.group import Entry, Group, Urgency
 from fibaction.server.scheduling.schedule import Schedule
+from fibaction.server.scheduling.waiting_goals import WaitingGoals
 from fibaction.words.goals import GoalID
 
 
@@ -84,13 +85,14 @@ class Scheduler:
         """Kill an interrupted executor that has not ended `kill_after` seconds later."""
         self._schedule = schedule
         self._kill_after = kill_after
+        self._overdue = f"waited for {schedule.queue_timeout:g} s"
         self._groups: dict[Hashable, Group] = {}
         self._entries: dict[GoalID, Entry] = {}
         self._arrivals = 0
         self._running = 0
+        self._waiting = WaitingGoals()
         # In the order of their times, so that the first is due first. To find the first of a plain
         # dict takes longer, the more have been removed before it.
-        self._waiting: OrderedDict[GoalID, Entry] = OrderedDict()
         self._timed: OrderedDict[GoalID, Entry] = OrderedDict()  # they run, and are not interrupted
         self._told: OrderedDict[GoalID, Entry] = OrderedDict()  # of these, those that may take over
         self._interrupted: OrderedDict[GoalID, Entry] = OrderedDict()
@@ -130,14 +132,21 @@ class Scheduler:
         return orders
 
     def restore(
-        self, goal_id: GoalID, *, key: Hashable = None, urgency: float = 0, now: float
+        self,
+        goal_id: GoalID,
+        *,
+        key: Hashable = None,
+        urgency: float = 0,
+        now: float,
+        waited: float = 0.0,
     ) -> list[Order]:
-        """Take a goal that was accepted before this scheduler began: it runs, or waits beyond any
-        limit.
-        """
+        """Take a goal that has `waited` in an earlier process: it runs, waits, or ends by that."""
+        if waited >= self._schedule.queue_timeout:
+            return [Order(Act.END, goal_id, self._overdue)]
         group = self._groups.setdefault(key, Group(key))
         self._arrivals += 1
-        entry = self._entries[goal_id] = Entry(goal_id, group, (urgency, self._arrivals), now)
+        rank = urgency, self._arrivals
+        entry = self._entries[goal_id] = Entry(goal_id, group, rank, now - waited)
         if self._has_place(group):
             return [self._start(entry, now)]
         self._wait(entry)
@@ -187,8 +196,8 @@ class Scheduler:
 
     def _next_order(self, now: float) -> Order | None:
         rules = self._schedule
-        if (entry := _first(self._waiting)) and entry.since + rules.queue_timeout <= now:
-            return self._give_way(entry, f"waited for {rules.queue_timeout:g} s")
+        if (entry := self._waiting.longest()) and entry.since + rules.queue_timeout <= now:
+            return self._give_way(entry, self._overdue)
         if (entry := _first(self._timed)) and entry.since + rules.run_timeout <= now:
             return self._interrupt(entry, f"took longer than {rules.run_timeout:g} s", now)
         if (entry := _first(self._told)) and entry.told_at + rules.handover <= now:
@@ -206,7 +215,7 @@ class Scheduler:
         """The time at which `due` has orders; `math.inf` if time alone makes none."""
         rules = self._schedule
         due = math.inf
-        if rules.queue_timeout < math.inf and (entry := _first(self._waiting)):
+        if rules.queue_timeout < math.inf and (entry := self._waiting.longest()):
             due = entry.since + rules.queue_timeout
         if rules.run_timeout < math.inf and (entry := _first(self._timed)):
             due = min(due, entry.since + rules.run_timeout)
@@ -245,16 +254,7 @@ class Scheduler:
 
     def places(self) -> dict[GoalID, tuple[int, int]]:
         """Return the place of each waiting goal, from 1, and the number that wait for its key."""
-        places: dict[GoalID, tuple[int, int]] = {}
-        groups: dict[Hashable, list[Entry]] = {}
-        for entry in self._waiting.values():
-            groups.setdefault(entry.group.key, []).append(entry)
-        for entries in groups.values():
-            # Successors are ahead of the queue.
-            entries.sort(key=lambda one: (one.predecessor is None, one.urgency))
-            for place, entry in enumerate(entries, 1):
-                places[entry.goal_id] = (place, len(entries))
-        return places
+        return self._waiting.places()
 
     # Steps
 
@@ -267,7 +267,7 @@ class Scheduler:
     def _start(self, entry: Entry, now: float) -> Order:
         group = entry.group
         group.queue.pop(entry.goal_id, None)
-        self._waiting.pop(entry.goal_id, None)
+        self._waiting.remove(entry.goal_id)
         group.running[entry.goal_id] = self._timed[entry.goal_id] = entry
         entry.since = now
         self._running += 1
@@ -276,7 +276,7 @@ class Scheduler:
 
     def _wait(self, entry: Entry) -> None:
         entry.group.add(entry)
-        self._waiting[entry.goal_id] = entry
+        self._waiting.add(entry)
         self._push_head(entry.group)
 
     def _give_way(self, entry: Entry, reason: str) -> Order:
@@ -290,7 +290,7 @@ class Scheduler:
             self._running -= 1
             self.lose(goal_id)
         else:
-            del self._waiting[goal_id]
+            self._waiting.remove(goal_id)
             group.queue.pop(goal_id, None)  # a successor is not in it
         self._part(entry)
         if group.running or group.queue:
@@ -357,7 +357,7 @@ class Scheduler:
                 self._wait(earlier)
             else:
                 orders.append(self._give_way(earlier, reason))
-        self._waiting[entry.goal_id] = entry
+        self._waiting.add(entry)
         if predecessor.goal_id not in self._timed or predecessor.goal_id in self._told:
             return orders  # it was interrupted, or told, because of an earlier goal
         if self._schedule.handover:
