@@ -96,8 +96,8 @@ class Server:
     def id_of(self, order: int) -> GoalID:
         return self._ids.setdefault(order, GoalID.random())
 
-    async def send(self, order: int) -> GoalStream:
-        return await self.server.send_goal(self.id_of(order), packed(order))
+    async def send(self, order: int, timeout: float | None = None) -> GoalStream:
+        return await self.server.send_goal(self.id_of(order), packed(order), timeout=timeout)
 
     async def cancel(self, order: int) -> None:
         answer = await self.server.cancel_goals(self.id_of(order))
@@ -235,6 +235,29 @@ async def test_the_timer_is_set_anew_if_something_is_due_earlier() -> None:
         assert anyio.current_time() - begun_at == pytest.approx(10)
         assert (await running.outcome()).reason == "took longer than 100 s"
         assert anyio.current_time() - begun_at == pytest.approx(99)
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("skips", [True, False])
+async def test_a_goal_whose_client_has_given_it_up_meanwhile_is_skipped_if_so_told(
+    skips: bool,
+) -> None:
+    arm = Arm()
+    async with serving(Schedule(concurrency=1, queue=9, skip_expired=skips), arm) as site:
+        await site.send(1, timeout=1)  # it has its turn at once
+        given_up = await site.send(2, timeout=2)
+        await site.send(3, timeout=4)
+        await anyio.sleep(3)
+        assert given_up.status is GoalStatus.ACCEPTED
+        arm.let_end(1)
+        if skips:
+            reason = "its client's timeout was over before its turn came"
+            assert await given_up.outcome() == Outcome(GoalStatus.ABORTED, None, reason)
+        else:
+            await arm.until_begun(2)
+            arm.let_end(2)
+        await arm.until_begun(3)
+    assert arm.begun == ([1, 3] if skips else [1, 2, 3])
 
 
 # Places, for observers

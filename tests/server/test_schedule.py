@@ -72,6 +72,14 @@ def test_a_schedule_has_any_of_its_rules(settings: Any) -> None:
             {"concurrency": 1, "queue_timeout": 0.5},
             "queue_timeout=0.5 needs a queue of at least 1, not 0",
         ),
+        (
+            {"concurrency": 1, "skip_expired": True},
+            "skip_expired=True needs a queue of at least 1, not 0",
+        ),
+        (
+            {"skip_expired": True},
+            "skip_expired=True needs a limit: set concurrency or total, too",
+        ),
         ({"queue_timeout": 0}, "queue_timeout is more than 0, not 0"),
         ({"queue_timeout": math.nan}, "queue_timeout is more than 0, not nan"),
         ({"run_timeout": -0.5}, "run_timeout is more than 0, not -0.5"),
@@ -100,6 +108,7 @@ def test_a_value_out_of_range_is_rejected_with_what_to_do(settings: Any, text: s
         ({"key": "arm"}, "key is a function of a goal, or of a goal and its sender, not 'arm'"),
         ({"run_timeout": "60"}, "run_timeout is a number of seconds, not '60'"),
         ({"queue_timeout": None}, "queue_timeout is a number of seconds, not None"),
+        ({"concurrency": 1, "skip_expired": 1}, "skip_expired is True or False, not 1"),
         ({"handover": "1"}, "handover is a number of seconds, not '1'"),
         ({"key": waits}, "key is a function that does not wait, without `async`"),
         ({"priority": waits}, "priority is a function that does not wait, without `async`"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import pytest
@@ -11,9 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from fibaction import GoalID, Schedule
-from fibaction.server.scheduling.scheduler import Act, Busy, Order, Scheduler
+from fibaction.server.scheduling.orders import Act, Busy, Order
+from fibaction.server.scheduling.scheduler import EXPIRED, Scheduler
 
 KILL_AFTER = 3.0
+LASTS = st.sampled_from([math.inf, math.inf, 0.0, 2.0])
+"""Seconds until a goal expires."""
 
 
 def goal(number: int) -> GoalID:
@@ -99,6 +103,7 @@ class Fleet(RuleBasedStateMachine):
         self.key: dict[GoalID, int] = {}
         self.urgency: dict[GoalID, tuple[float, int]] = {}
         self.since: dict[GoalID, float] = {}
+        self.expires: dict[GoalID, float] = {}
 
     @property
     def limits(self) -> Schedule:
@@ -135,9 +140,16 @@ class Fleet(RuleBasedStateMachine):
         orders = []
         while able := [one for one in self.queue if self.has_place(self.key[one])]:
             first = min(able, key=lambda one: self.urgency[one])
-            self.start(first)
-            orders.append(Order(Act.START, first))
+            orders.append(self.turn(first))
         return orders
+
+    def turn(self, goal_id: GoalID) -> Order:
+        """Start a goal that has waited, unless it has expired."""
+        if self.expires[goal_id] <= self.now:
+            self.forget(goal_id)
+            return Order(Act.END, goal_id, EXPIRED)
+        self.start(goal_id)
+        return Order(Act.START, goal_id)
 
     def predecessor_of(self, new: GoalID) -> GoalID | None:
         """Return the goal that the rules preempt for a new one."""
@@ -157,41 +169,58 @@ class Fleet(RuleBasedStateMachine):
         least = max(able, key=lambda one: (self.urgency[last[one]][0], -self.urgency[last[one]][1]))
         return least if self.urgency[new][0] < self.urgency[last[least]][0] else None
 
-    @rule(key=st.integers(0, 2), urgency=st.integers(0, 2))
-    def offer(self, key: int, urgency: int) -> None:
+    @rule(key=st.integers(0, 2), urgency=st.integers(0, 2), lasts=LASTS)
+    def offer(self, key: int, urgency: int, lasts: float) -> None:
         self.count += 1
         new = goal(self.count)
         self.key[new] = key
         self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
+        self.expires[new] = self.now + lasts
         expected = self.place(new)
+        offer = partial(
+            self.scheduler.offer,
+            new,
+            key=key,
+            urgency=self.urgency[new][0],
+            now=self.now,
+            expires=self.expires[new],
+        )
         if expected is None:
             with pytest.raises(Busy, match=r"^busy: \d of \d running"):
-                self.scheduler.offer(new, key=key, urgency=self.urgency[new][0], now=self.now)
+                offer()
         else:
-            orders = self.scheduler.offer(new, key=key, urgency=self.urgency[new][0], now=self.now)
-            assert orders == expected
+            assert offer() == expected
 
     @rule(
         key=st.integers(0, 2),
         urgency=st.integers(0, 2),
         waited=st.sampled_from([0.0, 0.0, 4.0, 5.0, 9.0]),
+        lasts=LASTS,
     )
-    def restore(self, key: int, urgency: int, waited: float) -> None:
+    def restore(self, key: int, urgency: int, waited: float, lasts: float) -> None:
         self.count += 1
         new = goal(self.count)
         self.key[new] = key
         self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
         self.since[new] = self.now - waited
+        self.expires[new] = self.now + lasts
         expected = []
         if waited >= self.limits.queue_timeout:
             expected.append(Order(Act.END, new, "waited for 5 s"))
+        elif not lasts:
+            expected.append(Order(Act.END, new, EXPIRED))
         elif self.has_place(key):
             self.start(new)
             expected.append(Order(Act.START, new))
         else:
             self.queue.append(new)  # beyond any limit
         orders = self.scheduler.restore(
-            new, key=key, urgency=self.urgency[new][0], now=self.now, waited=waited
+            new,
+            key=key,
+            urgency=self.urgency[new][0],
+            now=self.now,
+            waited=waited,
+            expires=self.expires[new],
         )
         assert orders == expected
 
@@ -251,8 +280,8 @@ class Fleet(RuleBasedStateMachine):
         if successor is None:
             expected = self.start_next()
         else:
-            self.start(successor)
-            expected = [Order(Act.START, successor)]
+            order = self.turn(successor)
+            expected = [order, *(() if order.act is Act.START else self.start_next())]
         assert self.scheduler.leave(ended, self.now) == expected
         assert self.scheduler.leave(ended, self.now) == []
 

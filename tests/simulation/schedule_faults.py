@@ -12,8 +12,9 @@ from fibaction.server.execution.runs import Runs
 from fibaction.server.life import Event, Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
-from fibaction.server.scheduling.group import Entry, Group
-from fibaction.server.scheduling.scheduler import Act, Busy, Order, Scheduler
+from fibaction.server.scheduling.group import Entry, Group, busy_text
+from fibaction.server.scheduling.orders import Act, Busy, Order
+from fibaction.server.scheduling.scheduler import Scheduler
 from tests.simulation.faults import mistake
 
 AnyRuns = Runs[Any, Any, Any]
@@ -154,7 +155,7 @@ def a_goal_is_rejected_though_it_may_wait(real: Any) -> Any:
     def offer(self: Scheduler, goal_id: GoalID, **keywords: Any) -> list[Order]:
         group = self._groups.get(keywords["key"])
         if group is not None and len(group.queue) == self._schedule.queue - 1:
-            raise Busy(self._busy(group))
+            raise Busy(busy_text(self._schedule, group, self._running))
         orders: list[Order] = real(self, goal_id, **keywords)
         return orders
 

@@ -11,7 +11,7 @@ from fibaction.server.execution.goal_news import Run
 from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import Ending
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
-from fibaction.server.scheduling.scheduler import Busy
+from fibaction.server.scheduling.orders import Busy
 from fibaction.words.goals import Sender
 from tests.simulation.facts import Life, Truth
 from tests.simulation.invariants import Record
@@ -36,11 +36,13 @@ def _truth_of(record: Record, runs: AnyRuns, goal_id: GoalID) -> Truth | None:
 
 
 def _offering(real: Any, record: Record) -> Any:
-    def offer(self: GoalDispatcher[Any], goal_id: GoalID, work: Work, sender: Sender) -> Any:
+    def offer(
+        self: GoalDispatcher[Any], goal_id: GoalID, work: Work, sender: Sender, deadline: float
+    ) -> Any:
         life: Life = record.life_of(self)
         record.places.offered(life, goal_id, work)
         try:
-            return real(self, goal_id, work, sender)
+            return real(self, goal_id, work, sender, deadline)
         except Busy as busy:
             record.places.rejected(life, goal_id, str(busy))
             raise

@@ -48,7 +48,7 @@ from fibaction.server.life import Event
 from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
-from fibaction.server.scheduling.scheduler import Busy
+from fibaction.server.scheduling.orders import Busy
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ConnectionLost, GoalRejected, ProtocolError, StoreError
@@ -209,7 +209,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise Busy(DRAINING)
         sent = offer.sent
         goal_id, sender = sent.goal_id, sent.sender
-        is_running = self._dispatcher.offer(goal_id, offer.request, sender)
+        is_running = self._dispatcher.offer(goal_id, offer.request, sender, sent.deadline)
         record = offer.record = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )

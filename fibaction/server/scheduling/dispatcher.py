@@ -51,9 +51,12 @@ class Dispatcher(Succession[GoalT]):
         """Start no goals from now on: the server stops, and ends all of them."""
 
     @abstractmethod
-    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender) -> bool:
+    def offer(
+        self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float = math.inf
+    ) -> bool:
         """Find a place for a goal, and return whether it has its turn as soon as it is accepted.
 
+        With `skip_expired`, it is not begun after its `deadline`, by the clock of the event loop.
         The place is its own until it has `left`. All that follows for this goal and for others is
         held back until it is `accepted`, or `withdraw`n.
 
@@ -72,10 +75,17 @@ class Dispatcher(Succession[GoalT]):
 
     @abstractmethod
     def resume(
-        self, goal_id: GoalID, request: GoalT, sender: Sender, *, waited: float = 0.0
+        self,
+        goal_id: GoalID,
+        request: GoalT,
+        sender: Sender,
+        *,
+        waited: float = 0.0,
+        deadline: float = math.inf,
     ) -> None:
         """Find a place for a goal that an earlier process has accepted, and begin it if it has its
-        turn: it waits if it cannot run, also in a full queue. It has waited for so many seconds.
+        turn: it waits if it cannot run, also in a full queue. It has waited for so many seconds,
+        and the deadline is as for `offer`.
 
         Raises:
             GoalRejected: As for `offer`.
@@ -121,7 +131,9 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
     def close(self) -> None:
         self._is_closed = True
 
-    def offer(self, goal_id: GoalID, request: Any, sender: Sender) -> bool:
+    def offer(
+        self, goal_id: GoalID, request: Any, sender: Sender, deadline: float = math.inf
+    ) -> bool:
         return True
 
     def accepted(self, goal_id: GoalID) -> None:
@@ -131,7 +143,15 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
     def withdraw(self, goal_id: GoalID) -> None:
         """Do nothing: there are no places."""
 
-    def resume(self, goal_id: GoalID, request: Any, sender: Sender, *, waited: float = 0.0) -> None:
+    def resume(
+        self,
+        goal_id: GoalID,
+        request: Any,
+        sender: Sender,
+        *,
+        waited: float = 0.0,
+        deadline: float = math.inf,
+    ) -> None:
         self._goals.begin(goal_id)
 
     def failure_of(self, request: Any, sender: Sender) -> str:

@@ -39,8 +39,9 @@ from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.server.execution.executor import warn_of_kill
 from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
+from fibaction.server.scheduling.orders import Act, Order
 from fibaction.server.scheduling.schedule import Schedule
-from fibaction.server.scheduling.scheduler import Act, Order, Scheduler
+from fibaction.server.scheduling.scheduler import Scheduler
 from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalRejected, text_of
 from fibaction.words.goals import GoalID, Sender
@@ -68,9 +69,12 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._action = action
         self._kill_after = kill_after
         self._news = Notifier()
-        self._reads_clock = schedule.when_full == "preempt" or (
-            min(schedule.queue_timeout, schedule.run_timeout) < math.inf
+        self._reads_clock = (
+            schedule.when_full == "preempt"
+            or schedule.skip_expired
+            or min(schedule.queue_timeout, schedule.run_timeout) < math.inf
         )
+        self._skips_expired = schedule.skip_expired
         self._wake_at = math.inf
         self._successor_news: dict[GoalID, Notifier] = {}
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
@@ -89,18 +93,33 @@ class GoalDispatcher(Dispatcher[GoalT]):
 
     # Goals
 
-    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender) -> bool:
+    def offer(
+        self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float = math.inf
+    ) -> bool:
         key, urgency = self._rank(request, sender)
-        orders = self._scheduler.offer(goal_id, key=key, urgency=urgency, now=self._now())
+        orders = self._scheduler.offer(
+            goal_id, key=key, urgency=urgency, now=self._now(), expires=self._expires(deadline)
+        )
         self._held[goal_id] = orders
         return any(order.act is Act.START for order in orders)
 
     def resume(
-        self, goal_id: GoalID, request: GoalT, sender: Sender, *, waited: float = 0.0
+        self,
+        goal_id: GoalID,
+        request: GoalT,
+        sender: Sender,
+        *,
+        waited: float = 0.0,
+        deadline: float = math.inf,
     ) -> None:
         key, urgency = self._rank(request, sender)
         orders = self._scheduler.restore(
-            goal_id, key=key, urgency=urgency, now=self._now(), waited=waited
+            goal_id,
+            key=key,
+            urgency=urgency,
+            now=self._now(),
+            waited=waited,
+            expires=self._expires(deadline),
         )
         self._carry_out(orders)
 
@@ -116,6 +135,9 @@ class GoalDispatcher(Dispatcher[GoalT]):
             except Exception as exc:
                 return f"{name} failed: {text_of(exc)}"
         return ""
+
+    def _expires(self, deadline: float) -> float:
+        return deadline if self._skips_expired else math.inf
 
     def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
         """Return the key and the urgency of a goal."""

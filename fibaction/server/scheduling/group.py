@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from heapq import heapify, heappop, heappush
 from typing import TypeAlias
 
+from fibaction.server.scheduling.schedule import Schedule
 from fibaction.words.goals import GoalID
 
 Urgency: TypeAlias = tuple[float, int]
@@ -15,14 +16,27 @@ Urgency: TypeAlias = tuple[float, int]
 class Entry:
     """A goal that runs or waits."""
 
-    __slots__ = ("goal_id", "group", "predecessor", "since", "successor", "told_at", "urgency")
+    __slots__ = (
+        "expires",
+        "goal_id",
+        "group",
+        "predecessor",
+        "since",
+        "successor",
+        "told_at",
+        "urgency",
+    )
 
-    def __init__(self, goal_id: GoalID, group: Group, urgency: Urgency, now: float) -> None:
+    def __init__(
+        self, goal_id: GoalID, group: Group, urgency: Urgency, now: float, expires: float
+    ) -> None:
         self.goal_id = goal_id
         self.group = group
         self.urgency = urgency
         self.since = now
         """The time of its arrival, of its start, or of its interruption: the latest of them."""
+        self.expires = expires
+        """The time from which it is not wanted any more, unless it has started."""
         self.told_at = 0.0
         """The time from which it may take its successor over."""
         self.predecessor: Entry | None = None
@@ -91,3 +105,15 @@ def _least_urgent_first(entry: Entry) -> tuple[float, int]:
     """Return a key by which the least urgent goal is the largest, and of those the oldest."""
     urgency, arrival = entry.last.urgency
     return urgency, -arrival
+
+
+def busy_text(schedule: Schedule, group: Group, running: int) -> str:
+    """Return why a goal of a group can neither run nor wait, while so many run in all groups."""
+    waiting = f"{len(group.queue)} of {schedule.queue} waiting"
+    in_all = f"{running} of {schedule.total}"
+    if schedule.concurrency is None:
+        return f"busy: {in_all} running, {waiting}"
+    text = f"busy: {len(group.running)} of {schedule.concurrency} running"
+    if schedule.total is not None:
+        text += f" ({in_all} in all)"
+    return f"{text}, {waiting}"

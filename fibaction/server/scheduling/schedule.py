@@ -48,6 +48,9 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
     goal preempts only less urgent ones, and then at once, even if there is room to wait."""
     queue_timeout: float = math.inf
     """Seconds that a goal may wait; then it ends as ABORTED."""
+    skip_expired: bool = False
+    """True to end a goal as ABORTED if its client's `timeout` is over when its turn comes. A client
+    that is there cancels its goal itself at that time; this is for clients that are gone."""
     run_timeout: float = math.inf
     """Seconds that an executor may run; then it is interrupted, and its goal ends as ABORTED. If
     its clean-up takes longer than the server's `shutdown_timeout`, it is killed."""
@@ -78,6 +81,8 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
                     raise TypeError(f"{name} is a function that does not wait, without `async`")
         for name in ("queue_timeout", "run_timeout", "handover"):
             _check_is_time(name, getattr(self, name))
+        if not isinstance(self.skip_expired, bool):
+            raise TypeError(f"skip_expired is True or False, not {self.skip_expired!r}")
         self._check_has_effect()
 
     def _check_has_effect(self) -> None:
@@ -86,6 +91,7 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
                 (f"queue={self.queue}", self.queue),
                 (f"when_full={self.when_full!r}", self.when_full != "reject"),
                 ("priority", self.priority),
+                ("skip_expired=True", self.skip_expired),
             ):
                 if is_set:
                     raise ValueError(f"{rule} needs a limit: set concurrency or total, too")
@@ -99,6 +105,8 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(
                 f"queue_timeout={self.queue_timeout:g} needs a queue of at least 1, not 0"
             )
+        if self.skip_expired and not self.queue:
+            raise ValueError("skip_expired=True needs a queue of at least 1, not 0")
 
 
 def _check_is_limit(name: str, limit: object, least: int) -> None:

@@ -41,41 +41,16 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Hashable
-from enum import Enum
 from heapq import heapify, heappop, heappush
-from typing import NamedTuple
 
-from fibaction.server.scheduling.group import Entry, Group, Urgency
+from fibaction.server.scheduling.group import Entry, Group, Urgency, busy_text
+from fibaction.server.scheduling.orders import Act, Busy, Order
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.waiting_goals import WaitingGoals
 from fibaction.words.goals import GoalID
 
-
-class Act(Enum):
-    """A kind of order."""
-
-    START = "start"
-    """Run the goal's executor."""
-    END = "end"
-    """End a goal that has not started, for the reason. It has left already."""
-    TELL = "tell"
-    """Tell the goal's executor that it has a successor, which it may take over."""
-    INTERRUPT = "interrupt"
-    """Interrupt the goal's executor for the reason; call `leave` when it has ended."""
-    KILL = "kill"
-    """Kill the goal's executor, which was interrupted and has not ended in time; call `leave`."""
-
-
-class Order(NamedTuple):
-    """One step that the caller of a scheduler carries out."""
-
-    act: Act
-    goal_id: GoalID
-    reason: str = ""
-
-
-class Busy(Exception):
-    """A goal can neither run nor wait; the text says how many do."""
+EXPIRED = "its client's timeout was over before its turn came"
+"""The reason of a goal that is skipped."""
 
 
 class Scheduler:
@@ -101,9 +76,16 @@ class Scheduler:
     # Events
 
     def offer(
-        self, goal_id: GoalID, *, key: Hashable = None, urgency: float = 0, now: float
+        self,
+        goal_id: GoalID,
+        *,
+        key: Hashable = None,
+        urgency: float = 0,
+        now: float,
+        expires: float = math.inf,
     ) -> list[Order]:
-        """Take a goal that was accepted: it runs, waits, or makes another one give way.
+        """Take a goal that was accepted: it runs, waits, or makes another one give way. If it has
+        no turn before it `expires`, it ends instead.
 
         Raises:
             Busy: It can do none of these, and was not taken.
@@ -112,7 +94,7 @@ class Scheduler:
             raise Busy(f"busy: an earlier goal {goal_id} was killed, and has not ended yet")
         group = self._groups.get(key) or Group(key)
         self._arrivals += 1
-        entry = Entry(goal_id, group, (urgency, self._arrivals), now)
+        entry = Entry(goal_id, group, (urgency, self._arrivals), now, expires)
         orders: list[Order] = []
         has_room = len(group.queue) < self._schedule.queue
         if self._has_place(group):
@@ -126,7 +108,7 @@ class Scheduler:
             orders.append(self._give_way(newest, f"replaced by {goal_id}"))
             self._wait(entry)
         else:
-            raise Busy(self._busy(group))
+            raise Busy(busy_text(self._schedule, group, self._running))
         self._groups[key] = group
         self._entries[goal_id] = entry
         return orders
@@ -139,14 +121,17 @@ class Scheduler:
         urgency: float = 0,
         now: float,
         waited: float = 0.0,
+        expires: float = math.inf,
     ) -> list[Order]:
         """Take a goal that has `waited` in an earlier process: it runs, waits, or ends by that."""
         if waited >= self._schedule.queue_timeout:
             return [Order(Act.END, goal_id, self._overdue)]
+        if expires <= now:
+            return [Order(Act.END, goal_id, EXPIRED)]
         group = self._groups.setdefault(key, Group(key))
         self._arrivals += 1
         rank = urgency, self._arrivals
-        entry = self._entries[goal_id] = Entry(goal_id, group, rank, now - waited)
+        entry = self._entries[goal_id] = Entry(goal_id, group, rank, now - waited, expires)
         if self._has_place(group):
             return [self._start(entry, now)]
         self._wait(entry)
@@ -165,7 +150,8 @@ class Scheduler:
         if successor is None or not self._has_place(entry.group):
             return self._start_waiting(now)
         self._part(successor)
-        return [self._start(successor, now)]
+        order = self._turn(successor, now)
+        return [order] if order.act is Act.START else [order, *self._start_waiting(now)]
 
     def lose(self, goal_id: GoalID) -> None:
         """Order nothing more for a goal that runs. It keeps its place until it leaves."""
@@ -264,6 +250,10 @@ class Scheduler:
             total is None or self._running < total
         )
 
+    def _turn(self, entry: Entry, now: float) -> Order:
+        """Start a goal that has waited, or end it if it has expired."""
+        return self._give_way(entry, EXPIRED) if entry.expires <= now else self._start(entry, now)
+
     def _start(self, entry: Entry, now: float) -> Order:
         group = entry.group
         group.queue.pop(entry.goal_id, None)
@@ -318,7 +308,7 @@ class Scheduler:
             first = group.first()
             if first is None or not self._has_place(group):
                 continue  # it is listed again when a goal of the group arrives or leaves
-            orders.append(self._start(first, now))
+            orders.append(self._turn(first, now))
         return orders
 
     def _push_head(self, group: Group) -> None:
@@ -374,17 +364,6 @@ class Scheduler:
         self._interrupted[entry.goal_id] = entry
         entry.since = now
         return Order(Act.INTERRUPT, entry.goal_id, reason)
-
-    def _busy(self, group: Group) -> str:
-        limits = self._schedule
-        waiting = f"{len(group.queue)} of {limits.queue} waiting"
-        in_all = f"{self._running} of {limits.total}"
-        if limits.concurrency is None:
-            return f"busy: {in_all} running, {waiting}"
-        text = f"busy: {len(group.running)} of {limits.concurrency} running"
-        if limits.total is not None:
-            text += f" ({in_all} in all)"
-        return f"{text}, {waiting}"
 
 
 def _first(entries: OrderedDict[GoalID, Entry]) -> Entry | None:
