@@ -127,10 +127,13 @@ class Callbacks:
 
 
 @contextmanager
-def failures_as(rejection: _Rejection, name: str, action: str) -> Generator[None, None, None]:
+def failures_as(
+    rejection: _Rejection, name: str, action: str, *, is_logged: bool = True
+) -> Generator[None, None, None]:
     """Raise the rejection, and log the failure, if the block raises another exception.
 
-    The block calls the function of that name, which a user has written for the action.
+    The block calls the function of that name, which a user has written for the action. `is_logged`
+    is False for a caller that logs the failure itself.
     """
     try:
         yield
@@ -138,7 +141,8 @@ def failures_as(rejection: _Rejection, name: str, action: str) -> Generator[None
         raise
     except Exception as exc:
         reason = f"{name} failed: {text_of(exc)}"
-        logger.error("action %r: %s", action, reason, exc_info=exc)
+        if is_logged:
+            logger.error("action %r: %s", action, reason, exc_info=exc)
         raise rejection(reason) from exc
 
 

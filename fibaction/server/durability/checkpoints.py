@@ -49,11 +49,19 @@ class Checkpoints:
         Raises:
             ProtocolError: It is not of the type of checkpoints.
         """
-        if goal.stored is None or goal.stored.checkpoint is None:
+        return self.decoded(None if goal.stored is None else goal.stored.checkpoint)
+
+    def decoded(self, checkpoint: bytes | None) -> Any:
+        """Return a checkpoint as a value; None if there is none.
+
+        Raises:
+            ProtocolError: It is not of the type of checkpoints.
+        """
+        if checkpoint is None:
             return None
         if self._codec is None:
             raise ProtocolError(f"action {self._action!r} has no checkpoints any more")
-        return self._codec.decode(goal.stored.checkpoint)
+        return self._codec.decode(checkpoint)
 
 
 def _name_of(kind: object) -> str:

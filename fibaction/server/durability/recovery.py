@@ -21,7 +21,8 @@ on, and one of these happens:
 - It was running when its process was gone: the attempt is lost. By the rule of the server, the goal
   ends as ABORTED, or runs again, or a function decides. After too many lost attempts it ends in any
   case, because it may be the goal that kills the server.
-- It is not of its type any more: it ends as ABORTED, with the reason.
+- It is not of its type any more: it ends as ABORTED, with the reason. A store that several servers
+  share asks for the `obstacle` first, and leaves such a goal to the other servers.
 
 A goal that runs again begins another attempt. `Runs` writes that before the executor starts.
 """
@@ -117,6 +118,23 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._claimed.append(stored)
         if len(self._claimed) == 1:
             self._news.notify()
+
+    def obstacle(self, stored: StoredGoal) -> str:
+        """Return why this server cannot run a goal of another server; empty if it can.
+
+        A goal whose cancel was accepted is not run again, so any server can end it.
+        """
+        if stored.status is GoalStatus.CANCELING:
+            return ""
+        try:
+            request = self._action.goal.decode(stored.goal)
+            self._runs.checkpoints.decoded(stored.checkpoint)
+            self._dispatcher.check(request, stored.sender)
+        except ProtocolError as exc:
+            return str(exc)
+        except GoalRejected as exc:
+            return exc.reason
+        return ""
 
     def forget(self, goal_id: GoalID) -> None:
         """Do not take over a goal that was claimed: another server has it by now."""

@@ -71,6 +71,14 @@ class Dispatcher(Succession[GoalT]):
         """Free the place of a goal that is not accepted after all."""
 
     @abstractmethod
+    def check(self, request: GoalT, sender: Sender) -> None:
+        """Check that a goal could have a place, without giving it one.
+
+        Raises:
+            GoalRejected: As for `offer`.
+        """
+
+    @abstractmethod
     def resume(self, goal_id: GoalID, request: GoalT, sender: Sender) -> None:
         """Find a place for a goal that an earlier process has accepted, and begin it if it has its
         turn: it waits if it cannot run, also in a full queue.
@@ -122,6 +130,9 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
 
     def withdraw(self, goal_id: GoalID) -> None:
         """Do nothing: there are no places."""
+
+    def check(self, request: Any, sender: Sender) -> None:
+        """Do nothing, as above."""
 
     def resume(self, goal_id: GoalID, request: Any, sender: Sender) -> None:
         self._goals.begin(goal_id)

@@ -95,19 +95,26 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._held[goal_id] = orders
         return any(order.act is Act.START for order in orders)
 
+    def check(self, request: GoalT, sender: Sender) -> None:
+        self._rank(request, sender, is_logged=False)
+
     def resume(self, goal_id: GoalID, request: GoalT, sender: Sender) -> None:
         key, urgency = self._rank(request, sender)
         now = self._now()
         self._carry_out(self._scheduler.restore(goal_id, key=key, urgency=urgency, now=now))
 
-    def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
+    def _rank(
+        self, request: GoalT, sender: Sender, *, is_logged: bool = True
+    ) -> tuple[Hashable, float]:
         """Return the key and the urgency of a goal."""
         key: Hashable = None
         urgency = 0.0
         if self._key is not None:
-            key = self._answer("key", _hashable, self._key, request, sender)
+            with failures_as(GoalRejected, "key", self._action, is_logged=is_logged):
+                key = _hashable(_called(self._key, request, sender))
         if self._priority is not None:
-            urgency = self._answer("priority", _number, self._priority, request, sender)
+            with failures_as(GoalRejected, "priority", self._action, is_logged=is_logged):
+                urgency = _number(_called(self._priority, request, sender))
         return key, urgency
 
     def accepted(self, goal_id: GoalID) -> None:
@@ -173,27 +180,6 @@ class GoalDispatcher(Dispatcher[GoalT]):
                 await self._news.wait()
             self._carry_out(self._scheduler.due(current_time(), MOST_AT_ONCE))
 
-    def _answer(
-        self,
-        name: str,
-        check: Callable[[Any], Any],
-        function: Callable[[GoalT, Sender], Any],
-        request: GoalT,
-        sender: Sender,
-    ) -> Any:
-        """Call a function of the schedule.
-
-        Raises:
-            GoalRejected: It raised this or another exception, or its answer cannot be used.
-        """
-        with failures_as(GoalRejected, name, self._action):
-            answer = function(request, sender)
-            if isinstance(answer, Awaitable):
-                if isinstance(answer, Coroutine):
-                    answer.close()  # or Python warns that it was never awaited
-                raise TypeError("it returned something to await, and not a value")
-            return check(answer)
-
     def note_places(self) -> None:
         """Note in the records of waiting goals their places in the queue, for observers.
 
@@ -235,6 +221,20 @@ class GoalDispatcher(Dispatcher[GoalT]):
         news = self._successor_news.pop(goal_id, None)
         if news is not None:
             news.notify()
+
+
+def _called(function: Callable[[GoalT, Sender], Any], request: GoalT, sender: Sender) -> Any:
+    """Return the answer of a function of the schedule.
+
+    Raises:
+        TypeError: It is to be awaited.
+    """
+    answer = function(request, sender)
+    if isinstance(answer, Awaitable):
+        if isinstance(answer, Coroutine):
+            answer.close()  # or Python warns that it was never awaited
+        raise TypeError("it returned something to await, and not a value")
+    return answer
 
 
 def _hashable(key: Hashable) -> Hashable:
