@@ -16,6 +16,10 @@ more; after a `GoalTaken` this goal belongs to another server, which it tells ap
 A goal can come to a server at any time, always by `claim`: it was found when the store was opened,
 it was left by another server that is gone, or it comes from a queue that several servers share.
 
+A store that several servers share asks a server whether it can run a goal (`obstacle`) before the
+goal becomes its own: their programs may be of different versions, and a goal that one of them
+cannot read may be run by another.
+
 A store does not depend on executors, schedules or transports, and a server does not know what a
 store writes to.
 """
@@ -97,6 +101,11 @@ class RecordTooLarge(StoreError):
     """
 
 
+def no_obstacle(_goal: StoredGoal) -> str:
+    """Return what keeps a server from running a goal if it runs every goal: nothing."""
+    return ""
+
+
 class GoalJournal(ABC):
     """The goals of one action in an open store. See the module for the rules of all methods."""
 
@@ -159,6 +168,7 @@ class GoalStore(ABC):
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
+        obstacle: Callable[[StoredGoal], str] = no_obstacle,
     ) -> AbstractAsyncContextManager[GoalJournal]:
         """Open the store for the goals of an action, for as long as the block lasts.
 
@@ -168,6 +178,11 @@ class GoalStore(ABC):
         `max_results` ended goals are kept; the oldest are forgotten, and so are those whose
         `keep_until` has passed. `lose` is called for a goal that another server has taken over. The
         end of the block waits for the writes that are under way.
+
+        `obstacle` returns why the server cannot run a goal, such as a field of its type that the
+        goal does not have; the text is empty if it can. A store that several servers share calls it
+        before a goal becomes the server's own, and leaves the goal to the others if there is one.
+        A store of one server need not call it: `claim` ends what cannot be run.
 
         Raises:
             StoreError: The store cannot be used, or is in use; the text says why.

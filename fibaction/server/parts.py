@@ -116,6 +116,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         events = KeeperEvents(
             claim=self.recovery.claim,
             lose=self._losses.lose,
+            obstacle=self.recovery.readable.obstacle,
             refuse=self._losses.lose_record,
             fail=self._give_up,
             look_at_room=self.room.update,

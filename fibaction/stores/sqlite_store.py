@@ -12,7 +12,7 @@ from anyio import CancelScope, Event
 
 from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
-from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal
+from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, no_obstacle
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 
@@ -71,6 +71,7 @@ class SqliteStore(GoalStore):
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
+        obstacle: Callable[[StoredGoal], str] = no_obstacle,
     ) -> AsyncGenerator[GoalJournal, None]:
         # The imports take their time, which only programs with a store are to pay.
         from fibaction.stores._sqlite_journal import SqliteJournal

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from fibaction import SqliteStore
+from fibaction.border.goal_store import no_obstacle
 from fibaction.words.statuses import GoalStatus
 from tests.stores.made import a_goal
 
@@ -36,3 +37,7 @@ async def test_the_goals_of_a_store_without_leases_belong_to_their_server_for_ev
     store = SqliteStore(tmp_path / "goals.db")
     async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
         assert journal.valid_until == math.inf
+
+
+def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:
+    assert no_obstacle(a_goal(1)) == ""

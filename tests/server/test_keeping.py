@@ -451,6 +451,48 @@ async def test_a_canceled_goal_that_does_not_fit_any_more_is_canceled() -> None:
     assert (outcome.status, outcome.reason) == (GoalStatus.CANCELED, "the server was restarted")
 
 
+@pytest.mark.parametrize(
+    ("goal", "obstacle"),
+    [
+        (stored(), ""),
+        (stored(checkpoint=PAINT.goal.encode(2)), ""),
+        (stored("three"), "Expected `int`"),
+        (stored(checkpoint=b"\xa1x"), "Expected `int`"),
+        (stored("three", status=GoalStatus.CANCELING), ""),
+    ],
+    ids=["fits", "checkpoint fits", "goal", "checkpoint", "canceling"],
+)
+@pytest.mark.parametrize("schedule", [None, Schedule(concurrency=1)], ids=["all", "schedule"])
+async def test_a_server_says_whether_it_can_run_a_goal_of_another(
+    goal: StoredGoal, obstacle: str, schedule: Schedule | None
+) -> None:
+    store = MemoryStore()
+    async with server_with(store, schedule=schedule):
+        found = store.obstacles["paint"](goal)
+        assert found.startswith(obstacle)
+        assert bool(found) == bool(obstacle)
+
+
+async def test_a_goal_for_which_the_schedule_of_a_server_fails_cannot_run_there(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def key(request: int) -> int:
+        raise ValueError(f"no joint {request}")
+
+    def priority(request: int) -> float:
+        raise GoalRejected(f"{request} is for nobody")
+
+    for schedule, reason in (
+        (Schedule(concurrency=1, key=key), "key failed: ValueError: no joint 3"),
+        # The function ends the goal, as it wants it, at whichever server.
+        (Schedule(concurrency=1, queue=1, priority=priority), ""),
+    ):
+        store = MemoryStore()
+        async with server_with(store, schedule=schedule):
+            assert store.obstacles["paint"](stored()) == reason
+    assert not caplog.text, "the store tells it"
+
+
 async def test_a_goal_that_waits_to_run_again_is_free_after_a_planned_stop() -> None:
     lost = stored(request=99, is_running=True, attempt=1)
     other = stored(request=99, number=2, is_running=True, attempt=1)

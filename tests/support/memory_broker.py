@@ -79,6 +79,18 @@ class MemoryNote:
         self.hidden_until = -math.inf
 
 
+class MemoryReader:
+    """A reader that has asked for a note."""
+
+    def __init__(self, broker: MemoryBroker, subject: str) -> None:
+        self._broker = broker
+        self.subject = subject
+
+    def is_before(self, other: MemoryReader) -> bool:
+        """Return whether it has a note before a reader that has asked later."""
+        return self.subject == other.subject and not self._broker.is_away
+
+
 class MemoryBrokers:
     """The brokers of a fleet, entered with `async with`."""
 
@@ -94,6 +106,8 @@ class MemoryBrokers:
         self.members: list[MemoryBroker] = []
         self.notes: list[MemoryNote] = []
         """The notes that were not removed."""
+        self.readers: list[MemoryReader] = []
+        """The readers that wait for a note, in the order in which they have asked."""
         self.notes_changed = Notifier()
         self.records: dict[str, _Kept] = {}
         self._sequences: dict[str, int] = {}
@@ -430,16 +444,24 @@ class MemoryBroker(Broker):
         """See `Broker.notes`."""
         shared = self.shared
         while True:
-            note = None if self._is_away else self._next_note(subject)
-            if note is None:
-                await shared.notes_changed.wait()
-                continue
+            reader = MemoryReader(self, subject)
+            shared.readers.append(reader)
+            try:
+                while (note := self._next_note(reader)) is None:
+                    await shared.notes_changed.wait()
+            finally:
+                shared.readers.remove(reader)
+                shared.notes_changed.notify()
             note.hidden_until = current_time() + NOTE_TIMEOUT
             shared.at(note.hidden_until, shared.notes_changed.notify)
             yield Note(note.data, partial(self._remove, note))
 
-    def _next_note(self, subject: str) -> MemoryNote | None:
-        now = current_time()
+    def _next_note(self, reader: MemoryReader) -> MemoryNote | None:
+        """Return the next note for a reader; None if another one has asked before."""
+        now, subject = current_time(), reader.subject
+        first = next(one for one in self.shared.readers if one is reader or one.is_before(reader))
+        if self._is_away or first is not reader:
+            return None
         for note in self.shared.notes:
             if note.subject == subject and note.hidden_until <= now:
                 return note

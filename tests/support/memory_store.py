@@ -29,7 +29,14 @@ from msgspec.structs import replace
 from fibaction import GoalID, GoalStatus
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
-from fibaction.border.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+from fibaction.border.goal_store import (
+    GoalJournal,
+    GoalStore,
+    GoalTaken,
+    StoredGoal,
+    Then,
+    no_obstacle,
+)
 from fibaction.words.errors import StoreError
 
 BROKEN = "the store is broken, on purpose"
@@ -101,6 +108,8 @@ class MemoryStore(GoalStore):
         """The goals that other servers have, and that cannot be accepted here."""
         self.journals: dict[str, MemoryJournal] = {}
         """The journals that are open, by their actions."""
+        self.obstacles: dict[str, Callable[[StoredGoal], str]] = {}
+        """What each open server says about goals that it cannot run, by its action."""
         self._dead: list[MemoryJournal] = []
 
     @asynccontextmanager
@@ -111,10 +120,12 @@ class MemoryStore(GoalStore):
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
+        obstacle: Callable[[StoredGoal], str] = no_obstacle,
     ) -> AsyncGenerator[MemoryJournal, None]:
         """See `GoalStore.open`."""
         if action in self.journals:
             raise StoreError(f"the store is in use for {action!r}: stop its server first")
+        self.obstacles[action] = obstacle
         journal = self.journals[action] = MemoryJournal(self, action, max_results, claim, lose)
         try:
             journal.forget_old()

@@ -122,6 +122,7 @@ class GoalKeeper(Keeper):
             max_results=self._max_results,
             claim=events.claim,
             lose=events.lose,
+            obstacle=events.obstacle,
         ) as self._journal:
             yield
 

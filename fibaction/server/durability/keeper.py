@@ -57,6 +57,8 @@ class KeeperEvents:
     """Take over a goal of an earlier process, or of another server."""
     lose: Callable[[GoalID], None]
     """Let go of a goal that another server has taken over."""
+    obstacle: Callable[[StoredGoal], str]
+    """Return why the server cannot run a goal of another server; empty if it can."""
     refuse: Callable[[GoalRecord], None]
     """Let go of a goal of which a write is refused for that reason."""
     fail: Callable[[], None]

@@ -1,8 +1,9 @@
-"""`ReadableCheck`: the refusal to start with stored goals that this version cannot read.
+"""`ReadableCheck`: which stored goals this version can read, and the refusal to start without.
 
 For example, a new version has a required field that the goals in the store do not have. If they
 were ended, going back to the old version would not bring them back. So the check comes before
-anything is written or run.
+anything is written or run. Where several servers share a store, it comes before this server takes
+a goal, and another one can have it.
 """
 
 from __future__ import annotations
@@ -60,6 +61,13 @@ class ReadableCheck(Generic[GoalT, FeedbackT, ResultT]):
             await slices.pause()
         if failures:
             raise self._error(failures)
+
+    def obstacle(self, stored: StoredGoal) -> str:
+        """Return why this server cannot run a goal; empty if it can.
+
+        A goal whose cancel was accepted is not run again, so any server can end it.
+        """
+        return "" if stored.status is GoalStatus.CANCELING else self._failure_of(stored)
 
     def _is_to_run(self, stored: StoredGoal) -> bool:
         """Return False for a goal that has ended, or that ends in any case."""

@@ -22,7 +22,8 @@ on, and one of these happens:
   ends as ABORTED, or runs again, or a function decides. After too many lost attempts it ends in any
   case, because it may be the goal that kills the server.
 - It is not of its type any more: it ends as ABORTED, with the reason. That is for goals that come
-  later, and for a server that is told so: else the server does not start (see `readable`).
+  later, and for a server that is told so: else the server does not start (see `readable`). A store
+  that several servers share asks for the `obstacle` first, and leaves such a goal to the others.
 
 A goal that runs again begins another attempt. `Runs` writes that before the executor starts.
 """
@@ -94,7 +95,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher = dispatcher
         self._watchers = watchers
         self._admission = admission
-        self._readable = ReadableCheck(action, runs.checkpoints, dispatcher, settings)
+        self.readable = ReadableCheck(action, runs.checkpoints, dispatcher, settings)
         self._rule = settings.recovery
         self._max_attempts = settings.max_attempts
         self._keep_for = settings.result_timeout
@@ -111,7 +112,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             StoreError: Some cannot be read, and the server is to refuse them.
         """
-        await self._readable.check(tuple(self._claimed))
+        await self.readable.check(tuple(self._claimed))
 
     def open(self, tasks: TaskGroup) -> None:
         """Take goals over in tasks of this group."""

@@ -21,7 +21,14 @@ from fibaction import (
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection
-from fibaction.border.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+from fibaction.border.goal_store import (
+    GoalJournal,
+    GoalStore,
+    GoalTaken,
+    StoredGoal,
+    Then,
+    no_obstacle,
+)
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import open_server
@@ -251,6 +258,7 @@ class FakeStore(GoalStore):
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
+        obstacle: Callable[[StoredGoal], str] = no_obstacle,
     ) -> AsyncGenerator[GoalJournal, None]:
         journal = FakeJournal(self._broker, action, self._worker)
         self._worker.journals[action] = journal, claim, lose

@@ -19,6 +19,7 @@ from fibaction.words.goals import Sender
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry, lease_entry
+from fibaction_transports.nats.worker import notes_for_others
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import Membership
 from fibaction_transports.nats.worker.store import FleetStore
@@ -26,10 +27,17 @@ from fibaction_transports.nats.worker.takeover import SCAN_INTERVAL, Takeover
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.support.memory_broker import MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
+from tests.transports.hearing import Hearing
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 NAMES = FleetNames("test")
 LEASE = 6.0
+IN_TURN = 30 * notes_for_others.HOLD
+"""Seconds in which a reader gets a note that another one takes as well, by chance."""
+CANNOT_RUN = (
+    f"goal {'01' * 16} of 'count' cannot run at this worker, and is left to others: it has no field"
+    f" `unit`"
+)
 
 
 def goal(number: int = 1, **changes: object) -> StoredGoal:
@@ -53,6 +61,7 @@ class Member:
         self.journal: FleetJournal
         self.claimed: list[StoredGoal] = []
         self.lost: list[GoalID] = []
+        self.cannot_run: set[GoalID] = set()
         self.begins = True
         self.news = Notifier()
 
@@ -62,6 +71,9 @@ class Member:
         if self.begins:
             one.is_running, one.attempt = True, one.attempt + 1
             self.journal.begin(one, lambda _error: None)
+
+    def obstacle(self, one: StoredGoal) -> str:
+        return "it has no field `unit`" if one.goal_id in self.cannot_run else ""
 
     def accept(self, *goals: StoredGoal) -> None:
         for one in goals:
@@ -90,7 +102,13 @@ async def member(
         made.store.on_room = takeover.room.notify
         await takeover.open()
         made.journal = await stack.enter_async_context(
-            made.store.open("count", max_results=9, claim=made.claim, lose=made.lost.append)
+            made.store.open(
+                "count",
+                max_results=9,
+                claim=made.claim,
+                lose=made.lost.append,
+                obstacle=made.obstacle,
+            )
         )
         made.journal.set_room(running, 9)
         await made.broker.flush()
@@ -485,6 +503,83 @@ async def test_a_waiting_goal_is_not_taken_while_the_brokers_do_not_answer() -> 
         await sleep(4)
         shared.delay = lambda: 0.0
         await b.claims(1, within=12)
+
+
+# Goals that this worker cannot run
+
+
+async def test_a_waiting_goal_that_a_worker_cannot_run_is_left_to_others(
+    log: Hearing,
+) -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b", running=9) as b:
+            b.cannot_run = {waiting(1).goal_id}
+            a.accept(waiting(1), waiting(2))
+            await b.claims(1, within=1)
+            await sleep(10 * LEASE)
+            assert [one.stamp for one in b.claimed] == [2]
+            assert entry(shared, waiting(1)).goal.worker == "a"
+            assert log.warnings == [CANNOT_RUN]
+            async with member(shared, "c", running=1) as c:
+                await c.claims(1, within=IN_TURN)
+
+
+async def test_a_lost_goal_that_a_worker_cannot_run_is_taken_over_by_others(log: Hearing) -> None:
+    async with MemoryBrokers() as shared:
+        async with (
+            member(shared, "a") as a,
+            member(shared, "b") as b,
+            member(shared, "c") as c,
+        ):
+            goals = [goal(number) for number in range(1, 41)]
+            b.cannot_run = {one.goal_id for one in goals[:20]}
+            a.accept(*goals)
+            await sleep(1)
+            a.broker.is_away = True
+            await sleep(LEASE + 2)
+            taken = sorted(one.stamp for one in b.claimed + c.claimed)
+            assert taken == list(range(1, 41))
+            assert not b.cannot_run & {one.goal_id for one in b.claimed}
+            assert not shared.notes
+            assert len(log.warnings) <= 20 + 2, "once for each goal"
+
+
+async def test_a_goal_that_no_living_worker_can_run_waits_for_one_that_can(log: Hearing) -> None:
+    async with MemoryBrokers() as shared:
+        for number in (1, 2, 3):
+            keep(shared, waiting(number))
+        async with member(shared, "b") as b:
+            b.cannot_run = {waiting(1).goal_id}
+            await b.claims(2, within=1)
+            await sleep(30 * LEASE)
+            assert log.warnings == [CANNOT_RUN]
+            assert entry(shared, waiting(1)).goal == waiting(1)
+            async with member(shared, "c") as c:
+                await c.claims(1, within=IN_TURN)
+            assert len(b.claimed) == 2
+
+
+async def test_a_goal_that_nobody_can_run_keeps_one_note() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        keep(shared, waiting())
+        b.cannot_run = {waiting().goal_id}
+        for _ in range(5):
+            b.broker.add_note(NAMES.left("count"), bytes(waiting().goal_id))
+        await sleep(LEASE)
+        assert len(shared.notes) == 1
+
+
+async def test_the_warnings_of_many_goals_are_forgotten_in_time(
+    log: Hearing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notes_for_others, "MOST_KNOWN", 2)
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        b.cannot_run = {waiting(number).goal_id for number in (1, 2, 3)}
+        for number in (1, 2, 3):
+            keep(shared, waiting(number))
+            b.broker.add_note(NAMES.left("count"), bytes(waiting(number).goal_id))
+        await sleep(LEASE)
+        assert len(log.warnings) > 3
 
 
 # Hints

@@ -6,6 +6,7 @@ from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
+import msgspec
 import pytest
 from anyio import create_task_group, fail_after, sleep, sleep_forever
 
@@ -25,6 +26,7 @@ from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.worker.worker import Worker, open_worker
 from tests.simulation.loop import VirtualLoop
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers
+from tests.transports.hearing import Hearing
 
 VIRTUAL = ("asyncio", {"loop_factory": VirtualLoop})  # lines need asyncio
 pytestmark = [
@@ -230,3 +232,64 @@ async def test_listening_is_tried_again_when_the_brokers_did_not_answer(
             await sleep(1)
             answer = await shared.member().request(NAMES.offer("count"), encode(RoomQuestion(1)), 5)
             assert offer(answer).worker == "robot"
+
+
+# Workers of different versions
+
+
+class Old(msgspec.Struct):
+    n: int
+
+
+class New(msgspec.Struct):
+    n: int
+    unit: str
+
+
+async def steps(goal: GoalHandle[Any]) -> AsyncGenerator[int, None]:
+    await sleep(1)
+    yield goal.request.n
+
+
+def steps_by(version: type[Old] | type[New], concurrency: int) -> ActionServer[Any, Any, Any]:
+    return ActionServer(
+        Action("steps", goal=version, feedback=str, result=int),
+        steps,
+        schedule=Schedule(concurrency=concurrency, queue=300),
+        recovery="rerun",
+    )
+
+
+@pytest.mark.promise("FLEET-7")
+@pytest.mark.parametrize("is_lost", [False, True])
+async def test_a_worker_of_another_version_leaves_goals_to_those_that_can_run_them(
+    is_lost: bool, log: Hearing
+) -> None:
+    ended: list[int] = []
+    async with MemoryBrokers() as shared:
+        brokers = [shared.member(name) for name in "abc"]
+        async with (
+            serving(brokers[0], steps_by(Old, 2), "a"),
+            serving(brokers[1], steps_by(Old, 2), "b"),
+            open_fleet(shared.member(), NAMES, settings("")) as fleet,
+            create_task_group() as callers,
+        ):
+            action = Action("steps", goal=Old, feedback=str, result=int)
+            caller = ActionClient(fleet.endpoint(action), action)
+
+            async def call(number: int) -> None:
+                ended.append(await caller.call(Old(number)))
+
+            for number in range(300):
+                callers.start_soon(call, number)
+            await sleep(3)
+            async with serving(brokers[2], steps_by(New, 9), "c"):
+                await sleep(3)
+                brokers[0].is_away = is_lost
+                await sleep(300)
+                brokers[0].is_away = False
+    assert sorted(ended) == list(range(300))
+    unread = [one for one in log.warnings if "is left to others" in one]
+    assert unread
+    assert len(unread) == len(set(unread))
+    assert all(one.endswith("missing required field `unit`") for one in unread)

@@ -19,6 +19,7 @@ import msgspec
 from fibaction.border.goal_store import StoredGoal
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError
+from fibaction.words.statuses import GoalStatus
 
 INCARNATION_SIZE = 8
 """Bytes of an incarnation: random, so that no two workers ever have the same."""
@@ -34,6 +35,11 @@ class GoalEntry(msgspec.Struct, array_like=True, gc=False):
     """The worker that has the goal, which `goal.worker` names; empty if no worker has it."""
     nonce: bytes
     """Random bytes of this write."""
+
+    @property
+    def waits(self) -> bool:
+        """True if the goal waits for its turn."""
+        return not self.goal.is_running and self.goal.status is GoalStatus.ACCEPTED
 
 
 class ServedAction(msgspec.Struct, array_like=True, frozen=True):
@@ -120,6 +126,14 @@ def lease_entry(data: bytes) -> LeaseEntry:
     """
     entry: LeaseEntry = _decoded(_lease_decoder, data, "the lease of a worker")
     return entry
+
+
+def is_claim(data: bytes) -> bool:
+    """Return whether the record of a worker is the claim to clear up after it."""
+    try:
+        return bool(lease_entry(data).cleared_by)
+    except ProtocolError:
+        return False
 
 
 def question(data: bytes) -> RoomQuestion:

@@ -70,6 +70,7 @@ class FleetJournal(GoalJournal):
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
+        obstacle: Callable[[StoredGoal], str],
     ) -> None:
         self.action = action
         self.running = 0.0
@@ -83,6 +84,8 @@ class FleetJournal(GoalJournal):
         self._max_results = max_results
         self._claim = claim
         self._lose = lose
+        self.obstacle = obstacle
+        """The function that returns why the server cannot run a goal; empty if it can."""
         self._held: dict[GoalID, HeldGoal] = {}
         self._ended: deque[tuple[int, str, int]] = deque()  # keep_until, subject, sequence
         self._settled = Notifier()

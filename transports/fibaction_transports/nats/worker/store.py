@@ -13,7 +13,7 @@ from anyio import CancelScope
 from anyio.abc import TaskGroup
 
 from fibaction.border.event_loop import Background
-from fibaction.border.goal_store import GoalStore, StoredGoal
+from fibaction.border.goal_store import GoalStore, StoredGoal, no_obstacle
 from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
@@ -60,11 +60,12 @@ class FleetStore(GoalStore):
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
+        obstacle: Callable[[StoredGoal], str] = no_obstacle,
     ) -> AsyncGenerator[FleetJournal, None]:
         """See `GoalStore.open`. Goals are claimed from when the block begins."""
         if action in self.journals:
             raise StoreError(f"this worker serves the action {excerpt(action)!r} already")
-        journal = FleetJournal(self, action, max_results, claim, lose)
+        journal = FleetJournal(self, action, max_results, claim, lose, obstacle)
         self.journals[action] = journal
         try:
             async with Background() as tasks:

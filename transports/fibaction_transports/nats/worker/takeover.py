@@ -16,6 +16,7 @@ A note says only that there may be something to do; the record says what. Each w
 notes of `left` for its actions, whether it has room or not, and those of `want` while it can run
 goals. It takes a goal by a write over the record that it has read, so one wins, and then the server
 claims it. The owner of a goal that waited gets a hint to the subject `taken`, and reads the record.
+A goal that its server cannot run is left to workers of another version (`NotesForOthers`).
 
 "Gone" is judged by the brokers alone: there is no lease with the incarnation of the owner.
 """
@@ -32,7 +33,6 @@ from fibaction.border.event_loop import Slices
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
-from fibaction.words.statuses import GoalStatus
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
@@ -48,10 +48,12 @@ from fibaction_transports.nats.records import (
     LeaseEntry,
     encode,
     goal_entry,
+    is_claim,
     lease_entry,
 )
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, Membership
+from fibaction_transports.nats.worker.notes_for_others import NotesForOthers
 from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.workers import FleetWorkers
 
@@ -100,8 +102,9 @@ class Takeover:
         await self._workers.ready()
 
     def _open(self, journal: FleetJournal, tasks: TaskGroup) -> None:
-        tasks.start_soon(self._take_left, journal, tasks)
-        tasks.start_soon(self._take_wanted, journal)
+        others = NotesForOthers(self._broker, journal, tasks)
+        tasks.start_soon(self._take_left, journal, others, tasks)
+        tasks.start_soon(self._take_wanted, journal, others)
         tasks.start_soon(self._scan_often, journal)
 
     # Lost workers
@@ -135,7 +138,7 @@ class Takeover:
     async def _finish(self, worker: str, subject: str) -> None:
         """Say that a lost worker is cleared up after, so that the end of a claim has no effect."""
         record = await self._broker.get(self._names.workers, subject)
-        if record is None or not record.data or _is_claim(record):
+        if record is None or not record.data or is_claim(record.data):
             expected = record.sequence if record else 0
             await self._put(subject, LeaseEntry(worker, b""), expected)
 
@@ -205,15 +208,17 @@ class Takeover:
 
     # Notes
 
-    async def _take_left(self, journal: FleetJournal, tasks: TaskGroup) -> None:
+    async def _take_left(
+        self, journal: FleetJournal, others: NotesForOthers, tasks: TaskGroup
+    ) -> None:
         limit = CapacityLimiter(AT_ONCE)
         async with aclosing(self._broker.notes(self._names.left(journal.action))) as notes:
             async for note in notes:  # pragma: no branch  # they go on until the task is canceled
                 await limit.acquire_on_behalf_of(note)
-                tasks.start_soon(self._take_one_left, journal, note, limit)
+                tasks.start_soon(self._take_one_left, journal, others, note, limit)
 
     async def _take_one_left(
-        self, journal: FleetJournal, note: Note, limit: CapacityLimiter
+        self, journal: FleetJournal, others: NotesForOthers, note: Note, limit: CapacityLimiter
     ) -> None:
         try:
             found = await self._found(journal, note)
@@ -221,6 +226,8 @@ class Takeover:
                 note.done()
                 return
             record, entry = found
+            if others.give_back(self._names.left(journal.action), note, entry.goal):
+                return
             is_taken = await self._take(journal, record, entry)
             if is_taken or self._membership.incarnation:
                 note.done()
@@ -231,7 +238,7 @@ class Takeover:
         if is_taken:
             await self._wait_for_begin(journal, entry.goal.goal_id)
 
-    async def _take_wanted(self, journal: FleetJournal) -> None:
+    async def _take_wanted(self, journal: FleetJournal, others: NotesForOthers) -> None:
         subject = self._names.want(journal.action)
         async with aclosing(self._broker.notes(subject)) as notes:
             while True:
@@ -239,7 +246,7 @@ class Takeover:
                     await self.room.wait()
                 note = await anext(notes)
                 if self._has_room(journal):
-                    await self._take_one_wanted(journal, note)
+                    await self._take_one_wanted(journal, others, note)
                 else:
                     self._broker.add_note(subject, note.data)
                     note.done()
@@ -247,15 +254,19 @@ class Takeover:
     def _has_room(self, journal: FleetJournal) -> bool:
         return journal.running > 0 and bool(self._membership.incarnation)
 
-    async def _take_one_wanted(self, journal: FleetJournal, note: Note) -> None:
+    async def _take_one_wanted(
+        self, journal: FleetJournal, others: NotesForOthers, note: Note
+    ) -> None:
         try:
             found = await self._found(journal, note)
             if found is not None and journal.waits(found[1].goal.goal_id):
                 return  # it waits here; the note comes again
-            if found is None or not _waits(found[1]):
+            if found is None or not found[1].waits:
                 note.done()
                 return
             record, entry = found
+            if others.give_back(self._names.want(journal.action), note, entry.goal):
+                return
             former = entry.goal.worker
             is_taken = await self._take(journal, record, entry)
         except BrokerAway:
@@ -332,14 +343,3 @@ def _entry(record: BrokerRecord) -> GoalEntry | None:
         logger.warning("%s: %s", record.subject, exc)
         return None
     return entry if entry.goal.status.is_active else None
-
-
-def _is_claim(record: BrokerRecord) -> bool:
-    try:
-        return bool(lease_entry(record.data).cleared_by)
-    except ProtocolError:
-        return False
-
-
-def _waits(entry: GoalEntry) -> bool:
-    return not entry.goal.is_running and entry.goal.status is GoalStatus.ACCEPTED
