@@ -487,6 +487,39 @@ def test_a_goal_waits_no_longer_than_the_queue_timeout() -> None:
     assert [(order.act, order.goal_id) for order in scheduler.due(7)] == [(Act.END, TWO)]
 
 
+def test_a_goal_that_comes_back_has_waited_before() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=3, queue_timeout=5))
+    assert scheduler.restore(ONE, now=2, waited=5) == [Order(Act.END, ONE, "waited for 5 s")]
+    scheduler.offer(TWO, now=2)
+    scheduler.restore(THREE, now=2, waited=1)
+    scheduler.restore(goal(4), now=2, waited=4)
+    assert scheduler.next_due == 3
+    assert scheduler.due(3) == [Order(Act.END, goal(4), "waited for 5 s")]
+    assert scheduler.next_due == 6
+
+
+def test_a_goal_that_has_expired_is_skipped_when_its_turn_comes() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=3))
+    assert scheduler.restore(ONE, now=2, expires=2) == [Order(Act.END, ONE, EXPIRED)]
+    scheduler.offer(TWO, now=2, expires=2)
+    scheduler.offer(THREE, now=2, expires=4)
+    scheduler.offer(goal(4), now=2, expires=6)
+    assert scheduler.due(5) == []
+    assert scheduler.leave(TWO, 5) == [Order(Act.END, THREE, EXPIRED), Order(Act.START, goal(4))]
+
+
+def test_a_successor_that_has_expired_leaves_the_place_to_the_queue() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=1, when_full="preempt"))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(TWO, now=0)
+    scheduler.offer(THREE, now=0, expires=4)
+    assert scheduler.leave(ONE, 5) == [Order(Act.END, THREE, EXPIRED), Order(Act.START, TWO)]
+
+
+def test_a_goal_that_is_not_known_gives_no_place_back() -> None:
+    assert Scheduler(Schedule(concurrency=1)).leave(ONE, 0) == []
+
+
 def test_a_start_has_no_reason() -> None:
     assert Scheduler(Schedule()).offer(ONE, now=0) == [(Act.START, ONE, "")]
 

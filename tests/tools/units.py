@@ -45,7 +45,10 @@ UNITS = {
     "fibaction/server/scheduling/group.py": ["tests/server/test_scheduler.py"],
     "fibaction/server/scheduling/scheduler.py": ["tests/server/test_scheduler.py"],
     "fibaction/stores/_journal_file.py": ["tests/stores/test_journal_file.py"],
-    "fibaction/server/durability/readable.py": ["tests/server/test_readable.py"],
+    "fibaction/server/durability/readable.py": [
+        "tests/server/test_keeping.py",
+        "tests/server/test_readable.py",
+    ],
     "fibaction/stores/_log_mark.py": ["tests/stores/test_log_mark.py"],
     "fibaction/stores/_sqlite_journal.py": ["tests/stores/test_sqlite_store.py"],
     "fibaction/stores/_wal.py": ["tests/stores/test_journal_file.py"],
