@@ -72,7 +72,8 @@ def as_yaml(value: Any, *, full: bool = False, indent: int = 0) -> str:
 
 
 def _dump(data: Any, dumper: Any) -> str:
-    text: str = yaml.dump(
+    untyped: Any = yaml  # a part of the type of its `dump` is unknown to checkers
+    text: str = untyped.dump(
         data,
         Dumper=dumper,
         allow_unicode=True,
