@@ -81,8 +81,7 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
                     raise TypeError(f"{name} is a function that does not wait, without `async`")
         for name in ("queue_timeout", "run_timeout", "handover"):
             _check_is_time(name, getattr(self, name))
-        if not isinstance(self.skip_expired, bool):
-            raise TypeError(f"skip_expired is True or False, not {self.skip_expired!r}")
+        _check_is_flag("skip_expired", self.skip_expired)
         self._check_has_effect()
 
     def _check_has_effect(self) -> None:
@@ -116,6 +115,11 @@ def _check_is_limit(name: str, limit: object, least: int) -> None:
         raise TypeError(f"{name} is a whole number, not {limit!r}")
     if limit < least:
         raise ValueError(f"{name} is {least} or more, not {limit}")
+
+
+def _check_is_flag(name: str, flag: object) -> None:
+    if not isinstance(flag, bool):
+        raise TypeError(f"{name} is True or False, not {flag!r}")
 
 
 def _check_is_time(name: str, seconds: object) -> None:
