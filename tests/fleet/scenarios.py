@@ -33,8 +33,9 @@ GRACE = 2.0
 """Seconds after the end of a lease within which the goals of a lost worker are safe."""
 AWAY = 8.0
 """Seconds for which one broker of three is away, longer than the others need to replace it."""
-PAUSE = 10.0
-"""Seconds that a fleet may stand still when one broker of three is killed."""
+PAUSE = 30.0
+"""Seconds that a fleet may stand still when one broker of three is killed. The two others wait for 4
+to 9 s before one of them asks to lead, and as long again if both have asked at the same time."""
 
 
 class Run(msgspec.Struct, frozen=True):
