@@ -11,8 +11,9 @@ import pytest
 
 from fibaction.border.goal_store import StoredGoal, Then
 from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.lease import Membership, Term
-from fibaction_transports.nats.worker.takeover import Takeover
+from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.lost_workers import LostWorkers
+from fibaction_transports.nats.worker.term import Term
 from tests.fleet_simulation import __main__ as program
 from tests.fleet_simulation.world import simulate
 from tests.support.memory_broker import MemoryBrokers
@@ -90,14 +91,14 @@ def takes_goals_of_workers_that_live(monkeypatch: pytest.MonkeyPatch) -> None:
     async def is_gone(self: Any, entry: Any) -> bool:
         return True
 
-    monkeypatch.setattr(Takeover, "_is_gone", is_gone)
+    monkeypatch.setattr(LostWorkers, "is_gone", is_gone)
 
 
 def leaves_the_goals_of_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     async def is_gone(self: Any, entry: Any) -> bool:
         return not entry.incarnation
 
-    monkeypatch.setattr(Takeover, "_is_gone", is_gone)
+    monkeypatch.setattr(LostWorkers, "is_gone", is_gone)
 
 
 @pytest.mark.timeout(180)  # many seeds, on a busy machine

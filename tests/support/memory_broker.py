@@ -24,6 +24,7 @@ from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
     BrokerRecord,
+    BrokerStream,
     BrokerSubscription,
     BrokerWatch,
     Message,
@@ -109,6 +110,8 @@ class MemoryBrokers:
         self.readers: list[MemoryReader] = []
         """The readers that wait for a note, in the order in which they have asked."""
         self.notes_changed = Notifier()
+        self.stream: BrokerStream | None = BrokerStream("first", math.inf)
+        """What members are told of each stream."""
         self.records: dict[str, _Kept] = {}
         self._sequences: dict[str, int] = {}
         self._due: list[tuple[float, int, Callable[[], None]]] = []
@@ -134,6 +137,13 @@ class MemoryBrokers:
         """Begin all watches anew, as after a restart of the brokers."""
         for member in self.members:
             member.begin_anew()
+
+    def lose_streams(self) -> None:
+        """Forget all that is stored: the streams are gone until `stream` is another one."""
+        self.records.clear()
+        self.notes.clear()
+        self._sequences.clear()
+        self.stream = None
 
     # Time
 
@@ -375,6 +385,13 @@ class MemoryBroker(Broker):
 
     async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
         """See `Broker.create_streams`."""
+
+    async def find_stream(self, stream: str) -> BrokerStream | None:
+        """See `Broker.find_stream`."""
+        with move_on_after(ANSWER_TIMEOUT):
+            await self.flush()
+            return self.shared.stream
+        raise BrokerAway(f"no answer about {stream}")
 
     def put(
         self,

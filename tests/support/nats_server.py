@@ -102,6 +102,10 @@ class NatsServer:
         assert self._process is not None
         self._process.wait()
 
+    def lose_data(self) -> None:
+        """Delete all that it has stored, while it does not run."""
+        shutil.rmtree(self._folder / "data")
+
     def stop(self) -> None:
         """End it in good order."""
         self._signal(signal.SIGTERM)

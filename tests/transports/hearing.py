@@ -45,6 +45,12 @@ class Hearing(logging.Handler):
                         return record
                 await self._news.wait()
 
+    async def told(self, text: str, count: int) -> None:
+        """Wait until so many lines have the text in them."""
+        with anyio.fail_after(5):
+            while sum(text in record.getMessage() for record in self.records) < count:
+                await self._news.wait()
+
     async def lines(self, count: int) -> None:
         """Wait until there are so many lines."""
         with anyio.fail_after(5):

@@ -38,6 +38,7 @@ from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
     BrokerRecord,
+    BrokerStream,
     BrokerSubscription,
     BrokerWatch,
     NoResponders,
@@ -98,6 +99,8 @@ class FakeBroker(Broker):
 
     def __init__(self) -> None:
         self.records: dict[str, BrokerRecord] = {}
+        self.stream: BrokerStream | None = BrokerStream("first", math.inf)
+        """What is told of each stream."""
         self.sequence = 0
         self.is_away = False
         self.news = Notifier()
@@ -110,6 +113,12 @@ class FakeBroker(Broker):
     @property
     def is_connected(self) -> bool:
         return not self.is_away
+
+    async def find_stream(self, stream: str) -> BrokerStream | None:
+        await anyio.lowlevel.checkpoint()
+        if self.is_away:
+            raise BrokerAway("away")
+        return self.stream
 
     def publish(self, subject: str, data: bytes, reply: str = "") -> None:
         raise NotImplementedError

@@ -13,7 +13,7 @@ from fibaction import (
     Outcome,
     ProtocolError,
 )
-from fibaction_transports.nats.broker.broker import BrokerRecord
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, BrokerStream
 from fibaction_transports.nats.client import worker_connections
 from fibaction_transports.nats.records import goal_entry
 from tests.support.virtual_time import in_virtual_time
@@ -32,6 +32,10 @@ pytestmark = [pytest.mark.anyio, in_virtual_time()]
 @pytest.fixture
 def fleet() -> FakeFleet:
     return FakeFleet()
+
+
+async def away(_stream: str) -> BrokerStream | None:
+    raise BrokerAway("on purpose")
 
 
 async def read_three(goal: ClientGoal[int, str]) -> None:
@@ -82,6 +86,26 @@ async def test_a_goal_whose_record_is_gone_is_unknown(fleet: FakeFleet) -> None:
         a.die()
         fleet.broker.store(NAMES.goal("count", goal.goal_id), b"")
         assert (await goal.outcome()).status is GoalStatus.UNKNOWN
+
+
+async def test_a_goal_whose_record_may_be_written_again_is_waited_for(
+    fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        goal = await client_of(connection).send_goal(-3)
+        subject = NAMES.goal("count", goal.goal_id)
+        record = fleet.broker.records.pop(subject)
+        fleet.broker.stream = None
+        a.hang_up()
+        a.end_lease()
+        await anyio.sleep(2)
+        with monkeypatch.context() as patch:
+            patch.setattr(fleet.broker, "find_stream", away)
+            await anyio.sleep(2)
+        assert goal.status.is_active
+        fleet.broker.records[subject] = record
+        a.own(goal.goal_id, **ENDED)
+        assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, "3")
 
 
 async def test_a_goal_whose_record_cannot_be_read_fails(fleet: FakeFleet) -> None:

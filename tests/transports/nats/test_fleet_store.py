@@ -637,3 +637,56 @@ async def test_a_goal_in_doubt_can_be_lost(monkeypatch: pytest.MonkeyPatch, when
         assert robot.errors == [GoalTaken]
         assert robot.lost == [goal().goal_id]
         assert len(writes(shared)) == 1
+
+
+# A lost stream
+
+
+async def test_the_records_of_goals_are_written_again_when_their_stream_was_lost() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.write("accept", goal(1))
+        robot.write("accept", goal(2))
+        robot.write("accept", goal(3))
+        robot.write("end", ended(goal(3)))
+        await robot.answered(4)
+        shared.lose_streams()
+        robot.write("cancel", goal(2, status=GoalStatus.CANCELING))
+        robot.journal.rewrite_all()
+        await robot.answered(5)
+        await sleep(1)
+        kept = [entry(shared, goal(number)) for number in (1, 2, 3)]
+        assert [None if one is None else one.goal.status for one in kept] == [
+            GoalStatus.ACCEPTED,
+            GoalStatus.CANCELING,
+            None,
+        ]
+        robot.write("end", ended(goal(1)))
+        robot.write("end", ended(goal(2)))
+        await robot.answered(7)
+        assert robot.errors == [None] * 7
+
+
+async def test_a_record_that_was_written_to_the_new_stream_already_is_written_over() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.write("accept", goal())
+        await robot.answered(1)
+        robot.journal.rewrite_all()
+        robot.write("end", ended(goal()))
+        await robot.answered(2)
+        assert robot.errors == [None] * 2
+        assert not robot.lost
+
+
+async def test_a_goal_is_kept_although_its_record_cannot_be_written_again() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.write("accept", goal())
+        await robot.answered(1)
+        shared.lose_streams()
+        shared.is_full = True
+        robot.journal.rewrite_all()
+        await sleep(1)
+        assert robot.journal.has(goal().goal_id)
+        shared.is_full = False
+        robot.write("end", ended(goal()))
+        await robot.answered(2)
+        assert robot.errors == [None] * 2

@@ -10,6 +10,7 @@ import pytest
 
 from fibaction import ConnectionLost, WorkerInfo
 from fibaction._runtime.tasks import Background
+from fibaction_transports.nats.broker.broker import BrokerStream
 from fibaction_transports.nats.records import LeaseEntry, encode
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.support.virtual_time import in_virtual_time
@@ -114,6 +115,27 @@ async def test_leases_that_ended_while_the_watch_was_interrupted_are_noticed(
         del fleet.broker.records[NAMES.worker("a")]
         fleet.broker.restart_watches()
         await settled()
+        assert (gone, [lease.worker for lease in workers.living()]) == (["a"], ["b"])
+
+
+async def test_workers_that_may_write_their_leases_again_are_not_gone(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()) as b,
+        workers_of(fleet) as (workers, gone),
+    ):
+        fleet.broker.records.clear()
+        fleet.broker.stream = BrokerStream("second", workers.longest_lease - 1)
+        fleet.broker.restart_watches()
+        await anyio.sleep(2)
+        assert (gone, len(workers.living())) == ([], 2)
+        b.renew()
+        fleet.broker.is_away = True
+        await anyio.sleep(2)
+        fleet.broker.stream = BrokerStream("second", workers.longest_lease)
+        assert gone == []
+        fleet.broker.is_away = False
+        await anyio.sleep(1)
         assert (gone, [lease.worker for lease in workers.living()]) == (["a"], ["b"])
 
 

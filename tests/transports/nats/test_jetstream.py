@@ -10,7 +10,12 @@ import pytest
 
 from fibaction import TransportError
 from fibaction_transports.nats.broker.answers import PendingAnswers, RawMessage
-from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, PutFailure
+from fibaction_transports.nats.broker.broker import (
+    BrokerAway,
+    BrokerRecord,
+    BrokerStream,
+    PutFailure,
+)
 from fibaction_transports.nats.broker.client import NatsClient
 from fibaction_transports.nats.broker.jetstream import (
     NAME_IN_USE,
@@ -18,6 +23,7 @@ from fibaction_transports.nats.broker.jetstream import (
     NO_ROOM_FOR_REPLICAS,
     STREAM_NOT_FOUND,
     create_streams,
+    find_stream,
     outcome,
 )
 from fibaction_transports.nats.broker.nats_broker import NatsBroker
@@ -381,3 +387,27 @@ async def test_notes_wait_for_the_connection(client: Any) -> None:
             one.notify()
     await notes.aclose()
     assert client.asked
+
+
+# Streams that are looked for
+
+MADE = {"created": "2026-11-26T12:00:00.123456789Z", "ts": "2026-11-26T12:00:07.623456789Z"}
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("answer", "found"), [(MISSING, None), (MADE, BrokerStream(MADE["created"], 7.5))]
+)
+async def test_a_stream_has_an_identity_and_an_age(
+    answer: dict[str, Any], found: BrokerStream | None
+) -> None:
+    client: Any = ScriptedClient(STREAM_INFO=[answer])
+    assert await find_stream(client, NAMES.goals) == found
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("answer", [failed(NO_LEADER, 503), NO_RESPONDERS])
+async def test_a_stream_that_does_not_answer_is_not_missing(answer: Any) -> None:
+    client: Any = ScriptedClient(STREAM_INFO=[answer])
+    with pytest.raises(BrokerAway):
+        await find_stream(client, NAMES.goals)

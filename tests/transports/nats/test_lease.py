@@ -16,7 +16,8 @@ from fibaction.words.errors import TransportError
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
-from fibaction_transports.nats.worker.lease import Membership, Term
+from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.term import Term
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers
 from tests.support.virtual_time import in_virtual_time
 

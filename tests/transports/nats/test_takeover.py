@@ -16,7 +16,7 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goals import Sender
-from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, BrokerStream
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry, lease_entry
 from fibaction_transports.nats.worker import notes_for_others
@@ -376,6 +376,17 @@ async def test_an_unreadable_lease_is_not_judged() -> None:
         b.broker.add_note(NAMES.left("count"), bytes(goal().goal_id))
         await sleep(1)
         assert not b.claimed
+
+
+async def test_no_worker_is_gone_while_the_stream_of_the_leases_is_new() -> None:
+    async with MemoryBrokers() as shared:
+        shared.stream = BrokerStream("second", LEASE - 1)
+        keep(shared, goal(worker="gone"), b"gone")
+        async with member(shared, "b") as b:
+            await sleep(2 * LEASE)
+            assert not b.claimed
+            shared.stream = BrokerStream("second", LEASE)
+            await b.claims(1, within=2)
 
 
 # Notes of goals without a worker

@@ -12,7 +12,7 @@ from anyio import create_task_group, fail_after, sleep, sleep_forever
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
 from fibaction.words.errors import GoalRejected, TransportError
-from fibaction_transports.nats.broker.broker import BrokerAway
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerStream
 from fibaction_transports.nats.client.connection import open_fleet
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import (
@@ -293,3 +293,53 @@ async def test_a_worker_of_another_version_leaves_goals_to_those_that_can_run_th
     assert unread
     assert len(unread) == len(set(unread))
     assert all(one.endswith("missing required field `unit`") for one in unread)
+
+
+# Lost streams
+
+
+@pytest.mark.promise("FLEET-8")
+async def test_a_worker_fills_the_streams_again_as_soon_as_they_can_be_made(
+    log: Hearing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def no_space(*_: Any, **__: Any) -> None:
+        raise TransportError("there is no space left")
+
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        server = ActionServer(COUNT, count, schedule=Schedule(concurrency=1, queue=9))
+        async with serving(broker, server), client(shared.member()) as caller:
+            goals = [await caller.send_goal(seconds) for seconds in (10, 1)]
+            await sleep(1)
+            shared.lose_streams()
+            with monkeypatch.context() as patch:
+                patch.setattr(broker, "create_streams", no_space)
+                await sleep(LEASE / 4)
+            broker.is_away = True
+            await sleep(LEASE / 4)
+            broker.is_away = False
+            shared.stream = BrokerStream("second", 1.0)
+            await sleep(LEASE / 4)
+            assert lease(shared).actions
+            assert len(shared.matching(NAMES.all_goals())) == 2
+            assert [note.subject for note in shared.notes] == [NAMES.want("count")]
+            with fail_after(3 * LEASE):
+                assert [await goal.result() for goal in goals] == [1, 1]
+    errors = [one.getMessage() for one in log.records if one.levelname == "ERROR"]
+    assert errors == [
+        "the stream FIB_test_WORKERS was lost, and with it the leases of workers",
+        "the stream FIB_test_GOALS was lost, and with it outcomes, and goals that had no worker",
+        "the stream FIB_test_NOTES was lost, and with it notes of goals that wait or are left",
+    ]
+    assert "worker 'robot': there is no space left" in log.warnings
+
+
+async def test_streams_that_are_deleted_again_at_once_are_made_again(log: Hearing) -> None:
+    async with MemoryBrokers() as shared:
+        async with serving(shared.member(), ActionServer(COUNT, count)):
+            shared.lose_streams()
+            await sleep(LEASE / 4 + 0.1)  # they are made, and gone when the worker looks
+            shared.stream = BrokerStream("second", 1.0)
+            await sleep(LEASE / 4)
+            assert lease(shared).actions
+    assert len(log.warnings) == 3, "each loss is told once"

@@ -92,6 +92,11 @@ class FleetWorkers:
         """Return the lease of a worker; None if it has none."""
         return self._known.get(worker)
 
+    @property
+    def longest_lease(self) -> float:
+        """The longest lease of a worker, in seconds."""
+        return max((lease.lease for lease in self._leases.values()), default=self.timeout)
+
     def has(self, worker: str, incarnation: bytes) -> bool:
         """Return whether exactly this worker is alive, and not another one of its name."""
         lease = self._known.get(worker)
@@ -165,12 +170,26 @@ class FleetWorkers:
                     self._take(record)
 
     async def _look_again(self) -> None:
-        """Forget the workers whose lease has ended while the watch was interrupted."""
+        """Forget the workers whose lease has ended while the watch was interrupted.
+
+        If the stream was lost, they have the time of a lease to write theirs again.
+        """
         for token, lease in (*self._leases.items(), *self._claims.items()):
-            subject = self._names.worker(lease.worker)
-            record = await self._broker.get(self._names.workers, subject)
+            stream = self._names.workers
+            record = await self._broker.get(stream, self._names.worker(lease.worker))
+            if record is None and await self._broker.is_new(stream, self.longest_lease):
+                self._tasks.start_soon(self._look_later)
+                return
             if record is None or not record.data:
                 self._forget(token)
+
+    async def _look_later(self) -> None:
+        while True:
+            await anyio.sleep(PAUSE)
+            try:
+                return await self._look_again()
+            except BrokerAway as exc:
+                logger.debug("the leases cannot be looked at: %s", exc)
 
     def _take(self, record: BrokerRecord) -> None:
         token = last_token(record.subject)

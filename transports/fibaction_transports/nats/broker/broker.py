@@ -44,6 +44,15 @@ class BrokerRecord(NamedTuple):
     sequence: int
 
 
+class BrokerStream(NamedTuple):
+    """A stream that is there."""
+
+    identity: str
+    """The text that tells it from a stream of the same name which is made later."""
+    age: float
+    """Seconds since it was made, by the clock of the brokers."""
+
+
 class PutFailure(Enum):
     """The reason why a record was not stored for certain."""
 
@@ -172,6 +181,14 @@ class Broker(ABC):
         """
 
     @abstractmethod
+    async def find_stream(self, stream: str) -> BrokerStream | None:
+        """Return a stream; None if it is missing.
+
+        Raises:
+            BrokerAway: The broker does not answer.
+        """
+
+    @abstractmethod
     def put(
         self,
         subject: str,
@@ -202,6 +219,16 @@ class Broker(ABC):
         Raises:
             BrokerAway: The broker does not answer.
         """
+
+    async def is_new(self, stream: str, lease: float) -> bool:
+        """Return whether a stream is missing, or so new that a record may be missing in it: workers
+        have the time of one lease to write theirs again after the loss of a stream.
+
+        Raises:
+            BrokerAway: The broker does not answer.
+        """
+        found = await self.find_stream(stream)
+        return found is None or found.age < lease
 
     # Notes
 

@@ -6,13 +6,20 @@ They are JSON in requests of `NatsClient`.
 from __future__ import annotations
 
 import re
+from datetime import datetime
 from typing import Any
 
 import anyio
 import msgspec
 
 from fibaction.words.errors import TransportError
-from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders, PutError, PutFailure
+from fibaction_transports.nats.broker.broker import (
+    BrokerAway,
+    BrokerStream,
+    NoResponders,
+    PutError,
+    PutFailure,
+)
 from fibaction_transports.nats.broker.client import NatsClient
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import MANY
@@ -161,6 +168,24 @@ async def is_missing(client: NatsClient, stream: str) -> bool:
     except NoResponders as exc:
         raise BrokerAway("JetStream does not answer") from exc
     return False
+
+
+async def find_stream(client: NatsClient, stream: str) -> BrokerStream | None:
+    """Return a stream; None if it is missing.
+
+    Raises:
+        BrokerAway: Nothing answers, or there is no leader now.
+    """
+    try:
+        answer = await call(client, f"STREAM.INFO.{stream}")
+    except ApiError as exc:
+        if exc.number == STREAM_NOT_FOUND:
+            return None
+        raise BrokerAway(f"the stream {stream} does not answer: {exc}") from exc
+    except NoResponders as exc:
+        raise BrokerAway("JetStream does not answer") from exc
+    made, now = (datetime.fromisoformat(answer[key]) for key in ("created", "ts"))
+    return BrokerStream(answer["created"], (now - made).total_seconds())
 
 
 def _streams(names: FleetNames) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
     BrokerRecord,
+    BrokerStream,
     BrokerSubscription,
     BrokerWatch,
     Message,
@@ -76,6 +77,9 @@ class NatsBroker(Broker):
 
     async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
         await jetstream.create_streams(self._client, names, replicas, self.brokers)
+
+    async def find_stream(self, stream: str) -> BrokerStream | None:
+        return await jetstream.find_stream(self._client, stream)
 
     def put(
         self,

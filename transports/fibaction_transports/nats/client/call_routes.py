@@ -13,7 +13,7 @@ A lost goal waits here, and its record is read, again and again, until one of th
   feedback that has arrived. This is so if the goal has ended, too: its last feedback is there.
 - It has ended, and its owner is gone. It is finished by its record, and the feedback that has not
   arrived counts as lost.
-- There is no record any more: its outcome is unknown.
+- There is no record any more: its outcome is unknown. In a new stream the record may come yet.
 - `reconnect_timeout` seconds have passed since the line was lost: `ConnectionLost`.
 
 A worker that has just come to own a goal may not know it yet, and the former one may not know that
@@ -166,6 +166,8 @@ class CallRoutes:
             return True
         if goal not in self._lost:
             return True
+        if found is None and await self._may_be_written():
+            return False
         if found is None:
             goal.finish(UNKNOWN_OUTCOME, 0, goal.newest_attempt)
         elif found.goal.ended_at and isinstance(self._lost[goal], UnknownGoal):
@@ -177,6 +179,13 @@ class CallRoutes:
         else:
             return False
         return True
+
+    async def _may_be_written(self) -> bool:
+        """Return whether a record that is missing may come yet: its stream was lost."""
+        try:
+            return await self._broker.is_new(self._names.goals, self._workers.longest_lease)
+        except BrokerAway:
+            return True
 
 
 def finish(goal: RemoteGoal, stored: StoredGoal) -> None:

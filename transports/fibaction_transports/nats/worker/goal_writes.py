@@ -101,9 +101,10 @@ class HeldGoal:
             return None
         if entry.nonce == write.nonce:
             return IS_STORED
-        if record.sequence == self.sequence:
+        is_mine = entry.incarnation == write.incarnation
+        if record.sequence == self.sequence or (is_mine and write.kind != "accept"):
             return record.sequence
-        has_ended = entry.goal.status.is_terminal and entry.incarnation == write.incarnation
+        has_ended = entry.goal.status.is_terminal and is_mine
         # The server has forgotten its outcome, so the goal may be sent anew.
         return record.sequence if write.kind == "accept" and has_ended else None
 

@@ -14,9 +14,8 @@ that other workers find it: see `takeover`.
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Protocol
 
 from anyio import sleep
 from anyio.abc import TaskGroup
@@ -42,10 +41,8 @@ from fibaction_transports.nats.worker.goal_writes import (
     taken,
 )
 from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.outcomes import SECOND, KeptOutcomes
 
-SECOND: Final = 1_000_000_000
-DELETED_TTL = 60.0
-"""Seconds that a deleted record is remembered."""
 RESERVE = 512
 """Bytes by which the record of an active goal may grow, and those of its headers."""
 
@@ -81,13 +78,12 @@ class FleetJournal(GoalJournal):
         self._broker = store.broker
         self._names = store.names
         self._membership = store.membership
-        self._max_results = max_results
         self._claim = claim
         self._lose = lose
         self.obstacle = obstacle
         """The function that returns why the server cannot run a goal; empty if it can."""
         self._held: dict[GoalID, HeldGoal] = {}
-        self._ended: deque[tuple[int, str, int]] = deque()  # keep_until, subject, sequence
+        self._outcomes = KeptOutcomes(store.broker, max_results)
         self._settled = Notifier()
         self._answers = AnswerQueue(self._settled.notify)
         self.begun = Notifier()
@@ -204,7 +200,7 @@ class FleetJournal(GoalJournal):
         held.writes.popleft()
         if write.kind == "end":
             self._forget(held)
-            self._note_ended(held)
+            self._outcomes.add(self._names.goal(self.action, held.goal_id), held)
         elif write.kind == "release":
             self._forget(held)
             self._broker.add_note(self._names.left(self.action), bytes(held.goal_id))
@@ -223,7 +219,7 @@ class FleetJournal(GoalJournal):
     def _failed(self, held: HeldGoal, write: Write, error: StoreError) -> None:
         """Give up the first write of a goal, whose record is as before."""
         held.writes.popleft()
-        if not held.sequence and not held.writes:
+        if write.kind == "accept" and not held.writes:
             self._forget(held)
         self._answers.answer(write, error)
         if held.writes:
@@ -332,18 +328,17 @@ class FleetJournal(GoalJournal):
             self._write("release", held.stored, lambda _error: None)
         await self.settle()
 
-    # Outcomes
+    # Lost streams
 
-    def _note_ended(self, held: HeldGoal) -> None:
-        """Delete the oldest outcome of this worker if there are too many."""
-        subject = self._names.goal(self.action, held.goal_id)
-        self._ended.append((held.stored.keep_until, subject, held.sequence))
-        now = time.time_ns()
-        while self._ended and (
-            0 < self._ended[0][0] <= now or len(self._ended) > self._max_results
-        ):
-            keep_until, subject, sequence = self._ended.popleft()
-            if not 0 < keep_until <= now:
-                self._broker.put(
-                    subject, b"", expected=sequence, ttl=DELETED_TTL, then=lambda _answer: None
-                )
+    def rewrite_all(self) -> None:
+        """Write the records of all goals again: their stream was lost, and there is a new one."""
+        self._outcomes.forget()
+        for held in tuple(self._held.values()):
+            held.sequence = 0
+            if not held.writes:  # otherwise the write that is under way is repeated
+                self._write("rewrite", held.stored, lambda _error: None)
+
+    def offer_all(self) -> None:
+        """Add the notes of all goals that wait here again, because they were lost."""
+        for goal_id in tuple(self._held):
+            self.offer_to_others(goal_id)

@@ -43,11 +43,8 @@ from fibaction_transports.nats.records import (
     encode,
     lease_entry,
 )
+from fibaction_transports.nats.worker.term import MARGIN, RENEWALS, Term
 
-MARGIN = 1 / 5
-"""The part of a lease that a worker leaves unused, so that it has stopped when the lease ends."""
-RENEWALS = 3
-"""The number of renewals in the time of one lease."""
 PATIENCE = 1 / 6
 """The part of a lease after which a renewal that is not answered is sent again."""
 CHANGE_INTERVAL = 1.0
@@ -58,35 +55,6 @@ LEFT_TTL = 5.0
 """Seconds that the end of a lease is remembered."""
 
 logger = clean_logger("fibaction.nats")
-
-
-class Term:
-    """The time in which a lease is valid for certain, without I/O."""
-
-    def __init__(self, lease: float) -> None:
-        self.lease = lease
-        self.valid_until = -math.inf
-        """Time until which the lease is valid for certain."""
-        self.renew_at = -math.inf
-        """Time of the next renewal."""
-        self._sent: float | None = None  # the first write whose answer has not come
-
-    def sent(self, now: float) -> None:
-        """Note that a renewal is sent now."""
-        if self._sent is None:
-            self._sent = now
-
-    def stored(self) -> None:
-        """Note that the lease is stored, by the earliest of the writes that were sent."""
-        assert self._sent is not None
-        self.valid_until = self._sent + self.lease * (1 - MARGIN)
-        self.renew_at = self._sent + self.lease / RENEWALS
-        self._sent = None
-
-    def end(self) -> None:
-        """Forget the lease."""
-        self.valid_until = self.renew_at = -math.inf
-        self._sent = None
 
 
 class Membership:
@@ -136,6 +104,12 @@ class Membership:
         """Store the lease anew soon, because something in it has changed."""
         self._wanted += 1
         self._changes.notify()
+
+    def rewrite(self) -> None:
+        """Store the lease at once as the first one of a new stream: the old stream was lost."""
+        self._sequence = 0
+        self._last_put = -math.inf
+        self.note_change()
 
     async def update(self) -> None:
         """Store the lease anew at once, and wait until it is stored."""
@@ -264,7 +238,8 @@ class Membership:
     async def _renew_in_time(self) -> None:
         pause = FIRST_PAUSE
         while self.incarnation and not await self._renewed(self.incarnation):
-            await sleep(pause)
+            with move_on_after(pause):
+                await self._changes.wait()
             pause = min(2 * pause, LONGEST_PAUSE)
 
     async def _renewed(self, incarnation: bytes) -> bool:

@@ -18,7 +18,7 @@ goals. It takes a goal by a write over the record that it has read, so one wins,
 claims it. The owner of a goal that waited gets a hint to the subject `taken`, and reads the record.
 A goal that its server cannot run is left to workers of another version (`NotesForOthers`).
 
-"Gone" is judged by the brokers alone: there is no lease with the incarnation of the owner.
+"Gone" is judged by the brokers alone: see `LostWorkers`.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ from fibaction_transports.nats.records import (
     encode,
     goal_entry,
     is_claim,
-    lease_entry,
 )
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, Membership
+from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.notes_for_others import NotesForOthers
 from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.workers import FleetWorkers
@@ -83,7 +83,7 @@ class Takeover:
         self._store = store
         self._membership = membership
         self._workers = workers
-        self._gone: set[bytes] = set()  # incarnations, which never come back
+        self._lost = LostWorkers(broker, names, membership, workers)
         self._noted: set[int] = set()  # the sequences of records that a scan has found
         self.room = Notifier()
         """Notifies of a change of the room of a server, or of the membership."""
@@ -107,6 +107,11 @@ class Takeover:
         tasks.start_soon(self._take_wanted, journal, others)
         tasks.start_soon(self._scan_often, journal)
 
+    def note_again(self) -> None:
+        """Add notes for all goals without a worker again: those that there were are lost."""
+        self._noted.clear()
+        self.rescan.notify()
+
     # Lost workers
 
     def _on_gone(self, lease: LeaseEntry) -> None:
@@ -118,7 +123,7 @@ class Takeover:
         subject = self._names.worker(worker)
         while True:
             try:
-                record = await self._broker.get(self._names.workers, subject)
+                record = await self._lost.record_of(worker)
                 if record is not None and record.data:
                     return  # it has joined again, has left in good order, or is cleared up after
                 me = self._membership
@@ -156,27 +161,6 @@ class Takeover:
             await news.wait()
         return answers[0]
 
-    async def _is_gone(self, entry: GoalEntry) -> bool:
-        """Return whether a goal has no worker, as far as the brokers know.
-
-        Raises:
-            BrokerAway: They do not answer.
-        """
-        incarnation, worker = entry.incarnation, entry.goal.worker
-        if not incarnation or incarnation in self._gone:
-            return True
-        if incarnation == self._membership.incarnation or self._workers.has(worker, incarnation):
-            return False
-        record = await self._broker.get(self._names.workers, self._names.worker(worker))
-        if record is not None and record.data:
-            try:
-                if lease_entry(record.data).incarnation == incarnation:
-                    return False
-            except ProtocolError:
-                return False
-        self._gone.add(incarnation)
-        return True
-
     # Scans
 
     async def _scan_often(self, journal: FleetJournal) -> None:
@@ -200,7 +184,7 @@ class Takeover:
                     entry = _entry(record)
                     if entry is None or (record.sequence in self._noted and not again):
                         continue
-                    if await self._is_gone(entry):
+                    if await self._lost.is_gone(entry):
                         self._noted.add(record.sequence)
                         left = self._names.left(action_of(record.subject))
                         self._broker.add_note(left, bytes(entry.goal.goal_id))
@@ -222,7 +206,7 @@ class Takeover:
     ) -> None:
         try:
             found = await self._found(journal, note)
-            if found is None or not await self._is_gone(found[1]):
+            if found is None or not await self._lost.is_gone(found[1]):
                 note.done()
                 return
             record, entry = found

@@ -18,6 +18,7 @@ from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, ServedAction
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.lost_streams import LostStreams
 from fibaction_transports.nats.worker.offers import Offers
 from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.worker.takeover import Takeover
@@ -61,10 +62,20 @@ class Worker:
         lease = self._membership.lease
         workers = FleetWorkers(self._broker, self._names, tasks, lease)
         self._takeover = Takeover(self._broker, self._names, self.store, self._membership, workers)
+        streams = LostStreams(
+            self._broker,
+            self._names,
+            self._settings.replicas,
+            self._membership,
+            self.store,
+            self._takeover,
+        )
         try:
             await self._takeover.open()
+            await streams.open()
         except (BrokerAway, ConnectionLost) as exc:
             raise TransportError(f"cannot join the fleet: {exc}") from exc
+        tasks.start_soon(streams.run, name="streams of the fleet")
 
     @asynccontextmanager
     async def serve(self, endpoints: Iterable[Endpoint]) -> AsyncGenerator[None, None]:

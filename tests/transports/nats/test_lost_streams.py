@@ -1,0 +1,156 @@
+"""Streams that are deleted while workers serve, and a broker that comes back without them."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import anyio
+import pytest
+
+from fibaction import Action, ActionClient, ActionServer, GoalHandle, connect, serve
+from fibaction_transports.nats.broker import jetstream
+from fibaction_transports.nats.broker.nats_broker import open_broker
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
+from tests.fleet.workers import Setup, workers
+from tests.kills.victim import WORK, Done, Work
+from tests.support.nats_server import NatsServer
+from tests.transports.hearing import Hearing
+
+pytestmark = [pytest.mark.anyio]
+COUNT = Action("count", goal=int, feedback=str, result=int)
+LEASE = 2.0
+IN_TIME = LEASE + 2
+
+
+class Worker:
+    """A worker whose goals above 0 end when the test says so."""
+
+    def __init__(self) -> None:
+        self.go = anyio.Event()
+        self.attempts: list[tuple[int, int]] = []
+
+    async def count(self, goal: GoalHandle[int]) -> AsyncGenerator[str | int, None]:
+        self.attempts.append((goal.request, goal.attempt))
+        yield "begun"
+        if goal.request:
+            await self.go.wait()
+        yield goal.request
+
+
+@asynccontextmanager
+async def serving(url: str, **settings: object) -> AsyncGenerator[Worker, None]:
+    worker = Worker()
+    server = ActionServer(COUNT, worker.count, recovery="rerun", **settings)  # type: ignore[arg-type]
+    async with serve(server, url):
+        yield worker
+
+
+async def delete(server: NatsServer, *streams: str) -> None:
+    """Delete streams as an operator does."""
+    async with open_broker(FleetSettings("x", (server.address,))) as broker:
+        for stream in streams:
+            await jetstream.call(broker._client, f"STREAM.DELETE.{stream}")
+
+
+async def renewals(server: NatsServer, names: FleetNames, count: int) -> None:
+    """Wait until workers have renewed their leases so many times."""
+    async with open_broker(FleetSettings("x", (server.address,))) as broker:
+        async with broker.watch(names.workers, names.worker()) as watch:
+            with anyio.fail_after(10):
+                while count > 0:
+                    count -= len(await watch.next() or ())
+
+
+async def all_know(log: Hearing, count: int, streams: list[str]) -> None:
+    """Wait until so many workers have told the loss of each stream."""
+    for stream in streams:
+        await log.told(f"the stream {stream} was lost", count)
+
+
+ALL: list[Callable[[FleetNames], str]] = [
+    lambda names: names.goals,
+    lambda names: names.workers,
+    lambda names: names.notes,
+]
+
+
+@pytest.mark.promise("FLEET-8")
+@pytest.mark.parametrize(
+    "lost", [ALL[:1], ALL[1:2], ALL[2:], ALL], ids=["goals", "workers", "notes", "all"]
+)
+async def test_a_fleet_goes_on_when_streams_are_deleted(
+    shared_broker: NatsServer,
+    fleet: str,
+    log: Hearing,
+    lost: list[Callable[[FleetNames], str]],
+) -> None:
+    names, url = FleetNames(fleet), shared_broker.url(fleet, "?lease=2")
+    streams = [one(names) for one in lost]
+    async with (
+        serving(url) as one,
+        serving(url) as two,
+        connect(shared_broker.url(fleet)) as connection,
+    ):
+        client = ActionClient(connection.endpoint(COUNT), COUNT)
+        goals = [await client.send_goal(number) for number in (1, 2, 3, 4)]
+        await delete(shared_broker, *streams)
+        await all_know(log, 2, streams)
+        with anyio.fail_after(IN_TIME):
+            assert await client.call(0) == 0
+        await renewals(shared_broker, names, 16)  # for longer than a lease
+        for worker in (one, two):
+            worker.go.set()
+        with anyio.fail_after(5):
+            assert [await goal.result() for goal in goals] == [1, 2, 3, 4]
+    assert sorted(one.attempts + two.attempts) == [(number, 1) for number in range(5)]
+    assert not [line for line in log.warnings if "is gone" in line or "gives up" in line]
+
+
+@pytest.mark.promise("FLEET-8")
+async def test_a_fleet_goes_on_when_its_broker_comes_back_without_its_storage(
+    own_broker: NatsServer, fleet: str, log: Hearing
+) -> None:
+    names = FleetNames(fleet)
+    async with (
+        serving(own_broker.url(fleet, "?lease=6")) as one,
+        serving(own_broker.url(fleet, "?lease=6")) as two,
+        connect(own_broker.url(fleet)) as connection,
+    ):
+        client = ActionClient(connection.endpoint(COUNT), COUNT)
+        goals = [await client.send_goal(number) for number in (1, 2, 3, 4)]
+        own_broker.kill()
+        own_broker.lose_data()
+        own_broker.start()
+        await all_know(log, 2, [names.workers, names.goals, names.notes])
+        with anyio.fail_after(8):
+            assert await client.call(0) == 0
+        for worker in (one, two):
+            worker.go.set()
+        with anyio.fail_after(8):
+            assert [await goal.result() for goal in goals] == [1, 2, 3, 4]
+    assert sorted(one.attempts + two.attempts) == [(number, 1) for number in range(5)]
+
+
+@pytest.mark.promise("FLEET-8")
+async def test_goals_of_a_lost_worker_are_taken_over_in_time_when_the_notes_were_deleted(
+    shared_broker: NatsServer, fleet: str, log: Hearing, tmp_path: Path
+) -> None:
+    names, url = FleetNames(fleet), shared_broker.url(fleet, "?lease=2")
+    setup = Setup("lost", f"{url}&worker=lost", str(tmp_path / "diary"), "rerun")
+
+    async def work(goal: GoalHandle[Work]) -> AsyncGenerator[Done, None]:
+        yield Done(goal.request.steps, goal.attempt)
+
+    async with workers(setup) as [lost], connect(shared_broker.url(fleet)) as connection:
+        client = ActionClient(connection.endpoint(WORK), WORK)
+        goals = [await client.send_goal(Work(number, 99)) for number in (1, 2, 3)]
+        async with serve(ActionServer(WORK, work, recovery="rerun"), url):
+            await delete(shared_broker, names.notes)
+            await all_know(log, 1, [names.notes])
+            lost.kill()
+            with anyio.fail_after(IN_TIME):
+                for goal, number in zip(goals, (1, 2, 3), strict=True):
+                    assert await goal.result() == Done(number, 2)

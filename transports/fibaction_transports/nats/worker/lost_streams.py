@@ -1,0 +1,117 @@
+"""`LostStreams`: makes the streams of a fleet again when they are lost, and fills them.
+
+Theory of operation
+-------------------
+
+A stream is lost when an operator deletes it, or when a broker comes back without its storage. Then
+there is none, or another one of its name, which this or another worker has made. Each worker looks
+for the streams several times in a lease, so that it can store its lease again before it has to
+fence itself. It makes those that are missing, and writes again what is its own:
+
+- its lease, so that other workers do not take its goals over;
+- the records of its goals, which go on meanwhile;
+- the notes of goals that wait at it, and of those that a scan finds without a worker.
+
+What no living worker has in its memory is lost: outcomes, and goals that had no worker.
+"""
+
+from __future__ import annotations
+
+from anyio import sleep
+
+from fibaction.border.peer_text import clean_logger
+from fibaction.words.errors import TransportError
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
+from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.worker.takeover import Takeover
+
+CHECKS = 4
+"""The number of times that the streams are looked for in the time of one lease."""
+LOST = ""
+"""Stands for the identity of a stream that is lost, and not made again yet."""
+
+logger = clean_logger("fibaction.nats")
+
+
+class LostStreams:
+    """The streams of one fleet, as one worker looks after them."""
+
+    def __init__(
+        self,
+        broker: Broker,
+        names: FleetNames,
+        replicas: int,
+        membership: Membership,
+        store: FleetStore,
+        takeover: Takeover,
+    ) -> None:
+        self._broker = broker
+        self._names = names
+        self._replicas = replicas
+        self._membership = membership
+        self._store = store
+        self._takeover = takeover
+        self._known: dict[str, str] = {}  # the identities of the streams
+        self._repairs = {
+            names.workers: ("the leases of workers", self._membership.rewrite),
+            names.goals: ("outcomes, and goals that had no worker", self._rewrite_goals),
+            names.notes: ("notes of goals that wait or are left", self._add_notes),
+        }
+
+    async def open(self) -> None:
+        """Note the streams that there are.
+
+        Raises:
+            BrokerAway: The brokers do not answer.
+        """
+        for stream in self._repairs:
+            self._known[stream] = await self._identity(stream)
+
+    async def run(self) -> None:
+        """Look for the streams, until canceled."""
+        while True:
+            pause = self._membership.lease / CHECKS
+            try:
+                await self._check()
+            except BrokerAway:
+                pause = FIRST_PAUSE  # the next request waits for the connection
+            except TransportError as exc:
+                logger.warning("worker %r: %s", self._membership.worker, exc)
+            await sleep(pause)
+
+    async def _check(self) -> None:
+        """Look for each stream, and repair those that are lost.
+
+        Raises:
+            BrokerAway: The brokers do not answer.
+            TransportError: A stream cannot be made again.
+        """
+        found = {stream: await self._identity(stream) for stream in self._repairs}
+        lost = [stream for stream, known in self._known.items() if found[stream] != known]
+        for stream in lost:
+            if self._known[stream] != LOST:
+                what, _ = self._repairs[stream]
+                logger.error("the stream %s was lost, and with it %s", stream, what)
+                self._known[stream] = LOST
+        if LOST in found.values():
+            await self._broker.create_streams(self._names, replicas=self._replicas)
+        for stream in lost:
+            self._known[stream] = await self._identity(stream)
+            if self._known[stream] != LOST:
+                _, repair = self._repairs[stream]
+                repair()
+
+    async def _identity(self, stream: str) -> str:
+        found = await self._broker.find_stream(stream)
+        return LOST if found is None else found.identity
+
+    def _rewrite_goals(self) -> None:
+        for journal in self._store.journals.values():
+            journal.rewrite_all()
+
+    def _add_notes(self) -> None:
+        for journal in self._store.journals.values():
+            journal.offer_all()
+        self._takeover.note_again()
