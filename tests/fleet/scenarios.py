@@ -34,8 +34,8 @@ GRACE = 2.0
 AWAY = 8.0
 """Seconds for which one broker of three is away, longer than the others need to replace it."""
 PAUSE = 30.0
-"""Seconds that a fleet may stand still when one broker of three is killed. The two others wait for 4
-to 9 s before one of them asks to lead, and as long again if both have asked at the same time."""
+"""Seconds that a fleet may stand still when one broker of three is killed. The two others wait for
+4 to 9 s before one of them asks to lead, and as long again if both have asked at once."""
 
 
 class Run(msgspec.Struct, frozen=True):
