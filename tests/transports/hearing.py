@@ -47,7 +47,7 @@ class Hearing(logging.Handler):
 
     async def told(self, text: str, count: int) -> None:
         """Wait until so many lines have the text in them."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(15):
             while sum(text in record.getMessage() for record in self.records) < count:
                 await self._news.wait()
 
