@@ -58,7 +58,7 @@ async def test_a_token_comes_in_the_header_or_in_the_first_message(serving: Serv
         ("", goal(1), "the server asks for a token, and the client gave none"),
         ("", {"op": "subscribe", "topic": "/a"}, "the server asks for a token"),
         ("", {"op": "auth", "mac": "guess"}, "the server rejected the client's token"),
-        ("", {"op": "auth", "mac": "x" * 5000}, "its first message has 50"),
+        ("", {"op": "auth", "mac": "x" * 5000}, "bytes exceeds the limit of 4096 bytes"),
         ("Bearer guess", None, "the server rejected the client's token"),
         ("Basic secret", goal(1), "the server asks for a token"),
     ],
@@ -73,7 +73,7 @@ async def test_without_a_valid_token_nothing_is_answered(
                 if first is not None:
                     await client.say(first)
                 code, said = await client.end()
-        assert code in (1008, 1002)
+        assert code in (1008, 1002, 1009)
         assert reason in said
         assert len(wire.warnings) == 1
     assert robot.runs == 0

@@ -30,7 +30,7 @@ class PartialMessages:
 
     def __init__(self, limit: int, memory: FrameMemory) -> None:
         """Hold at most `limit` bytes."""
-        self._limit = limit
+        self.limit = limit
         self._memory = memory
         self._pieces: list[str] = []
         self._in_pieces = self._in_fragments = 0
@@ -86,8 +86,8 @@ class PartialMessages:
     def _check(self, size: int, what: str) -> None:
         if self._is_given_up:
             raise LimitReached(f"the server is busy: it has no room for a large {what}")
-        if size > self._limit:
-            raise ProtocolError(f"{what} of {size} bytes exceeds the limit of {self._limit} bytes")
+        if size > self.limit:
+            raise ProtocolError(f"{what} of {size} bytes exceeds the limit of {self.limit} bytes")
 
     def _count(self) -> None:
         self._memory.hold(self, self._in_pieces + self._in_fragments)

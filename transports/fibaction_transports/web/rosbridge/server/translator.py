@@ -44,7 +44,7 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.errors import sendable
-from fibaction.wire.frames import FrameMemory
+from fibaction.wire.frames import FIRST_FRAME, FrameMemory
 from fibaction.wire.link import OVERFULL
 from fibaction.wire.messages import (
     VERSION,
@@ -108,8 +108,10 @@ class RosbridgeTranslator:
         self._endpoints = endpoints
         self._limit = OVERFULL * settings.limits.queue
         self._token: str | None = token
+        self._frame_limit = settings.limits.frame
         if not token and settings.access.asks_for_tokens:
             self._token = None  # the first message has it
+            self.messages.limit = min(FIRST_FRAME, self._frame_limit)
         self._has_begun = self._is_welcome = False
         self._arguments: dict[str, GoalArguments] = {}
         self._texts: list[str] = []
@@ -135,6 +137,7 @@ class RosbridgeTranslator:
         operation = read(text)
         if self._token is None:
             self._token = operation.mac if isinstance(operation, Auth) else ""
+            self.messages.limit = self._frame_limit
         frames = self.begin()
         match operation:
             case SendActionGoal():
