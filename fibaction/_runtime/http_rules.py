@@ -42,6 +42,8 @@ class HttpRules:
     """Names under which it is reached, without ports."""
     origins: frozenset[str]
     """Other pages that may use it, for example `https://robot.example`."""
+    has_tls: bool = False
+    """True if it speaks TLS itself, and so do its pages."""
 
     def check(self, target: str, headers: Mapping[str, str]) -> None:
         """Check the target and the headers of a request, whose names are in lower case.
@@ -52,7 +54,7 @@ class HttpRules:
         path = target.partition("?")[0]
         if path != self.path:
             raise Refused(404, f"there is nothing at {path}: the server is at {self.path}")
-        self.check_sources(headers)
+        self.check_sources(headers, has_tls=self.has_tls)
 
     def check_sources(self, headers: Mapping[str, str], *, has_tls: bool = False) -> None:
         """Check the host and the page of a request, as `check` does.
@@ -66,7 +68,7 @@ class HttpRules:
                 421, f"the server is not known as {host!r}: name it in its setting hosts="
             )
         origin = headers.get("origin")
-        if origin is not None and not self._admits(origin, host):
+        if origin is not None and not self._admits(origin, host, has_tls=has_tls):
             raise Refused(
                 403, f"pages of {origin!r} may not use the server: name them in its origins="
             )
@@ -78,11 +80,12 @@ class HttpRules:
             return False
         return EVERY in self.hosts or name in self.hosts or _is_address(name)
 
-    def _admits(self, origin: str, host: str) -> bool:
+    def _admits(self, origin: str, host: str, *, has_tls: bool) -> bool:
         if EVERY in self.origins or origin.lower() in self.origins:
             return True
-        # TLS may end at a proxy, so the scheme of the page may be either.
-        return origin.lower() in (f"http://{host.lower()}", f"https://{host.lower()}")
+        if origin.lower() == f"https://{host.lower()}":
+            return True  # else TLS may end at a proxy, so the scheme of the page may be either
+        return not has_tls and origin.lower() == f"http://{host.lower()}"
 
 
 def rules(
@@ -93,7 +96,8 @@ def rules(
     names = {"localhost", host.lower(), here, f"{here}.local", *(one.lower() for one in hosts)}
     if has_tls:
         names.add(EVERY)
-    return HttpRules(path, frozenset(names), frozenset(one.lower() for one in origins))
+    named = frozenset(one.lower() for one in origins)
+    return HttpRules(path, frozenset(names), named, has_tls)
 
 
 def _is_address(name: str) -> bool:

@@ -69,6 +69,14 @@ def test_only_pages_of_the_address_served_may_use_it(origin: str | None, expecte
     assert status(made(), "robot:8080", origin) == expected
 
 
+def test_a_page_that_came_without_tls_may_not_use_a_server_that_speaks_it() -> None:
+    found = made(has_tls=True)
+    assert status(found, "robot:8443", "https://robot:8443") == 101
+    assert status(found, "robot:8443", "http://robot:8443") == 403
+    named = made(origins=("http://robot:8443",), has_tls=True)
+    assert status(named, "robot:8443", "http://robot:8443") == 101
+
+
 def test_other_pages_may_be_named() -> None:
     named = made(origins=("https://Console.example", "null"))
     assert status(named, "robot", "https://console.example") == 101

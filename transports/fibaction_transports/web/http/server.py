@@ -23,6 +23,7 @@ all work. This server ends 1.1 s after the signal, on both, with three such clie
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from functools import cached_property
 from socket import socket
 
@@ -225,7 +226,7 @@ class _Connection:
         rules = self._server.rules
         path = request.target.decode("ascii").partition("?")[0]
         if f"{path}/" == rules.path or path == f"{rules.path}/":
-            rules = HttpRules(path, rules.hosts, rules.origins)
+            rules = replace(rules, path=path)
         headers = headers_in(request)
         server = self._server.server
         if "sec-websocket-protocol" in headers:
