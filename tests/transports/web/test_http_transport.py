@@ -181,6 +181,34 @@ async def test_a_body_that_is_too_large_is_not_read(length: str, log: Hearing) -
     assert len(log.warnings) == 1
 
 
+async def test_a_body_whose_pieces_cannot_be_read_is_the_clients_mistake(log: Hearing) -> None:
+    head = f"POST {GOALS} HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
+    async with served() as url:
+        said = await said_to(url, f"{head}Transfer-Encoding: chunked\r\n\r\n".encode(), b"xyz\r\n")
+        assert said.startswith(b"HTTP/1.1 400 ")
+        assert b"the body cannot be read" in said
+        # It ends a request that asks for no body, too.
+        head = "GET /actions HTTP/1.1\r\nHost: [::1]\r\n"
+        said = await said_to(url, f"{head}Transfer-Encoding: chunked\r\n\r\n".encode(), b"xyz\r\n")
+        assert said.startswith(b"HTTP/1.1 200 ")
+        assert await works(url)
+
+
+async def test_nothing_behind_a_request_with_two_lengths_is_answered() -> None:
+    """RFC 9112, 6.1: another server on the way may have seen another end of the request."""
+    first = (
+        f"POST {GOALS}?wait=5 HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
+        "Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n"
+    )
+    body = b'c\r\n{"order": 3}\r\n0\r\n\r\n'
+    second = b"GET /actions HTTP/1.1\r\nHost: [::1]\r\n\r\n"
+    async with served() as url:
+        said = await said_to(url, first.encode() + body + second)
+        assert said.startswith(b"HTTP/1.1 201 ")
+        assert b"connection: close" in said.lower()
+        assert said.count(b"HTTP/1.1 ") == 1
+
+
 async def test_bodies_count_in_the_memory_of_the_server(log: Hearing) -> None:
     async with served(limits=Limits(total_memory=100)) as url:
         answer = await fetch(url, "POST", GOALS, b" " * 1000)

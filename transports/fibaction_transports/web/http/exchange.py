@@ -146,8 +146,9 @@ class Exchange:
 
     async def _gone(self) -> None:
         """Wait until the client has gone."""
-        while (await self._receive())["type"] != "http.disconnect":
-            pass
+        with suppress(Refused):  # the rest of a body that nobody has asked for
+            while (await self._receive())["type"] != "http.disconnect":
+                pass
 
     @asynccontextmanager
     async def until_gone(self) -> AsyncGenerator[CancelScope, None]:

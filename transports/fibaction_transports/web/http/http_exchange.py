@@ -10,6 +10,7 @@ import anyio
 import h11
 from anyio.abc import ByteStream
 
+from fibaction.border.http_access import Refused
 from fibaction.wire.channel import CHUNK
 from fibaction_transports.web.http.exchange import Message, Scope
 
@@ -49,6 +50,10 @@ class HttpExchange:
         self._stream = stream
         self._begin: h11.Response | None = None
         self._has_body = self._is_gone = False
+        # Another server on the way may have seen another end of the body, and so another request
+        # behind it (RFC 9112, 6.1).
+        names = {name for name, _ in request.headers}
+        self._is_ambiguous = {b"content-length", b"transfer-encoding"} <= names
         self.early = b""
         """The bytes that have arrived behind the request."""
         path, _, query = request.target.partition(b"?")
@@ -78,7 +83,11 @@ class HttpExchange:
         return http.our_state is h11.DONE and http.their_state is h11.DONE and not self._is_gone
 
     async def receive(self) -> Message:
-        """Return the next piece of the body; after it, wait until the client has gone."""
+        """Return the next piece of the body; after it, wait until the client has gone.
+
+        Raises:
+            Refused: The body is not what its headers say.
+        """
         while not self._is_gone:
             try:
                 if self._has_body:
@@ -95,8 +104,11 @@ class HttpExchange:
                 else:
                     self._has_body = True
                     return {"type": "http.request", "body": b"", "more_body": False}
-            except (*BROKEN, h11.RemoteProtocolError):
+            except BROKEN:
                 self._is_gone = True
+            except h11.RemoteProtocolError as exc:
+                self._is_gone = True  # where the next request begins is not known
+                raise Refused(400, f"the body cannot be read: {exc}") from exc
         return {"type": "http.disconnect"}
 
     async def _receive_early(self) -> None:
@@ -112,7 +124,9 @@ class HttpExchange:
         """
         if message["type"] == "http.response.start":
             # It is sent with the first piece.
-            status, headers = HTTPStatus(message["status"]), message["headers"]
+            status, headers = HTTPStatus(message["status"]), list(message["headers"])
+            if self._is_ambiguous:
+                headers.append((b"connection", b"close"))
             self._begin = h11.Response(
                 status_code=status, headers=headers, reason=status.phrase.encode()
             )
