@@ -60,7 +60,8 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     attempt: int = 0
     """The number of attempts that have begun."""
     lost: int = 0
-    """The number of attempts whose process was gone before the goal ended or was released."""
+    """The number of attempts whose process was gone before the goal ended or was released, since
+    the last checkpoint that was another one than before it."""
     checkpoint: bytes | None = None
     """The last checkpoint of the executor; None if there is none, and after the end."""
     result: bytes | None = None

@@ -107,7 +107,8 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     returns None to run it again, or raises `GoalAborted`. Goals that have not begun run in any
     case."""
     max_attempts: int = 3
-    """The number of attempts that a goal may lose in this way; then it ends as ABORTED."""
+    """The number of attempts that a goal may lose in this way without a new checkpoint; then it
+    ends as ABORTED."""
     unreadable: Literal["refuse", "abort"] = "refuse"
     """The rule for goals that the store has at the start, and that do not fit the action any more,
     or for which the `key` or the `priority` of the schedule fails. With `refuse`, the server does

@@ -188,6 +188,8 @@ class ActionGoals:
             goal.is_running = record.is_running
             goal.attempt, goal.lost = record.attempt, record.lost
         elif isinstance(record, CheckpointRecord):
+            if record.checkpoint != goal.checkpoint:
+                goal.lost = 0  # as in the state that was kept: see `StoredGoal.lost`
             goal.checkpoint = record.checkpoint
         else:
             self._end(goal, record)

@@ -97,10 +97,16 @@ def _faults_of_end(told: Told, rules: Rules) -> Iterator[str]:
 
 
 def _faults_of_attempts(told: Told, entries: Iterable[Entry], rules: Rules) -> Iterator[str]:
-    attempt, kept = 0, 0
+    attempt, kept, lost = 0, 0, 0
     for entry in entries:
         match entry.what:
             case "began":
+                lost += entry.attempt - attempt - (attempt == 0)
+                if entry.steps > kept and attempt:
+                    # The attempt before was killed when the checkpoint was kept, and not noted yet.
+                    kept, lost = entry.steps, 1
+                if lost >= (rules.max_attempts if rules.rerun else 1):
+                    yield f"was run again after {lost} attempts were lost without progress"
                 if entry.attempt <= attempt:
                     yield f"began attempt {entry.attempt} after attempt {attempt}"
                 if entry.steps < kept:
@@ -109,10 +115,7 @@ def _faults_of_attempts(told: Told, entries: Iterable[Entry], rules: Rules) -> I
                     yield "was run again, although a client was told that it is canceled"
                 attempt = entry.attempt
             case "kept":
-                kept = entry.steps
-    limit = rules.max_attempts if rules.rerun else 1
-    if attempt > limit:
-        yield f"was run {attempt} times, and {limit} are allowed"
+                kept, lost = entry.steps, 0
 
 
 def attempts_of(diary: Iterable[Entry]) -> Mapping[int, int]:

@@ -562,6 +562,7 @@ async def test_a_goal_that_kills_its_server_does_so_a_few_times_only(machine: Ma
 
     async def kills(goal: GoalHandle[int]) -> Painting:
         attempts.append(goal.attempt)
+        await goal.checkpoint(1)  # as it was kept before
         painter.waits.set()
         await anyio.sleep_forever()
         yield ""
@@ -576,6 +577,19 @@ async def test_a_goal_that_kills_its_server_does_so_a_few_times_only(machine: Ma
     reason = "given up after 3 attempts: the server was restarted"
     assert outcome == Outcome(GoalStatus.ABORTED, None, reason)
     assert attempts == [2, 3]
+
+
+@pytest.mark.promise("KEEP-6")
+async def test_attempts_that_bring_a_goal_further_are_not_counted(machine: Machine) -> None:
+    settings: dict[str, Any] = {"recovery": "rerun", "max_attempts": 2}
+    goal_id = await begun(machine, Painter(stop_at=1), **settings)
+    for stroke in (2, 3):
+        painter = Painter(stop_at=stroke)
+        async with machine.life(painter, **settings):
+            await painter.waits.wait()
+    async with machine.life(Painter(), **settings) as client:
+        outcome = await outcome_of(client, goal_id)
+    assert outcome == Outcome(GoalStatus.SUCCEEDED, "painted 4", "")
 
 
 @pytest.mark.promise("KEEP-6", "STOP-3")

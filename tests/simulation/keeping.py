@@ -31,15 +31,24 @@ class Fact:
         self.goal_id = GoalID(goal.goal_id)
         self.stored = goal
         """The goal as the store has it."""
+        self._checkpoint = goal.checkpoint  # the server changes the goal that it was given
         self.begun = 0
         """The last attempt whose executor has started."""
         self.lost: set[int] = set()
         """The attempts that were running when their process was gone."""
+        self.lost_since = 0
+        """The number of them since the last new checkpoint."""
         self.returned: int | None = None
         """The last checkpoint that has returned."""
         self.told: Outcome[bytes] | None = None
         """The outcome that clients were told."""
         self.is_cancel_told = False
+
+    def store(self, goal: StoredGoal) -> None:
+        """Note what the store has."""
+        if goal.status.is_active and goal.checkpoint != self._checkpoint:
+            self.lost_since = 0
+        self.stored, self._checkpoint = goal, goal.checkpoint
 
     @property
     def outcome(self) -> Outcome[bytes] | None:
@@ -74,18 +83,19 @@ class Keeping:
         key = GoalID(goal.goal_id), goal.stamp
         if what == "accept":
             self._facts[key] = Fact(goal)
-        self._facts[key].stored = goal
+        self._facts[key].store(goal)
 
     def claimed(self, goal: StoredGoal) -> None:
         """Check a goal that the next server gets."""
         fact = self._facts.setdefault((GoalID(goal.goal_id), goal.stamp), Fact(goal))
-        fact.stored = goal
+        fact.store(goal)
         if goal.status.is_terminal:
             return
         self.counts["goals found active"] += 1
         is_lost = goal.is_running and goal.attempt not in fact.lost  # since the last start
         if is_lost:
             fact.lost.add(goal.attempt)
+            fact.lost_since += 1
         before = self._record.lives[-2:-1]
         is_late = max(self._plan.delays) > self._record.scenario.server.shutdown_timeout
         if before and before[0].is_orderly and not is_late:
@@ -101,7 +111,7 @@ class Keeping:
         """Note the outcome of a goal that is not kept any longer."""
         fact = self._facts.get((GoalID(goal.goal_id), goal.stamp))
         if fact is not None:  # else its process has died before the acceptance was answered
-            fact.stored = goal
+            fact.store(goal)
 
     def ended_at(self, truth: Truth) -> float:
         """Return the time of the end of a goal that was found in the store."""
@@ -170,7 +180,7 @@ class Keeping:
 
     def _check_recovery(self, fact: Fact, work: Work) -> None:
         """Check that a goal whose attempts were lost may run again."""
-        recovery, lost = self._plan.recovery, len(fact.lost)
+        recovery, lost = self._plan.recovery, fact.lost_since
         if recovery == "abort" or (recovery != "rerun" and work.key % 3 == 0):
             self._fail(fact.goal_id, f"runs again, and the recovery is {recovery}")
         if lost >= self._plan.max_attempts:
@@ -196,8 +206,8 @@ class Keeping:
             by_rule = outcome.reason == RESTARTED or ON_PURPOSE in outcome.reason
             if (by_rule or given_up) and not fact.lost:
                 self._fail(truth.goal_id, f"was not running, and ends: {outcome.reason}")
-            if given_up and len(fact.lost) < self._plan.max_attempts:
-                self._fail(truth.goal_id, f"was lost {len(fact.lost)} times, and is given up")
+            if given_up and fact.lost_since < self._plan.max_attempts:
+                self._fail(truth.goal_id, f"was lost {fact.lost_since} times, and is given up")
             if outcome.reason == RESTARTED and self._plan.recovery != "abort":
                 self._fail(truth.goal_id, f"is not run again: {outcome.reason}")
 

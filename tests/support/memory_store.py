@@ -375,7 +375,7 @@ def _changed(known: StoredGoal, what: str, goal: StoredGoal) -> StoredGoal:
         assert goal.status is GoalStatus.CANCELING, goal
         return replace(known, status=goal.status)
     if what == "checkpoint":
-        return replace(known, checkpoint=goal.checkpoint)
+        return replace(known, checkpoint=goal.checkpoint, lost=goal.lost)
     if what == "release":
         return replace(known, is_running=False)
     assert goal.status.is_terminal, goal

@@ -192,13 +192,15 @@ class GoalKeeper(Keeper):
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
         """Keep a checkpoint, and return the number of the write."""
         stored = _stored(goal)
-        earlier, stored.checkpoint = stored.checkpoint, state
+        earlier, lost = stored.checkpoint, stored.lost
+        if state != earlier:  # the lost attempts have brought the goal further
+            stored.checkpoint, stored.lost = state, 0
         number = self._written + 1
 
         def too_large(error: RecordTooLarge) -> None:
             self._too_large[number] = error
             if stored.checkpoint is state:
-                stored.checkpoint = earlier
+                stored.checkpoint, stored.lost = earlier, lost
 
         return self._write(self._journal.checkpoint, goal, stored, None, too_large)
 
@@ -215,11 +217,8 @@ class GoalKeeper(Keeper):
         """Keep the end of the goal."""
         stored, goal.stored = _stored(goal), None
         now = time.time_ns()
-        stored.status, stored.result, stored.reason = (
-            outcome.status,
-            outcome.result,
-            outcome.reason,
-        )
+        stored.status, stored.result = outcome.status, outcome.result
+        stored.reason = outcome.reason
         stored.is_running, stored.goal, stored.checkpoint, stored.meta = False, b"", None, None
         stored.feedback_count, stored.ended_at = goal.feedback_count, now
         if self._keep_for < LONGEST:
