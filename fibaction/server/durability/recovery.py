@@ -238,9 +238,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         # What has run before has had its turn, and waits anew.
         waited = 0.0 if stored.attempt else max(0.0, (time.time_ns() - stored.stamp) / SECOND)
         try:
-            self._dispatcher.resume(
-                goal.goal_id, request, goal.sender, waited=waited, deadline=goal.deadline
-            )
+            self._dispatcher.resume(goal.goal_id, request, goal.sender, goal.deadline, waited)
         except GoalRejected as exc:
             self._end(goal, Ending(EndKind.FAILED, reason=exc.reason))
 

@@ -51,9 +51,7 @@ class Dispatcher(Succession[GoalT]):
         """Start no goals from now on: the server stops, and ends all of them."""
 
     @abstractmethod
-    def offer(
-        self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float = math.inf
-    ) -> bool:
+    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float) -> bool:
         """Find a place for a goal, and return whether it has its turn as soon as it is accepted.
 
         With `skip_expired`, it is not begun after its `deadline`, by the clock of the event loop.
@@ -75,13 +73,7 @@ class Dispatcher(Succession[GoalT]):
 
     @abstractmethod
     def resume(
-        self,
-        goal_id: GoalID,
-        request: GoalT,
-        sender: Sender,
-        *,
-        waited: float = 0.0,
-        deadline: float = math.inf,
+        self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float, waited: float
     ) -> None:
         """Find a place for a goal that an earlier process has accepted, and begin it if it has its
         turn: it waits if it cannot run, also in a full queue. It has waited for so many seconds,
@@ -131,9 +123,7 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
     def close(self) -> None:
         self._is_closed = True
 
-    def offer(
-        self, goal_id: GoalID, request: Any, sender: Sender, deadline: float = math.inf
-    ) -> bool:
+    def offer(self, goal_id: GoalID, request: Any, sender: Sender, deadline: float) -> bool:
         return True
 
     def accepted(self, goal_id: GoalID) -> None:
@@ -144,13 +134,7 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
         """Do nothing: there are no places."""
 
     def resume(
-        self,
-        goal_id: GoalID,
-        request: Any,
-        sender: Sender,
-        *,
-        waited: float = 0.0,
-        deadline: float = math.inf,
+        self, goal_id: GoalID, request: Any, sender: Sender, deadline: float, waited: float
     ) -> None:
         self._goals.begin(goal_id)
 

@@ -93,9 +93,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
 
     # Goals
 
-    def offer(
-        self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float = math.inf
-    ) -> bool:
+    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float) -> bool:
         key, urgency = self._rank(request, sender)
         orders = self._scheduler.offer(
             goal_id, key=key, urgency=urgency, now=self._now(), expires=self._expires(deadline)
@@ -104,13 +102,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         return any(order.act is Act.START for order in orders)
 
     def resume(
-        self,
-        goal_id: GoalID,
-        request: GoalT,
-        sender: Sender,
-        *,
-        waited: float = 0.0,
-        deadline: float = math.inf,
+        self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float, waited: float
     ) -> None:
         key, urgency = self._rank(request, sender)
         orders = self._scheduler.restore(
