@@ -183,7 +183,7 @@ class GoalStore(ABC):
         `obstacle` returns why the server cannot run a goal, such as a field of its type that the
         goal does not have; the text is empty if it can. A store that several servers share calls it
         before a goal becomes the server's own, and leaves the goal to the others if there is one.
-        A store of one server need not call it: `claim` ends what cannot be run.
+        A store of one server need not call it: the server looks at what it claims by itself.
 
         Raises:
             StoreError: The store cannot be used, or is in use; the text says why.

@@ -3,20 +3,20 @@
 Theory of operation
 -------------------
 
-SQLite keeps commits in a log beside the file, and copies them to the file from time to time. If
-somebody removes the log of a killed process, SQLite finds an older state in the file, and says
-nothing. The file itself must tell that it needs its log.
+SQLite keeps commits in a log beside the file, and copies them to the file from time to time. If the
+log of a killed process is removed, SQLite finds an older state in the file, and says nothing. The
+file itself must tell that it needs its log.
 
 `needs_log` is 1 in the file, and the first commit of the log makes it 0:
 
 1. The mark becomes 1, and everything is copied to the file. Now the log can begin again.
-2. The mark becomes 0. This is the first commit in the log, before any that somebody is told of.
+2. The mark becomes 0. This is the first commit in the log, before any that a client is told of.
 
-So whoever reads the file without its log finds 1. Whoever reads both finds 0, and leaves 0 in the
-file: a process that closes it, another program that opens it after a kill, and copies the log to
-the file, and a release of fibaction that does not know the mark. For the same reason SQLite must
-not copy the log to the file while it is in use (`wal_autocheckpoint`), or the file would have 0,
-and later commits only in the log.
+So the file alone says 1. The file with its log says 0, and a reader of both leaves 0 in the file: a
+process that closes it, another program that opens it after a kill, and copies the log to the file,
+and a release of fibaction that does not know the mark. For the same reason SQLite must not copy the
+log to the file while it is in use (`wal_autocheckpoint`), or the file would have 0, and later
+commits only in the log.
 
 A kill between both steps leaves a log without anything new. Then only another program that copies
 the log to the file, before the next start, would leave 1 in a file that is whole.
@@ -36,7 +36,7 @@ LOG_IS_MISSING = (
 
 
 def lacks_log(path: str) -> bool:
-    """Return True if a file that nobody uses needs its log, and there is none."""
+    """Return whether a file that is not in use needs its log, and there is none."""
     if os.path.exists(f"{path}-wal") or not os.path.exists(path):
         return False
     # Immutable, so that SQLite reads the file alone, and makes no log.

@@ -111,7 +111,7 @@ class MemoryBrokers:
         """The readers that wait for a note, in the order in which they have asked."""
         self.notes_changed = Notifier()
         self.stream: BrokerStream | None = BrokerStream("first", math.inf)
-        """What members are told of each stream."""
+        """The answer to members about each stream."""
         self.records: dict[str, _Kept] = {}
         self._sequences: dict[str, int] = {}
         self._due: list[tuple[float, int, Callable[[], None]]] = []

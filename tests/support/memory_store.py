@@ -109,7 +109,7 @@ class MemoryStore(GoalStore):
         self.journals: dict[str, MemoryJournal] = {}
         """The journals that are open, by their actions."""
         self.obstacles: dict[str, Callable[[StoredGoal], str]] = {}
-        """What each open server says about goals that it cannot run, by its action."""
+        """The function of each open server that says why it cannot run a goal, by its action."""
         self._dead: list[MemoryJournal] = []
 
     @asynccontextmanager

@@ -100,7 +100,7 @@ class FakeBroker(Broker):
     def __init__(self) -> None:
         self.records: dict[str, BrokerRecord] = {}
         self.stream: BrokerStream | None = BrokerStream("first", math.inf)
-        """What is told of each stream."""
+        """The answer about each stream."""
         self.sequence = 0
         self.is_away = False
         self.news = Notifier()

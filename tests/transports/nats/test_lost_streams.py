@@ -42,9 +42,9 @@ class Worker:
 
 
 @asynccontextmanager
-async def serving(url: str, **settings: object) -> AsyncGenerator[Worker, None]:
+async def serving(url: str) -> AsyncGenerator[Worker, None]:
     worker = Worker()
-    server = ActionServer(COUNT, worker.count, recovery="rerun", **settings)  # type: ignore[arg-type]
+    server = ActionServer(COUNT, worker.count, recovery="rerun")
     async with serve(server, url):
         yield worker
 
