@@ -35,6 +35,7 @@ from tests.transports.nats.scripted_client import NO_RESPONDERS, ScriptedClient,
 
 NAMES = FleetNames("f")
 MISSING = failed(STREAM_NOT_FOUND, 404)
+MADE = {"created": "2026-11-26T12:00:00.123456789Z", "ts": "2026-11-26T12:00:07.623456789Z"}
 
 
 @pytest.mark.parametrize(
@@ -253,7 +254,7 @@ async def test_a_record_of_a_stream_that_is_missing_is_missing() -> None:
 @pytest.mark.parametrize(
     ("brokers", "answers"),
     [
-        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [{}]}),
+        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [MADE]}),
         (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [NO_RESPONDERS]}),
         (1, {"DIRECT_GET": [RawMessage("", b"", "", {"Status": "408"})]}),
         (3, {"STREAM_MSG_GET": [failed(NO_LEADER, 503)]}),
@@ -390,8 +391,6 @@ async def test_notes_wait_for_the_connection(client: Any) -> None:
 
 
 # Streams that are looked for
-
-MADE = {"created": "2026-11-26T12:00:00.123456789Z", "ts": "2026-11-26T12:00:07.623456789Z"}
 
 
 @pytest.mark.asyncio

@@ -155,21 +155,6 @@ async def check_account(client: NatsClient) -> None:
     raise TransportError(f"JetStream of the broker {client.url} {why}")
 
 
-async def is_missing(client: NatsClient, stream: str) -> bool:
-    """Return whether there is no such stream.
-
-    Raises:
-        BrokerAway: Nothing answers.
-    """
-    try:
-        await call(client, f"STREAM.INFO.{stream}")
-    except ApiError as exc:
-        return exc.number == STREAM_NOT_FOUND
-    except NoResponders as exc:
-        raise BrokerAway("JetStream does not answer") from exc
-    return False
-
-
 async def find_stream(client: NatsClient, stream: str) -> BrokerStream | None:
     """Return a stream; None if it is missing.
 

@@ -111,7 +111,7 @@ class NatsBroker(Broker):
                 f"$JS.API.DIRECT.GET.{stream}.{subject}", b"", ACK_TIMEOUT
             )
         except NoResponders as exc:
-            if await jetstream.is_missing(self._client, stream):
+            if await jetstream.find_stream(self._client, stream) is None:
                 return None
             raise BrokerAway(f"the stream {stream} does not answer") from exc
         if answer.status == "404":
