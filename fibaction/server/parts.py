@@ -31,6 +31,7 @@ from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.capacity import Room
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.cancels import Cancels
+from fibaction.server.durability.goal_keeper import STORE_IS_LATE
 from fibaction.server.durability.keeper import Keeper, KeeperEvents
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.executor import Executor
@@ -174,7 +175,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             await self.keeper.settled_within(patience)
         finally:
             self.keeper.close()
-            self.runs.let_go()
+            self.runs.let_go(STORE_IS_LATE)
             self.admission.wake()
             self.logs.close()
 

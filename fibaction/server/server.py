@@ -34,11 +34,10 @@ from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.admission.admission import Offer
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
-from fibaction.server.durability.goal_keeper import STORE_FAILED, GoalKeeper
+from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, STORE_FAILED, GoalKeeper
 from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
 from fibaction.server.execution.executor import Executor
 from fibaction.server.execution.executor_check import check_is_executor
-from fibaction.server.execution.runs import GOAL_IS_KEPT
 from fibaction.server.parts import Parts
 from fibaction.server.scheduling.dispatcher import Dispatcher, NoScheduleDispatcher
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher

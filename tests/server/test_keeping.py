@@ -14,6 +14,7 @@ from fibaction import (
     Action,
     ActionClient,
     ActionServer,
+    CancelCode,
     ClientGoal,
     ConnectionLost,
     GoalAborted,
@@ -26,9 +27,11 @@ from fibaction import (
     ServerNotFound,
     StoreError,
 )
+from fibaction._runtime import slices
 from fibaction.border.abc import FeedbackItem
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.durability.goal_keeper import SECOND
+from fibaction.server.durability.recovery import ASKED_AT_ONCE
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time
@@ -540,29 +543,88 @@ async def test_a_goal_that_has_ended_keeps_no_checkpoint() -> None:
             await handles[0].checkpoint(1)
 
 
-async def test_a_goal_that_is_canceled_while_the_function_decides_is_not_run_again() -> None:
-    decide = anyio.Event()
+class Inquiry:
+    """A `recovery` that answers when it is told to, and counts the goals that it is asked for."""
 
-    async def wait(goal: GoalHandle[int]) -> None:
-        await decide.wait()
+    def __init__(self) -> None:
+        self.decide = anyio.Event()
+        self.asked: list[int] = []
+        self.at_once = 0
+        self._waiting = 0
 
+    async def __call__(self, goal: GoalHandle[int]) -> None:
+        self.asked.append(goal.request)
+        self._waiting += 1
+        self.at_once = max(self.at_once, self._waiting)
+        await self.decide.wait()
+        self._waiting -= 1
+
+
+@pytest.mark.promise("KEEP-6")
+async def test_a_server_accepts_goals_while_the_function_decides() -> None:
+    inquiry = Inquiry()
     store = store_with(stored(is_running=True, attempt=1))
-    server = server_with(store, recovery=wait)
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(_serve, server, decide)
-        await anyio.sleep(1)  # the server has the goal, and clients do not reach it yet
-        cancellation = server._parts.cancels._registry.cancel(ID, None, now=current_time())
-        goal = cancellation.candidates[0]
-        assert cancellation.accept(goal)
-        server._parts.runs.cancel(goal, interrupt=True)
-        decide.set()
+    async with server_with(store, recovery=inquiry) as server:
+        assert await client_of(server).call(1) == "painted 1 in attempt 1"
+        assert inquiry.asked == [3]
+        inquiry.decide.set()
+        outcome = await (await attached(server)).outcome()
+    assert outcome.result == "painted 3 in attempt 2"
+
+
+async def test_the_function_decides_on_many_goals_at_the_same_time_and_not_on_all() -> None:
+    inquiry = Inquiry()
+    store = store_with(*(stored(1, n, is_running=True, attempt=1) for n in range(1, 41)))
+    async with server_with(store, recovery=inquiry) as server:
+        await anyio.sleep(1)
+        assert len(inquiry.asked) == inquiry.at_once == ASKED_AT_ONCE < 40
+        inquiry.decide.set()
+        for number in range(1, 41):
+            outcome = await (await attached(server, number)).outcome()
+            assert outcome.result == "painted 1 in attempt 2"
+    assert len(inquiry.asked) == 40
+
+
+async def test_a_goal_that_is_canceled_while_the_function_decides_is_not_run_again() -> None:
+    inquiry = Inquiry()
+    goals = [stored(1, n, is_running=True, attempt=1) for n in range(1, ASKED_AT_ONCE + 2)]
+    store = store_with(*goals)
+    async with server_with(store, recovery=inquiry) as server:
+        waiting = [await attached(server, n) for n in range(1, len(goals) + 1)]
+        await anyio.sleep(1)
+        for goal in waiting:  # the function was asked for all of them but one
+            assert (await goal.cancel()).return_code is CancelCode.NONE
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+        inquiry.decide.set()
+        assert await client_of(server).call(1) == "painted 1 in attempt 1"
+    assert len(inquiry.asked) == ASKED_AT_ONCE
     assert store.goals["paint", ID].status is GoalStatus.CANCELED
 
 
-async def _serve(server: Server, decided: anyio.Event) -> None:
-    async with server:
-        await decided.wait()
+async def test_a_goal_whose_fate_was_undecided_at_a_stop_is_decided_on_after_the_next_start() -> (
+    None
+):
+    store, inquiry = store_with(stored(is_running=True, attempt=1)), Inquiry()
+    for _ in range(2):
+        async with server_with(store, recovery=inquiry, at_stop="keep") as server:
+            goal = await attached(server)
+            await anyio.sleep(1)
+        with pytest.raises(GoalKept):
+            await goal.outcome()
+        assert store.goals["paint", ID].is_running
+        assert store.goals["paint", ID].lost == 0
+    inquiry.decide.set()
+    async with server_with(store, recovery=inquiry, at_stop="keep") as server:
+        assert (await (await attached(server)).outcome()).status is GoalStatus.SUCCEEDED
+    assert inquiry.asked == [3, 3, 3]
+
+
+async def test_a_server_that_stops_ends_a_goal_whose_fate_is_undecided() -> None:
+    store, inquiry = store_with(stored(is_running=True, attempt=1)), Inquiry()
+    async with server_with(store, recovery=inquiry):
         await anyio.sleep(1)
+    goal = store.goals["paint", ID]
+    assert (goal.status, goal.reason) == (GoalStatus.ABORTED, "server stopped")
 
 
 @pytest.mark.parametrize(
@@ -590,12 +652,14 @@ async def test_a_function_that_answers_something_else_ends_the_goal(
 
 
 async def test_a_server_whose_start_is_canceled_leaves_its_goals_in_the_store() -> None:
-    async def wait(goal: GoalHandle[int]) -> None:
-        await anyio.sleep_forever()
+    def cancel_start(request: int) -> int:
+        start.cancel()
+        return request
 
-    store = store_with(stored(is_running=True, attempt=1), stored(number=2))
-    with anyio.move_on_after(1):
-        async with server_with(store, recovery=wait, at_stop="keep"):
+    store = store_with(stored(), stored(number=2))
+    schedule = Schedule(concurrency=1, key=cancel_start)
+    with anyio.CancelScope() as start:
+        async with server_with(store, schedule=schedule, unreadable="abort", at_stop="keep"):
             pytest.fail("it has started")
     assert [goal.status for goal in store.goals.values()] == [GoalStatus.ACCEPTED] * 2
     async with server_with(store, recovery="rerun") as server:
@@ -756,16 +820,14 @@ async def test_a_store_that_fails_at_the_start_is_an_error_of_the_start() -> Non
         await client_of(server).send_goal(1)
 
 
-async def test_a_store_that_fails_while_goals_are_taken_over_is_an_error_of_the_start() -> None:
-    async def decide(goal: GoalHandle[int]) -> None:
-        if goal.stamp == 1:
-            raise GoalAborted("no")
-        await anyio.sleep(1)
-
-    store = store_with(*(stored(number=one, is_running=True, attempt=1) for one in (1, 2)))
+async def test_a_store_that_fails_while_goals_are_taken_over_is_an_error_of_the_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(slices, "SLICE", -1.0)  # the store answers between two goals
+    store = store_with(*(stored(number=n, is_running=True, attempt=1) for n in range(1, 10)))
     store.fate = lambda _number, _what: Fate.FAILED
     with pytest.raises(StoreError, match="broken"):
-        async with server_with(store, recovery=decide):
+        async with server_with(store):
             pytest.fail("it has started")
 
 

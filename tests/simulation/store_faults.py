@@ -11,6 +11,7 @@ from fibaction.server.cancels import Cancels
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.durability.keeper import NoStoreKeeper
+from fibaction.server.durability.lost_attempts import LostAttempts
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import GoalRecord
@@ -21,6 +22,7 @@ from tests.simulation.faults import mistake
 
 AnyAdmission = Admission[Any, Any, Any]
 AnyRecovery = Recovery[Any, Any, Any]
+AnyLostAttempts = LostAttempts[Any, Any, Any]
 AnyRuns = Runs[Any, Any, Any]
 
 
@@ -189,26 +191,25 @@ def only_the_first_checkpoint_is_kept(real: Any) -> Any:
     return checkpoint
 
 
-@mistake(Recovery, "_ending_of", 20, 33, 54)
+@mistake(LostAttempts, "reason_to_end", 20, 33, 54)
 def a_goal_is_never_given_up(real: Any) -> Any:
     """Run a goal again however often its process has died."""
 
-    async def _ending_of(self: AnyRecovery, goal: GoalRecord, stored: StoredGoal) -> Any:
-        stored.lost = -1
+    def reason_to_end(self: AnyLostAttempts, stored: StoredGoal) -> Any:
         self._max_attempts = 10**9
-        return await real(self, goal, stored)
+        return real(self, stored)
 
-    return _ending_of
+    return reason_to_end
 
 
-@mistake(Recovery, "_ending_of", 1, 20, 25)
+@mistake(LostAttempts, "reason_to_end", 1, 20, 25)
 def a_goal_runs_again_whatever_the_recovery_says(_real: Any) -> Any:
     """Do not ask what is to become of a goal that was running."""
 
-    async def _ending_of(self: AnyRecovery, goal: GoalRecord, stored: StoredGoal) -> None:
-        return None
+    def reason_to_end(self: AnyLostAttempts, stored: StoredGoal) -> str:
+        return ""
 
-    return _ending_of
+    return reason_to_end
 
 
 @mistake(Recovery, "claim", 67)

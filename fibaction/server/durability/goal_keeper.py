@@ -68,6 +68,7 @@ for it while the server was away."""
 
 GOAL_IS_TAKEN = "another server has taken the goal over"
 STORE_FAILED = "the server has stopped, because its store has failed"
+GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
 STORE_IS_LATE = "the server has stopped before its store has answered"
 
 SECOND = 1_000_000_000

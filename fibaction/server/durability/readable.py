@@ -9,20 +9,18 @@ a goal, and another one can have it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Generic
+from typing import Generic
 
 from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.durability.checkpoints import Checkpoints
+from fibaction.server.durability.lost_attempts import LostAttempts
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ProtocolError, StoreError
 from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
-
-if TYPE_CHECKING:
-    from fibaction.server.settings import ActionServerSettings
 
 NAMED = 3
 """The goals whose IDs are in the error."""
@@ -36,14 +34,15 @@ class ReadableCheck(Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         checkpoints: Checkpoints,
         dispatcher: Dispatcher[GoalT],
-        settings: ActionServerSettings[GoalT],
+        lost_attempts: LostAttempts[GoalT, FeedbackT, ResultT],
+        *,
+        refuses: bool,
     ) -> None:
         self._action = action
         self._checkpoints = checkpoints
         self._dispatcher = dispatcher
-        self._refuses = settings.unreadable == "refuse"
-        self._reruns = settings.recovery != "abort"
-        self._max_attempts = settings.max_attempts
+        self._lost_attempts = lost_attempts
+        self._refuses = refuses
 
     async def check(self, goals: Iterable[StoredGoal]) -> None:
         """Check that all goals that are to run can be read.
@@ -73,8 +72,7 @@ class ReadableCheck(Generic[GoalT, FeedbackT, ResultT]):
         """Return False for a goal that has ended, or that ends in any case."""
         if stored.status.is_terminal or stored.status is GoalStatus.CANCELING:
             return False
-        is_last = not self._reruns or stored.lost + 1 >= self._max_attempts
-        return not (stored.is_running and is_last)
+        return not (stored.is_running and self._lost_attempts.reason_to_end(stored))
 
     def _failure_of(self, stored: StoredGoal) -> str:
         """Return why a goal cannot run; empty if it can."""

@@ -21,6 +21,9 @@ on, and one of these happens:
 - It was running when its process was gone: the attempt is lost. By the rule of the server, the goal
   ends as ABORTED, or runs again, or a function decides. After too many lost attempts it ends in any
   case, because it may be the goal that kills the server.
+- A function is asked in a task of its own, and the server starts meanwhile. Until it has answered,
+  the goal is `undecided`: it waits without a place, clients can cancel it, and a server that stops
+  and keeps its goals leaves it in the store as it was, so that the next one asks again.
 - It is not of its type any more: it ends as ABORTED, with the reason. That is for goals that come
   later, and for a server that is told so: else the server does not start (see `readable`). A store
   that several servers share asks for the `obstacle` first, and leaves such a goal to the others.
@@ -33,21 +36,19 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Awaitable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, cast
 
-from anyio import current_time
+from anyio import CapacityLimiter, current_time
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
-from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
-from fibaction.server.admission.callbacks import awaited, failures_as
-from fibaction.server.durability.goal_keeper import SECOND
+from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, SECOND
+from fibaction.server.durability.lost_attempts import LostAttempts, cause_of
 from fibaction.server.durability.readable import ReadableCheck
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
@@ -56,22 +57,18 @@ from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.words.errors import GoalAborted, GoalKept, GoalRejected, ProtocolError
+from fibaction.words.errors import GoalKept, GoalRejected, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction.words.meta import NO_META
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.server.settings import ActionServerSettings, RecoveryFunction
+    from fibaction.server.settings import ActionServerSettings
 
-RESTARTED = "the server was restarted"
+ASKED_AT_ONCE = 16
+"""Goals for which the user's function is asked at the same time."""
 
 logger = clean_logger("fibaction.server")
-
-
-def _cause_of(stored: StoredGoal) -> str:
-    """Return the reason for which an attempt was lost."""
-    return f"the worker {excerpt(stored.worker)!r} was lost" if stored.worker else RESTARTED
 
 
 class Recovery(Generic[GoalT, FeedbackT, ResultT]):
@@ -95,16 +92,23 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher = dispatcher
         self._watchers = watchers
         self._admission = admission
-        self.readable = ReadableCheck(action, runs.checkpoints, dispatcher, settings)
-        self._rule = settings.recovery
-        self._max_attempts = settings.max_attempts
+        self._lost_attempts = LostAttempts(action, settings)
+        self.readable = ReadableCheck(
+            action,
+            runs.checkpoints,
+            dispatcher,
+            self._lost_attempts,
+            refuses=settings.unreadable == "refuse",
+        )
         self._keep_for = settings.result_timeout
+        self._keeps_at_stop = settings.at_stop == "keep"
+        self._undecided: set[GoalRecord] = set()
         self._claimed: deque[StoredGoal] = deque()
         self._news = Notifier()
         self._done = Notifier()
-        self._is_taking = False
         self._is_closed = False
         self._tasks: TaskGroup
+        self._asked: CapacityLimiter
 
     async def check(self) -> None:
         """Check that the goals which were claimed can be read, before any is taken over.
@@ -117,11 +121,15 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
     def open(self, tasks: TaskGroup) -> None:
         """Take goals over in tasks of this group."""
         self._tasks = tasks
+        self._asked = CapacityLimiter(ASKED_AT_ONCE)
         tasks.start_soon(self.run, name=f"recovery of {self._action.name}")
 
     def close(self) -> None:
         """Take over no more goals: the server stops, and they stay in the store."""
         self._is_closed = True
+        if self._keeps_at_stop:
+            undecided = [goal.goal_id for goal in self._undecided if goal.phase.is_open]
+            self._runs.let_go(GOAL_IS_KEPT, undecided)
         self._done.notify()
 
     def claim(self, stored: StoredGoal) -> None:
@@ -138,7 +146,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
 
     async def recovered(self) -> None:
         """Wait until all goals that were claimed are taken over."""
-        while (self._claimed or self._is_taking) and not self._is_closed:
+        while self._claimed and not self._is_closed:
             await self._done.wait()
 
     async def run(self) -> None:
@@ -149,14 +157,10 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
                 await self._news.wait()
             slices = Slices()
             while self._claimed and not self._is_closed:
-                self._is_taking = True
-                try:
-                    await self._take(self._claimed.popleft())
-                finally:
-                    self._is_taking = False
+                self._take(self._claimed.popleft())
                 await slices.pause()
 
-    async def _take(self, stored: StoredGoal) -> None:
+    def _take(self, stored: StoredGoal) -> None:
         now, wall = current_time(), time.time_ns()
         if stored.status.is_terminal:
             until = now + self._time_left(stored, wall)
@@ -184,11 +188,11 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             nothing = cast("GoalT", None)  # no executor gets it
             self._runs.add(goal, nothing, stored.goal, context=context)
             is_canceling = goal.status is GoalStatus.CANCELING
-            canceled = Ending(EndKind.CANCELED, reason=_cause_of(stored))
+            canceled = Ending(EndKind.CANCELED, reason=cause_of(stored))
             self._end(goal, canceled if is_canceling else Ending(EndKind.FAILED, reason=reason))
             return
         self._runs.add(goal, request, stored.goal, context=context, restored=restored)
-        await self._decide(goal, request)
+        self._decide(goal, request)
 
     async def _take_later(self, stored: StoredGoal) -> None:
         """Take a goal over that was sent here as well, when that is decided."""
@@ -201,22 +205,52 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         age = max(0.0, (wall - stored.ended_at) / SECOND)  # the clock may have been set back
         return max(self._keep_for - age, LEAST_TIME)
 
-    async def _decide(self, goal: GoalRecord, request: GoalT) -> None:
-        """Let a goal go on, or end it."""
+    def _decide(self, goal: GoalRecord, request: GoalT) -> None:
+        """Let a goal go on, end it, or ask the function which of these."""
         stored = goal.stored
         assert stored is not None
         if goal.status is GoalStatus.CANCELING:
-            self._end(goal, Ending(EndKind.CANCELED, reason=_cause_of(stored)))
+            self._end(goal, Ending(EndKind.CANCELED, reason=cause_of(stored)))
+        elif not stored.is_running:
+            self._go_on(goal, stored, request)
+        elif reason := self._lost_attempts.reason_to_end(stored):
+            self._end(goal, Ending(EndKind.FAILED, reason=reason))
+        elif self._lost_attempts.asks:
+            self._undecided.add(goal)
+            self._tasks.start_soon(self._ask, goal, stored, request)
+        else:
+            self._run_again(goal, stored, request)
+
+    async def _ask(self, goal: GoalRecord, stored: StoredGoal, request: GoalT) -> None:
+        """Ask the function what becomes of a goal, and do it, unless the goal was canceled."""
+        try:
+            async with self._asked:
+                ending = await self._answer_about(goal)
+        finally:
+            self._undecided.remove(goal)
+        if not goal.phase.is_open or self._is_closed:
             return
-        if stored.is_running:
-            stored.is_running = False
-            stored.lost += 1
-            ending = await self._ending_of(goal, stored)
-            if not goal.phase.is_open:
-                return  # it was canceled while the function decided
-            if ending is not None:
-                self._end(goal, ending)
-                return
+        if ending is None:
+            self._run_again(goal, stored, request)
+        else:
+            self._end(goal, ending)
+
+    async def _answer_about(self, goal: GoalRecord) -> Ending | None:
+        """Return the end of a goal as the function says; None if it is to run again, or if it was
+        canceled before the function was asked.
+        """
+        if not goal.phase.is_open:
+            return None
+        return await self._lost_attempts.answer(self._runs.handle_of(goal.goal_id))
+
+    def _run_again(self, goal: GoalRecord, stored: StoredGoal, request: GoalT) -> None:
+        """Let a goal go on whose attempt was lost."""
+        stored.is_running = False
+        stored.lost += 1
+        self._go_on(goal, stored, request)
+
+    def _go_on(self, goal: GoalRecord, stored: StoredGoal, request: GoalT) -> None:
+        """Let a goal go on, with another attempt."""
         logger.info(
             "goal %s of action %r: attempt %d", goal.goal_id, self._action.name, stored.attempt + 1
         )
@@ -241,41 +275,6 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             self._dispatcher.resume(goal.goal_id, request, goal.sender, goal.deadline, waited)
         except GoalRejected as exc:
             self._end(goal, Ending(EndKind.FAILED, reason=exc.reason))
-
-    async def _ending_of(self, goal: GoalRecord, stored: StoredGoal) -> Ending | None:
-        """Return the end of a goal whose attempt is lost; None if it is to run again."""
-        if self._rule == "abort":
-            return Ending(EndKind.FAILED, reason=_cause_of(stored))
-        if stored.lost >= self._max_attempts:
-            attempts = "1 attempt" if stored.lost == 1 else f"{stored.lost} attempts"
-            reason = f"given up after {attempts}: {_cause_of(stored)}"
-            return Ending(EndKind.FAILED, reason=reason)
-        if isinstance(self._rule, str):
-            return None
-        try:
-            with failures_as(GoalAborted, "recovery", self._action.name):
-                return await self._ask(self._rule, goal)
-        except GoalAborted as failure:
-            return Ending(EndKind.FAILED, reason=failure.reason)
-
-    async def _ask(self, rule: RecoveryFunction[GoalT], goal: GoalRecord) -> Ending | None:
-        try:
-            asking: object = rule(self._runs.handle_of(goal.goal_id))
-            if isinstance(asking, Awaitable):
-                asking = await awaited(asking)
-        except GoalAborted as exc:
-            return self._aborted(exc)
-        if asking is not None:
-            raise TypeError(f"it returned {asking!r}: return None, or raise GoalAborted")
-        return None
-
-    def _aborted(self, exc: GoalAborted) -> Ending:
-        result = self._action.result
-        if exc.result is None:
-            return Ending(EndKind.FAILED, reason=exc.reason)
-        if not result.holds(exc.result):
-            raise TypeError(f"{exc.result!r} is not of the result's type")
-        return Ending(EndKind.FAILED, result.encode(exc.result), exc.reason)
 
     def _end(self, goal: GoalRecord, ending: Ending) -> None:
         logger.info(

@@ -32,6 +32,7 @@ ended at last, and for goals that end without one. From then on, the goal takes 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextvars import Context
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic
@@ -39,7 +40,7 @@ from typing import TYPE_CHECKING, Any, Generic
 from anyio.abc import TaskGroup
 
 from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN, STORE_FAILED, STORE_IS_LATE
+from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
 from fibaction.server.execution.executor import Execution, Executor, Fence
 from fibaction.server.execution.executor_life import EXECUTOR_LIFE, ExecutorEvent, ExecutorPhase
 from fibaction.server.execution.goal_news import GoalNews, Run
@@ -63,7 +64,6 @@ if TYPE_CHECKING:
     from fibaction.server.scheduling.dispatcher import Dispatcher
     from fibaction.server.settings import ActionServerSettings
 
-GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
 # Looked up for each goal: a name of this module is found faster than a member of an enum.
@@ -315,10 +315,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             if run.goal.phase is Phase.BEGIN_IN_WRITING or not run.goal.phase.is_open:
                 self._let_go(run, GoalKept(STORE_FAILED))
 
-    def let_go(self) -> None:
-        """Let go of all goals: the server has stopped before its store has answered."""
-        for run in tuple(self._runs.values()):
-            self._let_go(run, GoalKept(STORE_IS_LATE))
+    def let_go(self, reason: str, goals: Iterable[GoalID] | None = None) -> None:
+        """Let go of these goals, or of all, for that reason: they stay in the store."""
+        for goal_id in tuple(self._runs if goals is None else goals):
+            self._let_go(self._runs[goal_id], GoalKept(reason))
 
     # Finish
 
