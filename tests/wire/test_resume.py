@@ -5,7 +5,7 @@ client's, and both together.
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # its clock can be put forward
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack
 from functools import partial
 from typing import Any, Literal
@@ -13,6 +13,7 @@ from typing import Any, Literal
 import anyio
 import pytest
 
+from fibaction import ActionServer
 from fibaction.border.abc import Connection, GoalRequest
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Permission
@@ -42,7 +43,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.server.ownership import EndOnly
+from fibaction.wire.server.end_only import EndOnly
 from fibaction.wire.settings import ClientSettings, Limits
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, ServerNotFound
 from fibaction.words.goals import GoalID
@@ -162,6 +163,27 @@ async def test_a_goal_that_is_sent_again_after_it_has_ended_runs_once(
         if result_timeout:
             seen = await observer.ask(follow(0, own=False), Following)
             assert seen.stamp == first.stamp  # it is the same run
+
+
+async def test_an_end_that_was_lost_is_told_though_its_id_is_used_by_another_client() -> None:
+    async def executor(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        if goal.request.order == 99:
+            await anyio.sleep_forever()
+        yield fib.Result([])
+
+    server = ActionServer(FIBONACCI, executor, result_timeout=0)
+    async with serving(server) as served:
+        ann = await served.greet(ANN)
+        mine = await ann.ask(send(1), Following)
+        await ann.hear_all()
+        ann.channel.cut()
+        bob = await served.greet(BOB)
+        other = SendGoal(1, "fibonacci", A, FIBONACCI.goal.encode(fib.Goal(99)), ANY)
+        assert (await bob.ask(other, Following)).stamp != mine.stamp
+        ann = await served.greet(ANN)
+        assert (await ann.ask(follow(0), Following)).stamp == mine.stamp
+        assert [type(told) for told in await ann.hear_all()] == [Ended]
+        assert (await ann.ask(follow(0, request=3, own=False), Following)).stamp != mine.stamp
 
 
 async def test_an_end_that_was_lost_is_told_to_its_own_client_only() -> None:

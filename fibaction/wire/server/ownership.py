@@ -34,7 +34,6 @@ number; what is to be done for each of them is done in slices, between which oth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from hmac import compare_digest
 from typing import Literal
 
@@ -42,13 +41,13 @@ from anyio import CancelScope, current_time, sleep_until
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
-from fibaction.border.abc import Endpoint, GoalStream, GoalUpdate
+from fibaction.border.abc import Endpoint, GoalStream
+from fibaction.wire.messages import Follow
+from fibaction.wire.server.end_only import EndOnly
 from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
-from fibaction.words.errors import ActionError, GoalRejected
-from fibaction.words.goals import ID_IN_USE, GoalID, Outcome, digest_of
-from fibaction.words.statuses import GoalStatus
+from fibaction.words.errors import GoalRejected, UnknownGoal
+from fibaction.words.goals import ID_IN_USE, GoalID, digest_of
 
 logger = clean_logger("fibaction.wire")
 
@@ -159,6 +158,34 @@ class Owners:
         if not lost:
             return EndOnly(_stream_of(ended[-1]))
         return next((stream for stream in lost if stream.reads), lost[-1])
+
+    async def follow(self, message: Follow, endpoint: Endpoint, owner: bytes) -> GoalStream:
+        """Return the stream of a goal that a client wants to follow; its owner is empty if it
+        follows the goal of another client.
+
+        If the client has not been told the end of its own goal yet, it is that goal: its server may
+        have forgotten it, and may even have another client's goal of the same ID by now.
+
+        Raises:
+            UnknownGoal: There is no such goal.
+        """
+        goal_id = GoalID(message.goal_id)
+        try:
+            stream = await endpoint.feedback(
+                goal_id, after=message.after, own=bool(owner), attempt=message.attempt
+            )
+        except UnknownGoal:
+            ended = self.ended(goal_id, owner)
+            if ended is None:
+                raise
+        else:
+            ended = self.ended(goal_id, owner)
+            if ended is None or ended.stamp == stream.stamp:
+                return stream
+            stream.close()
+        if message.after is not None:
+            ended.seek(message.after if message.attempt == ended.attempt else 0)
+        return ended
 
     def end(self, call: GoalSubscription) -> None:
         """Close the stream of a call whose client has the end of the goal, or does not wait for it,
@@ -281,48 +308,3 @@ def _endpoint_of(call: GoalSubscription) -> Endpoint:
 def _stream_of(call: GoalSubscription) -> GoalStream:
     assert call.stream is not None
     return call.stream
-
-
-class EndOnly(GoalStream):
-    """One more stream of a goal that has ended, which has the outcome and no feedback."""
-
-    __slots__ = ("_stream", "cursor", "goal_id", "latest", "news", "reads", "stamp")
-
-    def __init__(self, stream: GoalStream) -> None:
-        self.goal_id, self.stamp, self.latest = stream.goal_id, stream.stamp, stream.latest
-        self.cursor = stream.cursor
-        self.reads = False
-        self.news = Notifier()
-        self._stream = stream
-
-    @property
-    def status(self) -> GoalStatus:
-        return self._stream.status
-
-    @property
-    def attempt(self) -> int:
-        return self._stream.attempt
-
-    @property
-    def dropped(self) -> int:
-        return self._stream.cursor - self.cursor
-
-    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
-        outcome = self.known_outcome()
-        self.cursor = self._stream.cursor
-        return () if outcome is None else (outcome,)
-
-    def known_outcome(self) -> Outcome[bytes] | None:
-        return self._stream.known_outcome()
-
-    def seek(self, cursor: int) -> None:
-        self.cursor = min(cursor, self._stream.cursor)
-
-    def hold(self, wanted: bool) -> None:
-        """Do nothing: there is no executor any more."""
-
-    def close(self) -> None:
-        """Do nothing: only the outcome is delivered anyway."""
-
-    def fail(self, error: ActionError) -> None:
-        """Do nothing: the outcome is known."""

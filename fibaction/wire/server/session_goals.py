@@ -45,7 +45,7 @@ from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
 from fibaction.wire.settings import Limits
-from fibaction.words.errors import GoalRejected, UnknownGoal
+from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID
 from fibaction.words.meta import size_of
 
@@ -278,18 +278,7 @@ class SessionGoals:
         )
         permission = Permission.SEND if own else Permission.OBSERVE
         endpoint = await self._client.endpoint(message.action, permission)
-        stream: GoalStream | None
-        try:
-            stream = await endpoint.feedback(
-                goal_id, after=message.after, own=own, attempt=message.attempt
-            )
-        except UnknownGoal:
-            # Its server has forgotten the goal, but its client has not been told the end yet.
-            stream = self._owners.ended(goal_id, owner) if own else None
-            if stream is None:
-                raise
-            if message.after is not None:
-                stream.seek(message.after if message.attempt == stream.attempt else 0)
+        stream = await self._owners.follow(message, endpoint, owner if own else b"")
         own = own and self._owners.own(subscription, stream, owner)
         self._begin(subscription, endpoint, stream, own=own)
 
