@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, TypeAlias
+from typing import Annotated, Any, BinaryIO, Literal, TypeAlias
 
 import msgspec
 
@@ -24,6 +24,10 @@ Event: TypeAlias = Literal[
 """The kind of a line."""
 
 
+Number: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+"""A number that every program can work with; another one makes a line unreadable."""
+
+
 class RecordingError(ValueError):
     """An error for a file that is not a recording."""
 
@@ -31,7 +35,7 @@ class RecordingError(ValueError):
 class Record(msgspec.Struct, omit_defaults=True):
     """One line of a recording."""
 
-    time: int
+    time: Number
     """The time of the event: nanoseconds since 1970."""
     event: Event
     action: str
@@ -39,9 +43,9 @@ class Record(msgspec.Struct, omit_defaults=True):
     """The ID of the goal; empty if the event is not about one goal."""
     status: str = ""
     """The status of a goal, or the answer to a cancel."""
-    number: int = 0
+    number: Number = 0
     """The number of a feedback message, or of the messages that were dropped."""
-    attempt: int = 1
+    attempt: Number = 1
     client: str = ""
     """The client that sent the goal, for people to read."""
     reason: str = ""

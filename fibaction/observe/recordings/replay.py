@@ -107,7 +107,11 @@ class _Recorded:
         try:
             return _digest(_sorted.encode(self._codec.complete(record.data)))
         except PayloadError:  # it was rejected because of that
+            pass
+        try:
             return _digest(_sorted.encode(record.data))
+        except OverflowError:
+            return b""  # no payload has such a number
 
     def find(self, payload: bytes) -> int | None:
         """Return the position of the goal with this payload; None if there is none.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import msgspec
@@ -18,6 +19,21 @@ def test_lines_that_are_not_records_are_left_out(tmp_path: Path) -> None:
     path.write_bytes(b'{"time":1\n' + good + b"\n\xff\n" + b"[" * 5000 + b"\n\n" + good[:-1])
 
     assert list(read_records(path)) == [Record(1, "left", "count")]
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, str(10**30), str(2**63), "1e300", "-1"])
+@pytest.mark.parametrize("field", ["time", "number", "attempt"])
+def test_lines_with_impossible_numbers_are_left_out(
+    tmp_path: Path, field: str, number: str
+) -> None:
+    path = tmp_path / "recording.jsonl"
+    good = Record(1, "left", "count", number=1, attempt=2)
+    line = msgspec.json.encode(good).decode()
+    assert line.count(f'"{field}":') == 1
+    broken = re.sub(f'"{field}":\\d+', f'"{field}":{number}', line)
+    path.write_text(f"{broken}\n{line}\n")
+
+    assert list(read_records(path)) == [good]
 
 
 def test_the_payload_of_a_record_is_that_of_its_data_or_its_raw_bytes() -> None:

@@ -159,6 +159,21 @@ async def test_goals_that_cannot_be_compared_by_their_data_are_compared_by_their
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_goal_with_a_number_that_no_client_can_send_is_no_error(tmp_path: Path) -> None:
+    absurd = Record(1, "accepted", "drive", "a", data={"meters": 0})
+    path = written(
+        tmp_path / "recording.jsonl",
+        SERVER,
+        absurd,
+        Record(2, "accepted", "drive", "b", data={"meters": 1}),
+        Record(3, "end", "drive", "b", status="SUCCEEDED", data="there"),
+    )
+    path.write_bytes(path.read_bytes().replace(b'"meters":0', b'"meters":' + b"9" * 30))
+    (server,) = replayed(path, speed=1000)
+    async with server:
+        assert (await outcome_of(ActionClient(server, DRIVE), Drive(1)))[2] == "there"
+
+
 async def test_a_file_without_servers_and_a_wrong_speed_are_errors(tmp_path: Path) -> None:
     path = written(tmp_path / "recording.jsonl")
 

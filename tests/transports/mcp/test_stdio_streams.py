@@ -86,6 +86,23 @@ async def test_a_client_is_served_until_it_closes_stdin(monkeypatch: pytest.Monk
             await robot.stopped.wait()
 
 
+@pytest.mark.parametrize("half", ["\ud800", "\udc00 and \ud83d\ude00"])
+async def test_a_message_with_half_a_character_is_answered(
+    monkeypatch: pytest.MonkeyPatch, half: str
+) -> None:
+    robot = Robot()
+    with piped(monkeypatch) as pipes, anyio.fail_after(PATIENCE):
+        async with serve(robot.drive, robot.here), McpBridge(robot.here, UNASKED) as bridge:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(bridge.run_stdio)
+                pipes.say("initialize", **HELLO)
+                await pipes.answer()
+                pipes.write.write(b'{"broken": "\\ud800\n')
+                pipes.say("tools/call", name="arm-drive", arguments={"meters": half})
+                assert "meters" in (await pipes.answer())["result"]["content"][0]["text"]
+                pipes.write.close()
+
+
 async def test_a_bridge_that_waits_for_a_line_can_be_canceled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -6,6 +6,7 @@ end the program only when the client sends something.
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -13,6 +14,9 @@ from typing import Any, cast
 
 from anyio import AsyncFile, to_thread
 from mcp.server.stdio import stdio_server
+
+HALF_CHARACTER = "\\ud"
+"""The begin of an escape in JSON text that may be half of a character."""
 
 
 class _Lines:
@@ -28,7 +32,19 @@ class _Lines:
         line: bytes = await to_thread.run_sync(self._read, abandon_on_cancel=True)
         if not line:
             raise StopAsyncIteration
-        return line.decode(errors="replace")
+        text = line.decode(errors="replace")
+        return _with_whole_characters(text) if HALF_CHARACTER in text.lower() else text
+
+
+def _with_whole_characters(line: str) -> str:
+    """Return a message without escapes of lone surrogates: the SDK would drop it, and the client
+    would wait for its answer.
+    """
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        return line
+    return json.dumps(message, ensure_ascii=False).encode(errors="replace").decode()
 
 
 @asynccontextmanager
