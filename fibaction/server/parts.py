@@ -109,6 +109,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             StoreError: The store cannot be used, or has goals that cannot be read.
+            RuntimeError, ValueError: The server cannot share its schedule with others.
         """
         self._watch.open()
         stack.callback(self._watch.close)
@@ -124,8 +125,8 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         )
         await stack.enter_async_context(self.keeper.open(tasks, events))
         await self.recovery.check()
-        self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail before that
         self.dispatcher.open(tasks, self.runs, self.keeper.look_at_room)
+        self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail from here on
         self.keeper.start(tasks, self.recovery.open, self.room.watch)
 
     async def recover(self) -> None:

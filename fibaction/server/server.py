@@ -150,8 +150,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """Start the server. With a store, take over its goals before anything else.
 
         Raises:
-            RuntimeError: It was started before.
-            ValueError: Goals are to be kept at a stop, and there is no store.
+            RuntimeError: It was started before, or a server in another thread has its schedule.
+            ValueError: Goals are to be kept at a stop, and there is no store; or servers that share
+                a schedule have not the same `shutdown_timeout`.
             StoreError: The store cannot be used, or has goals that cannot be read.
         """
         if not self.is_new:

@@ -195,7 +195,7 @@ async def test_the_loss_of_a_successor_interrupts_the_executor_that_has_taken_it
         await anyio.sleep(0.1)
         assert interrupted == [2]
         assert isinstance(server._dispatcher, GoalDispatcher)
-        assert len(server._dispatcher._scheduler._entries) == 0
+        assert len(server._dispatcher._shared.scheduler._entries) == 0
 
 
 @pytest.mark.parametrize("when_full", ["preempt", "replace"])
@@ -434,7 +434,7 @@ async def test_a_goal_that_comes_back_waits_for_its_old_executor(schedule: Any) 
         assert [attempt for attempt, _ in executor.begun] == [1, 2]
         assert executor.begun[1][1] >= executor.ended[0]
         if isinstance(server._dispatcher, GoalDispatcher):
-            assert server._dispatcher._scheduler._entries == {}
+            assert server._dispatcher._shared.scheduler._entries == {}
 
 
 async def test_a_goal_that_comes_back_and_is_canceled_leaves_the_place_of_its_old_executor() -> (

@@ -78,7 +78,7 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
     }
     dispatcher = parts.dispatcher
     if isinstance(dispatcher, GoalDispatcher):
-        scheduler = dispatcher._scheduler
+        scheduler = dispatcher._shared.scheduler
         tables |= {
             "places": scheduler._entries,
             "keys": scheduler._groups,

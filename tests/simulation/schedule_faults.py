@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import Any
 
 from fibaction import GoalID
@@ -177,9 +176,9 @@ def a_timeout_is_noticed_late(real: Any) -> Any:
             def notify(self) -> None:
                 pass
 
-            wait = self._news.wait
+            wait = self._shared.news.wait
 
-        self._news = Deaf()  # type: ignore[assignment]  # it has what is called
+        self._shared.news = Deaf()  # type: ignore[assignment]  # it has what is called
         await real(self)
 
     return _keep_time
@@ -188,17 +187,16 @@ def a_timeout_is_noticed_late(real: Any) -> Any:
 # Giving way
 
 
-@mistake(GoalDispatcher, "_carry_out", 5, 16, 22)
+@mistake(GoalDispatcher, "carry_out", 5, 16, 22)
 def a_successor_starts_before_the_clean_up_has_ended(real: Any) -> Any:
     """Free the place of a goal as soon as it is interrupted."""
 
-    def _carry_out(self: AnyDispatcher, orders: Iterable[Order]) -> None:
-        for order in orders:
-            real(self, [order])
-            if order.act is Act.INTERRUPT:
-                self.left(order.goal_id)
+    def carry_out(self: AnyDispatcher, order: Order) -> None:
+        real(self, order)
+        if order.act is Act.INTERRUPT:
+            self.left(order.goal_id)
 
-    return _carry_out
+    return carry_out
 
 
 @mistake(Group, "oldest", 426, 150, 393)

@@ -20,13 +20,16 @@ more orders (`lost`).
 One task, `_keep_time`, waits for the next time at which an order is due. It is woken only if that
 time becomes earlier.
 
+The scheduler is that of all servers with the same schedule: see `shared_scheduler`. An order of one
+of them may concern a goal of another.
+
 It is also the `Succession` by which an executor takes its successor over.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable
+from collections.abc import Awaitable, Callable, Coroutine, Hashable
 from typing import TYPE_CHECKING, Any
 
 import anyio
@@ -39,9 +42,9 @@ from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.server.execution.executor import warn_of_kill
 from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
-from fibaction.server.scheduling.orders import Act, Order
+from fibaction.server.scheduling.orders import Act, Busy, Order
 from fibaction.server.scheduling.schedule import Schedule
-from fibaction.server.scheduling.scheduler import Scheduler
+from fibaction.server.scheduling.shared_scheduler import SharedScheduler
 from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalRejected, text_of
 from fibaction.words.goals import GoalID, Sender
@@ -61,21 +64,20 @@ class GoalDispatcher(Dispatcher[GoalT]):
 
     def __init__(self, schedule: Schedule, *, action: str, kill_after: float) -> None:
         """Kill executors that have not ended `kill_after` seconds after they were interrupted."""
-        self._scheduler = Scheduler(schedule, kill_after=kill_after)
+        self._schedule = schedule
+        self._shared: SharedScheduler
         self._key = schedule.key and with_sender("key", schedule.key)
         self._priority = schedule.priority and with_sender("priority", schedule.priority)
         self._goals: DispatchedGoals[GoalT]
         self._changed: Callable[[], None]
         self._action = action
-        self._kill_after = kill_after
-        self._news = Notifier()
+        self.kill_after = kill_after
         self._reads_clock = (
             schedule.when_full == "preempt"
             or schedule.skip_expired
             or min(schedule.queue_timeout, schedule.run_timeout) < math.inf
         )
         self._skips_expired = schedule.skip_expired
-        self._wake_at = math.inf
         self._successor_news: dict[GoalID, Notifier] = {}
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
@@ -86,6 +88,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self, tasks: TaskGroup, goals: DispatchedGoals[GoalT], changed: Callable[[], None]
     ) -> None:
         self._goals, self._changed = goals, changed
+        self._shared = SharedScheduler.join(self._schedule, self)
         tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
 
     def close(self) -> None:
@@ -95,8 +98,13 @@ class GoalDispatcher(Dispatcher[GoalT]):
 
     def offer(self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float) -> bool:
         key, urgency = self._rank(request, sender)
-        orders = self._scheduler.offer(
-            goal_id, key=key, urgency=urgency, now=self._now(), expires=self._expires(deadline)
+        orders = self._shared.offer(
+            self,
+            goal_id,
+            key=key,
+            urgency=urgency,
+            now=self._now(),
+            expires=self._expires(deadline),
         )
         self._held[goal_id] = orders
         return any(order.act is Act.START for order in orders)
@@ -105,15 +113,19 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float, waited: float
     ) -> None:
         key, urgency = self._rank(request, sender)
-        orders = self._scheduler.restore(
-            goal_id,
-            key=key,
-            urgency=urgency,
-            now=self._now(),
-            waited=waited,
-            expires=self._expires(deadline),
-        )
-        self._carry_out(orders)
+        try:
+            orders = self._shared.restore(
+                self,
+                goal_id,
+                key=key,
+                urgency=urgency,
+                now=self._now(),
+                waited=waited,
+                expires=self._expires(deadline),
+            )
+        except Busy as busy:
+            raise GoalRejected(str(busy)) from None
+        self._shared.carry_out(orders)
 
     def failure_of(self, request: GoalT, sender: Sender) -> str:
         functions = ("key", _hashable, self._key), ("priority", _number, self._priority)
@@ -142,54 +154,55 @@ class GoalDispatcher(Dispatcher[GoalT]):
         return key, urgency
 
     def accepted(self, goal_id: GoalID) -> None:
-        self._carry_out(self._held.pop(goal_id, ()))
+        self._shared.carry_out(self._held.pop(goal_id, ()))
 
     def withdraw(self, goal_id: GoalID) -> None:
         held = self._held.pop(goal_id, ())
-        self._carry_out(order for order in held if order.goal_id != goal_id)
+        self._shared.carry_out(order for order in held if order.goal_id != goal_id)
         self.left(goal_id)
 
     def room(self) -> tuple[float, float]:
-        return self._scheduler.room()
+        return self._shared.scheduler.room()
 
-    def _carry_out(self, orders: Iterable[Order]) -> None:
-        """Carry out the orders of the scheduler."""
+    def carry_out(self, order: Order) -> None:
+        """Carry out an order for a goal of this server."""
         if self._is_closed:
             return
-        for order in orders:
-            act, goal_id, reason = order
-            if self._held and goal_id in self._held:
-                self._held[goal_id].append(order)
-            elif act is Act.START:
-                self._goals.begin(goal_id)
-            elif act is Act.TELL:
-                self._tell(goal_id)
-            elif act is Act.KILL:
-                if self._goals.is_interrupted(goal_id):
-                    self._kill(goal_id)
-                else:
-                    self._overdue.add(goal_id)
+        act, goal_id, reason = order
+        if self._held and goal_id in self._held:
+            self._held[goal_id].append(order)
+        elif act is Act.START:
+            self._goals.begin(goal_id)
+        elif act is Act.TELL:
+            self._tell(goal_id)
+        elif act is Act.KILL:
+            if self._goals.is_interrupted(goal_id):
+                self._kill(goal_id)
             else:
-                self._goals.interrupt(goal_id, reason)
-                if self._overdue and goal_id in self._overdue:
-                    self._kill(goal_id)
-        if self._scheduler.next_due < self._wake_at:
-            self._news.notify()
+                self._overdue.add(goal_id)
+        else:
+            self._goals.interrupt(goal_id, reason)
+            if self._overdue and goal_id in self._overdue:
+                self._kill(goal_id)
 
     def _kill(self, goal_id: GoalID) -> None:
         self._overdue.discard(goal_id)
-        warn_of_kill(goal_id, self._action, self._kill_after)
+        warn_of_kill(goal_id, self._action, self.kill_after)
         self._goals.kill(goal_id, for_good=False)
 
     def left(self, goal_id: GoalID) -> None:
         self._overdue.discard(goal_id)
         self._tell(goal_id)
-        self._carry_out(self._scheduler.leave(goal_id, self._now()))
+        self._shared.leave(self, goal_id, self._now())
+
+    def note_change(self) -> None:
+        """Tell the server that a place has become free."""
         self._changed()
 
     def lost(self, goal_id: GoalID) -> None:
         self._overdue.discard(goal_id)
-        self._scheduler.lose(goal_id)
+        if self._shared.owns(self, goal_id):
+            self._shared.scheduler.lose(goal_id)
 
     def _now(self) -> float:
         """Return the time; 0 if no rule of the schedule needs it, because anyio takes a while to
@@ -198,11 +211,15 @@ class GoalDispatcher(Dispatcher[GoalT]):
         return current_time() if self._reads_clock else 0.0
 
     async def _keep_time(self) -> None:
-        while True:
-            self._wake_at = self._scheduler.next_due
-            with anyio.CancelScope(deadline=self._wake_at):
-                await self._news.wait()
-            self._carry_out(self._scheduler.due(current_time(), MOST_AT_ONCE))
+        shared = self._shared
+        try:
+            while True:
+                shared.wake_at = shared.scheduler.next_due
+                with anyio.CancelScope(deadline=shared.wake_at):
+                    await shared.news.wait()
+                shared.carry_out(shared.scheduler.due(current_time(), MOST_AT_ONCE))
+        finally:
+            shared.quit(self, current_time())
 
     def _answer(
         self,
@@ -226,10 +243,10 @@ class GoalDispatcher(Dispatcher[GoalT]):
         If very many wait, the places may be PLACES_TIME old, since any observer may ask often.
         """
         now = current_time()
-        is_fast = self._scheduler.waiting <= MANY
+        is_fast = self._shared.scheduler.waiting <= MANY
         if not self._is_closed and (is_fast or now >= self._placed_at + PLACES_TIME):
             self._placed_at = now
-            for goal_id, place in self._scheduler.places().items():
+            for goal_id, place in self._shared.scheduler.places().items():
                 if (record := self._goals.record_of(goal_id)) is not None:
                     record.place = place
 
@@ -239,9 +256,11 @@ class GoalDispatcher(Dispatcher[GoalT]):
         # An interrupted executor ends, and would end its successor as well.
         if self._is_closed or self._goals.is_interrupted(goal_id):
             return None
-        successor = self._scheduler.successor(goal_id)
+        successor = self._shared.scheduler.successor(goal_id)
         if successor is None or successor in self._held:
             return None
+        if not self._shared.owns(self, successor):
+            return None  # it is of another action, for which this executor is not made
         return self._goals.handle_of(successor)
 
     def news_of(self, goal_id: GoalID) -> Notifier:
@@ -252,9 +271,9 @@ class GoalDispatcher(Dispatcher[GoalT]):
         if successor is None:
             raise RuntimeError(f"goal {goal_id} has no successor that it may take over")
         self._goals.take_over(goal_id, successor.goal_id)
-        self._scheduler.take_over(goal_id, current_time())
+        self._shared.scheduler.take_over(goal_id, current_time())
         self._tell(goal_id)
-        self._carry_out(())
+        self._shared.carry_out(())
         return successor
 
     def _tell(self, goal_id: GoalID) -> None:
