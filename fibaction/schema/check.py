@@ -57,9 +57,11 @@ _IN_JSON = (*_SCALARS, dict, list)
 class Check:
     """The check of one message, which counts its steps."""
 
-    def __init__(self, schema: JsonSchema, size: int) -> None:
-        """Prepare the check of data of this size; see `size_of`."""
-        self.steps = CheckSteps(size)
+    def __init__(
+        self, schema: JsonSchema, size: int, pause: Callable[[], None] | None = None
+    ) -> None:
+        """Prepare the check of data of this size; see `CheckSteps`."""
+        self.steps = CheckSteps(size, pause)
         self._schema = schema
         self._plans: dict[int, _Plan] = {}
 
@@ -81,8 +83,8 @@ class Check:
             self.steps.spend()
             if "$ref" in schema:
                 schema = self.target(schema["$ref"])
-            elif "anyOf" in schema:
-                schema = self._chosen(schema["anyOf"], value)
+            elif "anyOf" in schema or "oneOf" in schema:
+                schema = self._chosen(schema["anyOf" if "anyOf" in schema else "oneOf"], value)
             else:
                 return schema
         return {}
@@ -197,7 +199,7 @@ class _Plan(NamedTuple):
     @classmethod
     def of(cls, schema: dict[str, Any]) -> _Plan:
         """Return the plan for a schema."""
-        combinations = [search for word, search in _COMBINATIONS.items() if word in schema]
+        combinations = [search for word, search in COMBINATIONS.items() if word in schema]
         return cls(
             [(word, test, schema[word]) for word, test in COMPARISONS.items() if word in schema],
             combinations,
@@ -325,7 +327,7 @@ def _property_names(visit: _Visit) -> Iterator[Mismatch]:
             yield from _mismatches(names._replace(value=str(name)))
 
 
-_COMBINATIONS: dict[str, Callable[[_Visit], Iterator[Mismatch]]] = {
+COMBINATIONS: dict[str, Callable[[_Visit], Iterator[Mismatch]]] = {
     "enum": _enum,
     "const": _const,
     "propertyNames": _property_names,

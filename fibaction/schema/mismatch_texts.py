@@ -60,7 +60,7 @@ _LIMITS = {
 
 def sentences(mismatch: Mismatch, name: str) -> Iterator[str]:
     """Yield what is wrong with a message that is called `name`."""
-    field, value = _field(name, mismatch.path), quoted(mismatch.value)
+    field, value = field_name(name, mismatch.path), quoted(mismatch.value)
     match mismatch.keyword:
         case "additionalProperties":
             for unknown in islice(_unknown_names(mismatch), MAX_NAMED):
@@ -95,7 +95,7 @@ def _none_of(mismatch: Mismatch, name: str) -> Iterator[str]:
 
     The alternative that was meant is known from the tag, or from the kind of the value.
     """
-    field, value = _field(name, mismatch.path), mismatch.value
+    field, value = field_name(name, mismatch.path), mismatch.value
     tag, known = _tag(mismatch)
     if tag and tag not in value:
         yield f"{field}.{excerpt(tag, MAX_NAME)} is missing: {_either(map(quoted, known))}"
@@ -174,7 +174,8 @@ def _nearest(word: str, known: Iterable[str]) -> str:
     return next(iter(difflib.get_close_matches(word, short, n=1)), "")
 
 
-def _field(name: str, path: Path) -> str:
+def field_name(name: str, path: Path) -> str:
+    """Return the name of a field of a message."""
     parts = (
         f"[{part}]" if isinstance(part, int) else f".{excerpt(part, MAX_NAME)}" for part in path
     )

@@ -14,27 +14,27 @@ run, and the work and the length of errors are limited.
 
 from __future__ import annotations
 
-import base64
 import datetime
-from collections.abc import Collection, Generator, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager, suppress
 from itertools import islice
-from typing import Any, cast
+from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction._runtime.plain_data import is_list, is_map
-from fibaction.schema.check import MAX_MISMATCHES, Check
+from fibaction.schema.check import MAX_MISMATCHES
+from fibaction.schema.conversion import MAX_DEPTH, NoMatch, completed
 from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
-from fibaction.schema.mismatch_texts import sentences
-from fibaction.schema.steps import size_of
+from fibaction.schema.mismatch_texts import field_name, sentences
+from fibaction.schema.shapes.shapes import Shapes
+from fibaction.schema.steps import Extent
 
 __all__ = ["MAX_PARTS", "JsonCodec", "JsonSchema", "PayloadError", "SchemaError", "to_json"]
 
 MAX_PROBLEMS = 5
 """Problems of one message that the text of an error names; later ones often follow from them."""
-MAX_DEPTH = 100
-"""Levels of nested data in a message that is checked."""
+
+Pause: TypeAlias = Callable[[], None]
 
 
 class PayloadError(ValueError):
@@ -68,29 +68,39 @@ class JsonCodec:
         """
         self._name = name
         with self._errors():
-            self._schema = None if schema == {} else JsonSchema(schema)
+            self._shapes = None if schema == {} else Shapes(JsonSchema(schema))
 
-    def complete(self, data: Any) -> Any:
+    def complete(self, data: Any, pause: Pause | None = None) -> Any:
         """Return the message as plain data that can be sent, for example by an untyped client.
 
         Fields that are missing get their defaults, base64 text becomes bytes where the schema asks
         for bytes, and 3.0 becomes 3 where it asks for a whole number. `data` stays as it is; it may
-        hold bytes already.
+        hold bytes already. In a thread, `pause` is called about once in a millisecond of the check.
 
         Raises:
             PayloadError: The data does not match the schema, has a field that it does not name, or
                 nests deeper than 100 levels; or msgpack cannot express it; or the schema is so
                 complex that the check takes too long.
         """
-        return self._message(data)[0]
+        if self._shapes is None:
+            self.encode(data)
+            return data
+        return msgspec.msgpack.decode(self.encode(data, pause=pause))
 
-    def encode(self, data: Any) -> bytes:
+    def encode(self, data: Any, *, is_json: bool = False, pause: Pause | None = None) -> bytes:
         """Return the payload of a message; see `complete`.
+
+        With `is_json`, the data has just been read from JSON, and takes no preparation.
 
         Raises:
             PayloadError: As `complete`.
         """
-        return self._message(data)[1]
+        with self._errors():
+            if self._shapes is not None:
+                if not is_json:  # without tuples and sets, and without parts that are the same
+                    data = msgspec.to_builtins(data, builtin_types=(bytes, datetime.datetime))
+                data = self._checked(data, self._shapes, pause)
+            return msgspec.msgpack.encode(data)
 
     def decode(self, payload: bytes) -> Any:
         """Return the message in a payload as JSON data; see `to_json`.
@@ -112,15 +122,6 @@ class JsonCodec:
             raise PayloadError(f"the {self._name} is not a valid payload: {exc}") from exc
         return to_json(message)
 
-    def _message(self, data: Any) -> tuple[Any, bytes]:
-        """Return the message as plain data, and encoded."""
-        with self._errors():
-            if self._schema is not None:
-                # Without tuples and sets, and without parts that are the same object.
-                data = msgspec.to_builtins(data, builtin_types=(bytes, datetime.datetime))
-                data = self._checked(data, self._schema)
-            return data, msgspec.msgpack.encode(data)
-
     @contextmanager
     def _errors(self) -> Generator[None, None, None]:
         try:
@@ -132,103 +133,31 @@ class JsonCodec:
         except (TypeError, ValueError, OverflowError, RecursionError) as exc:
             raise PayloadError(f"the {self._name} cannot be encoded: {exc}") from exc
 
-    def _checked(self, data: Any, schema: JsonSchema) -> Any:
-        if _is_deeper(data, MAX_DEPTH):
+    def _checked(self, data: Any, shapes: Shapes, pause: Pause | None) -> Any:
+        extent = Extent.of(data)
+        if extent.levels > MAX_DEPTH:
             raise PayloadError(f"the {self._name} nests deeper than {MAX_DEPTH} levels")
-        check = Check(schema, size_of(data))
-        data = _completed(check, data, schema.root)
-        mismatches = islice(check.mismatches(data, schema.root), MAX_MISMATCHES)
-        # Each missing field is a mismatch, whose sentences name all of them.
-        problems = dict.fromkeys(text for one in mismatches for text in sentences(one, self._name))
+        try:
+            return shapes.of(shapes.root).convert(shapes.check(extent.size, pause), data)
+        except NoMatch as exc:
+            found = exc
+        raise PayloadError(*self._problems(found, data, shapes, pause))
+
+    def _problems(
+        self, found: NoMatch, data: Any, shapes: Shapes, pause: Pause | None
+    ) -> dict[str, None]:
+        """Return what is wrong: of a large message, only as much as is found in some steps."""
+        problems: dict[str, None] = {}
+        check = shapes.check(pause=pause)
+        with suppress(SchemaError):
+            data = completed(check, data, shapes.root)
+            # Each missing field is a mismatch, whose sentences name all of them.
+            for mismatch in islice(check.mismatches(data, shapes.root), MAX_MISMATCHES):
+                problems |= dict.fromkeys(sentences(mismatch, self._name))
         if problems:
-            raise PayloadError(*problems)
-        return _converted(check, data, schema.root)
-
-
-def _is_deeper(data: Any, levels: int) -> bool:
-    if not (is_map(data) or is_list(data)):
-        return False
-    inner = data.values() if is_map(data) else data
-    return not levels or any(_is_deeper(item, levels - 1) for item in inner)
-
-
-def _completed(check: Check, value: Any, schema: Any) -> Any:
-    """Return the value with the defaults of fields that are missing."""
-    if not (is_map(value) or is_list(value)):
-        return value
-    schema = check.resolved(schema, value)
-    if is_map(value):
-        return _completed_fields(check, value, schema)
-    if schema.get("contentEncoding") == "base64":
-        return _bytes_of(value)
-    return [_completed(check, *pair) for pair in _items(value, schema)]
-
-
-def _bytes_of(values: Collection[Any]) -> Any:
-    """Return a list of numbers as bytes; the list itself if it is not one."""
-    if all(type(value) is int and 0 <= value <= 0xFF for value in values):
-        return bytes(values)
-    return values
-
-
-def _completed_fields(
-    check: Check, value: dict[Any, Any], schema: dict[str, Any]
-) -> dict[Any, Any]:
-    known = schema.get("properties", {})
-    whole: dict[Any, Any] = {}
-    check.steps.spend(len(known))
-    for name, part in known.items():
-        if name in value:
-            whole[name] = _completed(check, value[name], part)
-        elif is_map(part) and "default" in part:
-            whole[name] = _copied(check, part["default"], MAX_DEPTH)
-    rest = _part(schema, "additionalProperties")
-    for name in value:
-        if name not in whole:
-            whole[name] = _completed(check, value[name], rest)
-    return whole
-
-
-def _copied(check: Check, value: Any, levels: int) -> Any:
-    """Return a copy of a default, which the message may need many times."""
-    check.steps.spend(size_of(value) if isinstance(value, str | bytes) else 1)
-    if (is_map(value) or is_list(value)) and not levels:
-        raise SchemaError(f"has a default that nests deeper than {MAX_DEPTH} levels")
-    if is_map(value):
-        return {name: _copied(check, item, levels - 1) for name, item in value.items()}
-    if is_list(value):
-        return [_copied(check, item, levels - 1) for item in value]
-    return value
-
-
-def _converted(check: Check, value: Any, schema: Any) -> Any:
-    """Return a value that matches the schema as it is sent: bytes for base64, and so on."""
-    if value is None or isinstance(value, int):
-        return value
-    schema = check.resolved(schema, value)
-    if is_map(value):
-        known, rest = schema.get("properties", {}), _part(schema, "additionalProperties")
-        return {name: _converted(check, value[name], known.get(str(name), rest)) for name in value}
-    if is_list(value):
-        return [_converted(check, *pair) for pair in _items(value, schema)]
-    if isinstance(value, str) and schema.get("contentEncoding") == "base64":
-        return base64.b64decode(value)
-    if isinstance(value, float) and schema.get("type") == "integer":
-        return int(value)  # JSON Schema accepts 3.0 as a whole number, decoders do not
-    return value
-
-
-def _items(value: Collection[Any], schema: dict[str, Any]) -> Iterator[tuple[Any, Any]]:
-    """Yield the items of a list, each with its schema."""
-    first, rest = schema.get("prefixItems", []), _part(schema, "items")
-    for index, item in enumerate(value):
-        yield item, first[index] if index < len(first) else rest
-
-
-def _part(schema: dict[str, Any], keyword: str) -> dict[str, Any]:
-    """Return the schema of further items or fields; empty where the keyword is true or false."""
-    part = schema.get(keyword)
-    return cast("dict[str, Any]", part) if isinstance(part, dict) else {}
+            return problems
+        where = field_name(self._name, tuple(reversed(found.way)))
+        return dict.fromkeys(sentences(found.mismatch, where))
 
 
 def to_json(value: Any) -> str:

@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeGuard, TypeVar, cast
 import msgspec
 
 from fibaction._runtime.text import excerpt
+from fibaction.types.collector import collector_paused
 from fibaction.types.encodings import encoding_of
 from fibaction.words.errors import ProtocolError, TransportError, text_of
 
@@ -27,6 +28,9 @@ TransportError."""
 
 # ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
 # served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
+LARGE = 2**16
+"""Bytes of a payload that may have very many values."""
+
 _NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
@@ -76,7 +80,10 @@ class Codec(Generic[T]):
             ProtocolError: They are not a value of this type; the text names the field.
         """
         try:
-            return self._decode(payload)
+            if len(payload) <= LARGE:
+                return self._decode(payload)
+            with collector_paused():
+                return self._decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             # msgspec raises TypeError for a set of unhashable values.
             text = excerpt(str(exc))

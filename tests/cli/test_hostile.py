@@ -53,8 +53,8 @@ def crowd(start: Callable[..., str]) -> str:
     ("action", "text"),
     [
         ("cycle", 'the schema of the goal refers to itself without end, by "#"'),
-        ("doubled", "the schema of the goal is too complex: a check by it takes over 100,"),
-        ("defaults", "the schema of the goal is too complex: a check by it takes over 100,"),
+        ("doubled", "the schema of the goal is too complex: a check by it takes over 20,"),
+        ("defaults", "the schema of the goal has too many defaults: in this message they"),
         ("odd", 'the schema of the goal is malformed: "properties" cannot be []'),
         ("names", 'goal has no field "b"; it has xxx'),
     ],

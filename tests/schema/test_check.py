@@ -10,16 +10,15 @@ from jsonschema import Draft202012Validator
 
 from fibaction.schema.check import Check
 from fibaction.schema.json_schema import JsonSchema, SchemaError
-from fibaction.schema.steps import size_of
 
 
 def fits(value: Any, schema: Any) -> bool:
     """Return whether the value matches the schema."""
-    return not list(Check(JsonSchema(schema), size_of(value)).mismatches(value, schema))
+    return not list(Check(JsonSchema(schema), 100).mismatches(value, schema))
 
 
 def chosen(value: Any, schema: Any) -> Any:
-    return Check(JsonSchema(schema), size_of(value)).resolved(schema, value)
+    return Check(JsonSchema(schema), 100).resolved(schema, value)
 
 
 NAMES = st.sampled_from(["a", "b", "c"])

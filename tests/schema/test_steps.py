@@ -5,19 +5,21 @@ from typing import Any
 import pytest
 
 from fibaction.schema.json_schema import SchemaError
-from fibaction.schema.steps import STEPS, STEPS_PER_VALUE, CheckSteps, are_equal, size_of
+from fibaction.schema.steps import STEPS, STEPS_PER_VALUE, CheckSteps, Extent, are_equal
 
 
 def test_the_size_of_data_counts_text_by_its_length() -> None:
-    assert size_of({"a": [1, b"x" * 1000], "b" * 500: "c" * 200}) == 1 + 1 + 1 + 1 + 11 + 6 + 3
-    assert size_of(None) == 1
+    data = {"a": [1, b"x" * 1000], "b" * 500: "c" * 200}
+
+    assert Extent.of(data) == (1 + 1 + 1 + 1 + 11 + 6 + 3, 2)
+    assert Extent.of(None) == (1, 0)
 
 
 def test_larger_data_may_take_more_steps() -> None:
     steps = CheckSteps(2)
     steps.spend(STEPS + 2 * STEPS_PER_VALUE)
 
-    with pytest.raises(SchemaError, match="is too complex: a check by it takes over 100,100 steps"):
+    with pytest.raises(SchemaError, match="is too complex: a check by it takes over 20,100 steps"):
         steps.spend()
 
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import AsyncGenerator
 from typing import Any
 
+import anyio
 import msgspec
 import pytest
+from anyio.lowlevel import checkpoint
+from wsproto.events import CloseConnection, TextMessage
 
 from fibaction import (
     Action,
     ActionServer,
     GoalHandle,
 )
-from tests.transports.web.rosbridge.clients import Serving
+from tests.transports.web.rosbridge.clients import Serving, SocketClient
 from tests.transports.web.rosbridge.robot import Robot, feedback, goal, result
 
 pytestmark = pytest.mark.anyio
@@ -246,3 +250,31 @@ async def test_messages_that_are_not_objects_have_one_field(serving: Serving) ->
         assert (await client.hear())["values"] == {"data": [4, 4]}
         await client.say(sent | {"args": {"number": 4}})
         assert (await client.hear())["values"].startswith("goal must be a whole number")
+
+
+async def test_a_message_waits_for_the_large_one_before_it(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(goal(50, feedback=False, pad="x" * 100_000))
+        await client.say(op="cancel_action_goal", id="g1", action="/fibonacci")
+        assert await client.hear() == result({}, 5)
+        await client.say(goal("x" * 100_000, feedback=False))
+        await client.say(goal(3, feedback=False))
+        wrong = await client.hear()
+        assert (wrong["result"], wrong["status"]) == (False, 0)
+        assert wrong["values"].startswith("goal.order must be a whole number, not")
+        assert await client.hear() == result({"sequence": [3]})
+
+
+async def test_a_goal_counts_though_its_client_closes_behind_it(serving: Serving) -> None:
+    robot = Robot()
+    async with serving(robot.server) as served:
+        async with served.connect() as client:
+            if isinstance(client, SocketClient):
+                text = json.dumps(goal(3, feedback=False, pad="x" * 10_000))
+                await client.send_events(TextMessage(data=text), CloseConnection(code=1000))
+            else:
+                await client.say(goal(3, feedback=False, pad="x" * 10_000))
+                await client.leave()
+            with anyio.fail_after(10):
+                while not robot.runs:
+                    await checkpoint()

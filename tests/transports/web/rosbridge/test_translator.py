@@ -30,6 +30,8 @@ from tests.transports.hearing import Hearing
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.rosbridge.robot import goal, result
 
+pytestmark = pytest.mark.anyio
+
 
 def sent(frames: list[bytes]) -> list[FromClient]:
     return [decode_from_client(frame) for frame in frames]
@@ -45,17 +47,17 @@ def translator() -> RosbridgeTranslator:
     return made
 
 
-def send(translator: RosbridgeTranslator, **more: Any) -> SendGoal:
-    (frame,) = sent(translator.frames_of(json.dumps(goal(1, **more))))
+async def send(translator: RosbridgeTranslator, **more: Any) -> SendGoal:
+    (frame,) = sent(await translator.frames_of(json.dumps(goal(1, **more))))
     assert isinstance(frame, SendGoal)
     return frame
 
 
-def test_a_goal_gets_more_credit_when_it_has_used_it_up(
+async def test_a_goal_gets_more_credit_when_it_has_used_it_up(
     translator: RosbridgeTranslator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pending_calls, "CREDIT", 2)
-    request = send(translator)
+    request = await send(translator)
     assert request.credit == 2
     feedback = encode(Feedback(request.id, 1, msgspec.msgpack.encode({})))
     replies: list[FromClient] = []
@@ -65,20 +67,22 @@ def test_a_goal_gets_more_credit_when_it_has_used_it_up(
     assert replies == [Credit(request.id, 2)] * 2
 
 
-def test_the_meta_of_an_operation_goes_with_the_goal(translator: RosbridgeTranslator) -> None:
-    assert send(translator).meta is None
-    assert send(translator, meta={"traceparent": "00-1"}).meta == {"traceparent": "00-1"}
+async def test_the_meta_of_an_operation_goes_with_the_goal(translator: RosbridgeTranslator) -> None:
+    assert (await send(translator)).meta is None
+    assert (await send(translator, meta={"traceparent": "00-1"})).meta == {"traceparent": "00-1"}
 
 
-def test_a_meta_that_is_not_text_is_the_error_of_its_goal(translator: RosbridgeTranslator) -> None:
-    assert translator.frames_of(json.dumps(goal(1, meta={"traceparent": 1}))) == []
+async def test_a_meta_that_is_not_text_is_the_error_of_its_goal(
+    translator: RosbridgeTranslator,
+) -> None:
+    assert await translator.frames_of(json.dumps(goal(1, meta={"traceparent": 1}))) == []
     translator.texts_of(encode(Welcome(1, 1.0)))
     (text,) = translator.take_texts()
     assert "Expected `str`, got `int`" in text
 
 
-def test_the_end_of_a_goal_is_confirmed(translator: RosbridgeTranslator) -> None:
-    request = send(translator)
+async def test_the_end_of_a_goal_is_confirmed(translator: RosbridgeTranslator) -> None:
+    request = await send(translator)
     status = encode(StatusChanged(request.id, GoalStatus.EXECUTING))
     following = encode(Following(request.id, 0, GoalStatus.ACCEPTED, False, 0))
     assert translator.texts_of(following) == translator.texts_of(status) == []
@@ -94,10 +98,10 @@ def test_the_end_of_a_goal_is_confirmed(translator: RosbridgeTranslator) -> None
     ("status", "shown"),
     [(GoalStatus.SUCCEEDED, 4), (GoalStatus.ABORTED, 6), (GoalStatus.UNKNOWN, 0)],
 )
-def test_what_json_cannot_express_is_told_or_left_out(
+async def test_what_json_cannot_express_is_told_or_left_out(
     status: GoalStatus, shown: int, translator: RosbridgeTranslator, log: Hearing
 ) -> None:
-    request = send(translator)
+    request = await send(translator)
     wrong = b"\xc1"  # not msgpack
     assert translator.texts_of(encode(Feedback(request.id, 1, wrong))) == []
     assert "is left out" in log.records[0].getMessage()
@@ -107,10 +111,10 @@ def test_what_json_cannot_express_is_told_or_left_out(
     assert "not a valid payload" in answer["values"]
 
 
-def test_an_answer_of_its_own_waits_until_the_client_is_let_in(
+async def test_an_answer_of_its_own_waits_until_the_client_is_let_in(
     translator: RosbridgeTranslator,
 ) -> None:
-    assert translator.frames_of('{"op":"call_service","service":"/x"}') == []
+    assert await translator.frames_of('{"op":"call_service","service":"/x"}') == []
     assert not translator.has_texts
     assert translator.take_texts() == []
     translator.texts_of(encode(Welcome(1, 1)))

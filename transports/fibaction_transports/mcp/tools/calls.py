@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import anyio
@@ -9,6 +10,7 @@ from mcp.server.context import ServerRequestContext
 from mcp_types import CallToolRequestParams, CallToolResult, InputRequiredResult
 
 from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.turns import in_turn
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import CancelCode, GoalID
 from fibaction_transports.mcp.agent_policy import AgentPolicy
@@ -60,7 +62,7 @@ class ToolCalls:
     ) -> Answer:
         """Send a goal, and wait for its end; cancel it if the client cancels the call."""
         action = self._action(params.name)
-        message = _message(action, params.arguments or {})
+        message = await _message(action, params.arguments or {})
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
         goal = await self._goals.send(action, message)
@@ -75,9 +77,9 @@ class ToolCalls:
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
     ) -> Answer:
         """Send a goal, and answer as soon as it is accepted."""
-        given = self._input(params)
+        given = await self._input(params)
         action = self._action(given["tool"])
-        message = _message(action, given[GOAL])
+        message = await _message(action, given[GOAL])
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
         return goal_answer(await self._goals.send(action, message))
@@ -86,7 +88,7 @@ class ToolCalls:
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
     ) -> Answer:
         """Tell about one goal, or about everything."""
-        given = self._input(params)
+        given = await self._input(params)
         if "goal_id" not in given:
             actions = list(self._actions.tools.values())
             return data_answer(overview(self._actions.problems, actions, await goals_of(actions)))
@@ -98,7 +100,7 @@ class ToolCalls:
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
     ) -> Answer:
         """Cancel a goal; ask the user first if it is another client's."""
-        given = self._input(params)
+        given = await self._input(params)
         goal = await self._goal(given["goal_id"])
         action = goal.action
         if not goal.own and self._policy.asks(action.server, action.info.name):
@@ -169,7 +171,7 @@ class ToolCalls:
             raise ToolError(f"{exc}.") from exc
         return await self._goals.find(goal_id, list(self._actions.tools.values()))
 
-    def _input(self, params: CallToolRequestParams) -> dict[str, Any]:
+    async def _input(self, params: CallToolRequestParams) -> dict[str, Any]:
         """Return the input of one of the bridge's own tools, with its defaults.
 
         Raises:
@@ -178,13 +180,14 @@ class ToolCalls:
         if params.name not in self._inputs:
             raise ToolError("Nothing was done: this bridge is read-only. Only goal_status is here.")
         try:
-            given: dict[str, Any] = self._inputs[params.name].complete(params.arguments or {})
+            codec, arguments = self._inputs[params.name], params.arguments or {}
+            given: dict[str, Any] = await in_turn(None, partial(codec.complete, arguments))
         except PayloadError as exc:
             raise ToolError(f"Nothing was done: {exc}.") from exc
         return given
 
 
-def _message(action: RobotAction, arguments: dict[str, Any]) -> Any:
+async def _message(action: RobotAction, arguments: dict[str, Any]) -> Any:
     """Return the goal in the arguments of a call, with its defaults.
 
     Raises:
@@ -194,7 +197,8 @@ def _message(action: RobotAction, arguments: dict[str, Any]) -> Any:
     if action.input.is_wrapped and (surplus or GOAL not in arguments):
         raise ToolError(f"The goal was not sent: the input has the field {GOAL!r} and no other.")
     try:
-        return action.goals.complete(action.input.goal_in(arguments))
+        goal = action.input.goal_in(arguments)
+        return await in_turn(None, lambda pause: action.goals.complete(goal, pause))
     except PayloadError as exc:
         raise ToolError(f"The goal was not sent: {exc}.") from exc
 

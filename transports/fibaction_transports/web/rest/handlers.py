@@ -11,6 +11,7 @@ run on.
 
 from __future__ import annotations
 
+from functools import partial
 from hashlib import blake2b
 
 import anyio
@@ -21,6 +22,7 @@ from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
 from fibaction.schema.payload import JsonCodec
+from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.types.action import ActionInfo
 from fibaction.wire.auth import Permission
 from fibaction.wire.messages import VERSION, Hello
@@ -147,7 +149,7 @@ class RestInterface:
         wait = exchange.seconds("wait", LONGEST_WAIT)
         streams = exchange.wants_events
         body = await exchange.json_body(self._settings.limits.frame, self._memory)
-        payload = self._goal_codec(endpoint.info).encode(_read(body))
+        payload = await in_turn(len(body), partial(_payload, self._goal_codec(endpoint.info), body))
         is_known = bool(endpoint.owner_of(route.goal_id))
         stream = await endpoint.send_goal(
             route.goal_id,
@@ -282,13 +284,15 @@ def _info_members(info: GoalInfo) -> dict[str, object]:
     }
 
 
-def _read(body: bytes) -> object:
-    """Return the data in a body.
+def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:
+    """Return the payload of the goal in a body.
 
     Raises:
         Refused: It is not JSON.
+        PayloadError: It is not a goal.
     """
     try:
-        return msgspec.json.decode(body)
+        data = read_json(body)
     except (ValueError, RecursionError) as exc:
         raise Refused(400, f"the body is not JSON: {exc}") from None
+    return codec.encode(data, is_json=True, pause=pause)

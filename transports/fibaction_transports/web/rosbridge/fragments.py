@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
+from contextlib import contextmanager
 
 import msgspec
 
@@ -33,7 +35,7 @@ class PartialMessages:
         self.limit = limit
         self._memory = memory
         self._pieces: list[str] = []
-        self._in_pieces = self._in_fragments = 0
+        self._in_pieces = self._in_fragments = self._in_work = 0
         self._fragments: dict[ClientID, dict[int, str]] = {}
         self._is_given_up = False
 
@@ -83,6 +85,17 @@ class PartialMessages:
         self._count()
         return message
 
+    @contextmanager
+    def held(self, text: str) -> Generator[None, None, None]:
+        """Count a message that has arrived until the end of the block."""
+        self._in_work = size_of(text)
+        self._count()
+        try:
+            yield
+        finally:
+            self._in_work = 0
+            self._count()
+
     def _check(self, size: int, what: str) -> None:
         if self._is_given_up:
             raise LimitReached(f"the server is busy: it has no room for a large {what}")
@@ -90,7 +103,7 @@ class PartialMessages:
             raise ProtocolError(f"{what} of {size} bytes exceeds the limit of {self.limit} bytes")
 
     def _count(self) -> None:
-        self._memory.hold(self, self._in_pieces + self._in_fragments)
+        self._memory.hold(self, self._in_pieces + self._in_fragments + self._in_work)
 
     def give_up(self) -> None:
         """Forget everything, and fail as soon as more comes."""
@@ -100,7 +113,7 @@ class PartialMessages:
     def close(self) -> None:
         """Forget everything: no more comes."""
         self._pieces, self._fragments = [], {}
-        self._in_pieces = self._in_fragments = 0
+        self._in_pieces = self._in_fragments = self._in_work = 0
         self._count()
 
 

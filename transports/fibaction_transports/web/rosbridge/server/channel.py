@@ -12,7 +12,7 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import LEAVE, Channel, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.link import PING
 from fibaction.wire.wire_server import WireServer
-from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction_transports.web.http.exchange import Receive, Send, bearer_of
 from fibaction_transports.web.rosbridge.close_codes import (
@@ -55,11 +55,18 @@ class RosbridgeStreamChannel(StreamChannel, _RosbridgeChannel):
     def __init__(self, stream: ByteStream, peer: str, framing: RosbridgeFraming) -> None:
         super().__init__(stream, peer, framing)
         self.translator = framing.translator
-        self._begin = framing.begin
+        self._messages = framing
 
     async def send(self, frames: Sequence[bytes]) -> None:
         await super().send(frames)
-        self._reply(self._begin())
+        self._reply(self._messages.begin())
+
+    async def receive(self) -> list[bytes]:
+        frames = await super().receive()
+        frames += await self._messages.translated()
+        if self.has_answer:
+            self.wake_writer()
+        return frames
 
 
 class RosbridgeAsgiChannel(_RosbridgeChannel):
@@ -108,19 +115,21 @@ class RosbridgeAsgiChannel(_RosbridgeChannel):
         if text is None:
             self._code = UNSUPPORTED
             raise ProtocolError(BINARY)
-        frames = self._frames_of(text)
+        frames = await self._frames_of(text)
         if self.has_answer:
             self.wake_writer()
         return frames
 
-    def _frames_of(self, text: str) -> list[bytes]:
+    async def _frames_of(self, text: str) -> list[bytes]:
         self._code = TOO_BIG
         message = self.translator.messages.add_piece(text, is_last=True)
         assert message is not None
-        self._code = INVALID
-        frames = self.translator.frames_of(message)
         self._code = NORMAL
-        return frames
+        try:
+            return await self.translator.frames_of(message)
+        except ActionError:
+            self._code = INVALID
+            raise
 
     async def aclose(self) -> None:
         self.translator.messages.close()

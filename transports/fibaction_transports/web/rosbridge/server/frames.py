@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 from wsproto.connection import ConnectionState
@@ -10,7 +11,7 @@ from wsproto.frame_protocol import CloseReason
 
 from fibaction.wire.link import PING
 from fibaction.wire.wire_server import WireServer
-from fibaction.words.errors import ProtocolError
+from fibaction.words.errors import LimitReached, ProtocolError
 from fibaction_transports.web.http.handshake import ServerHandshake
 from fibaction_transports.web.http.websocket_frames import WebSocketFraming
 from fibaction_transports.web.rosbridge.close_codes import (
@@ -30,6 +31,7 @@ class RosbridgeFraming(WebSocketFraming):
     ) -> None:
         super().__init__("the client", server.new_reader(), handshake)
         self.translator = translator
+        self._texts: deque[str] = deque()
 
     @property
     def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
@@ -52,9 +54,30 @@ class RosbridgeFraming(WebSocketFraming):
         messages = self.translator.messages
         self._code = CloseReason.MESSAGE_TOO_BIG
         text = messages.add_piece(event.data, is_last=event.message_finished)
-        self._code = CloseReason.INVALID_FRAME_PAYLOAD_DATA
-        frames = [] if text is None else self.translator.frames_of(text)
         self._code = CloseReason.NORMAL_CLOSURE
+        if text is not None:
+            self._texts.append(text)
+        return []
+
+    def check(self) -> None:
+        if not self._texts:
+            super().check()
+
+    async def translated(self) -> list[bytes]:
+        """Return the frames that the messages are which have arrived, in their order.
+
+        Raises:
+            ProtocolError, LimitReached: As `RosbridgeTranslator.frames_of`.
+        """
+        frames: list[bytes] = []
+        try:
+            while self._texts:
+                frames += await self.translator.frames_of(self._texts[0])
+                self._texts.popleft()
+        except (ProtocolError, LimitReached):
+            self._code = CloseReason.INVALID_FRAME_PAYLOAD_DATA
+            self._is_broken = True
+            raise
         return frames
 
     def _take_pong(self) -> list[bytes]:

@@ -38,10 +38,12 @@ IDs are those of one connection. Two goals of the same ID may be open: a cancel 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 from fibaction.border.abc import Endpoint
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
+from fibaction.schema.turns import Pause, in_turn
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.errors import sendable
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory
@@ -63,6 +65,7 @@ from fibaction_transports.web.rosbridge.operations import (
     CancelActionGoal,
     Fragment,
     Ignored,
+    Operation,
     SendActionGoal,
     Wrong,
     read,
@@ -127,28 +130,34 @@ class RosbridgeTranslator:
         self._has_begun = True
         return [encode(Hello(VERSION, PATIENCE, self._token))]
 
-    def frames_of(self, text: str) -> list[bytes]:
+    async def frames_of(self, text: str, *, was_fragmented: bool = False) -> list[bytes]:
         """Return the frames for the session that a message of the client is.
+
+        A large message is read in its turn. The next one must wait for it.
 
         Raises:
             ProtocolError: The message is not JSON, or the client makes errors faster than it reads
                 the answers.
         """
-        operation = read(text)
+        with self.messages.held(text):
+            operation, goal = await in_turn(len(text), partial(self._read, text))
         if self._token is None:
             self._token = operation.mac if isinstance(operation, Auth) else ""
             self.messages.limit = self._frame_limit
         frames = self.begin()
         match operation:
             case SendActionGoal():
-                return frames + self._send_goal(operation)
+                return frames + self._send_goal(operation, goal)
             case CancelActionGoal():
                 return frames + self._cancel_goal(operation)
             case CallService():
                 return frames + self._call_service(operation)
             case Fragment():
+                if was_fragmented:
+                    raise ProtocolError("it sent a fragment within fragments")
                 message = self.messages.add_fragment(operation)
-                return frames + ([] if message is None else self._unfragmented(message))
+                if message is not None:
+                    frames += await self.frames_of(message, was_fragmented=True)
             case Wrong():
                 self._answer_wrong(operation)
             case Ignored(op):
@@ -157,31 +166,35 @@ class RosbridgeTranslator:
                 pass  # of an auth, the token is known by now, or was not asked for
         return frames
 
-    def _unfragmented(self, text: str) -> list[bytes]:
-        if isinstance(read(text), Fragment):
-            raise ProtocolError("it sent a fragment within fragments")
-        return self.frames_of(text)
+    def _read(self, text: str, pause: Pause | None) -> tuple[Operation, bytes | str]:
+        """Return the operation in a message, and if it is a goal, its payload or what is wrong."""
+        operation = read(text)
+        if not isinstance(operation, SendActionGoal):
+            return operation, b""
+        try:
+            return operation, self._payload(operation, pause)
+        except PayloadError as exc:
+            return operation, str(exc)
 
-    def _send_goal(self, sent: SendActionGoal) -> list[bytes]:
+    def _send_goal(self, sent: SendActionGoal, payload: bytes | str) -> list[bytes]:
         action = known_name(sent.action, self._endpoints)
         replies = GoalReplies(sent.id, sent.action, sent.fragment_size)
-        try:
-            payload = self._payload(action, sent)
-        except PayloadError as exc:
-            self._tell(replies.failed(sendable(str(exc))))
+        if isinstance(payload, str):
+            self._tell(replies.failed(sendable(payload)))
             return []
         goal_id, is_bound = GoalID.random(), sent.cancel_on_disconnect
         goal = SentGoal(sent.id, action, goal_id, is_bound, replies, sent.feedback)
         return [self.calls.send_goal(goal, payload, sent.meta)]
 
-    def _payload(self, action: str, sent: SendActionGoal) -> bytes:
+    def _payload(self, sent: SendActionGoal, pause: Pause | None) -> bytes:
+        action = known_name(sent.action, self._endpoints)
         endpoint = self._endpoints.get(action)
         if endpoint is None:
             return b""  # the session tells the client
         arguments = self._arguments.get(action)
         if arguments is None or arguments.info is not endpoint.info:
             arguments = self._arguments[action] = GoalArguments(endpoint.info)
-        return arguments.encode(sent.args)
+        return arguments.encode(sent.args, pause)
 
     def _cancel_goal(self, sent: CancelActionGoal) -> list[bytes]:
         goal = self.calls.latest_goal(sent.id)

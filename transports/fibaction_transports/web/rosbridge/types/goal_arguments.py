@@ -11,6 +11,7 @@ from typing import Any
 from fibaction.border.plain_values import is_map
 from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.turns import Pause
 from fibaction.types.action import ActionInfo
 from fibaction_transports.web.rosbridge.operations import Arguments
 
@@ -47,13 +48,13 @@ class GoalArguments:
         self._codec = JsonCodec(info.goal)
         self._fields = fields_of(info.goal)
 
-    def encode(self, args: Arguments) -> bytes:
-        """Return the payload of a goal.
+    def encode(self, args: Arguments, pause: Pause | None = None) -> bytes:
+        """Return the payload of a goal; see `JsonCodec.encode`.
 
         Raises:
             PayloadError: The arguments do not match the schema.
         """
-        return self._codec.encode(self._data(args))
+        return self._codec.encode(self._data(args), is_json=True, pause=pause)
 
     def _data(self, args: Arguments) -> Any:
         if self._fields is None:

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from fibaction.schema.check import Check
+from fibaction.schema.conversion import (
+    NoMatch,
+    bytes_of,
+    converted,
+    converted_default,
+    size_in_bytes,
+)
+from fibaction.schema.json_schema import JsonSchema, SchemaError
+
+FIELDS: Any = {"properties": {"a": {"default": 1}, "b": {"contentEncoding": "base64"}}}
+
+
+def check_of(schema: Any) -> Check:
+    return Check(JsonSchema(schema), 10)
+
+
+@pytest.mark.parametrize("keyword", ["anyOf", "oneOf"])
+def test_a_value_gets_the_defaults_of_the_alternative_that_it_fits(keyword: str) -> None:
+    schema = {keyword: [{"type": "null"}, FIELDS | {"type": "object"}]}
+
+    assert converted(check_of(schema), {"b": "aGk="}, schema) == {"a": 1, "b": b"hi"}
+    assert converted(check_of(schema), None, schema) is None
+
+
+def test_a_value_that_does_not_match_is_told_with_its_place() -> None:
+    with pytest.raises(NoMatch) as caught:
+        converted(check_of(FIELDS), {"b": "?"}, FIELDS)
+
+    assert caught.value.mismatch.path == ("b",)
+
+
+@pytest.mark.parametrize(
+    ("values", "found"), [([1, 255], b"\x01\xff"), ([256], [256]), ([True], [True]), ([], b"")]
+)
+def test_a_list_of_bytes_becomes_bytes(values: list[Any], found: Any) -> None:
+    assert bytes_of(values) == found
+
+
+def test_a_default_is_made_once_and_must_be_of_its_type() -> None:
+    text = {"type": "string", "contentEncoding": "base64"}
+
+    assert converted_default(check_of({}), text | {"default": "aGk="}) == b"hi"
+    with pytest.raises(NoMatch):
+        converted_default(check_of({}), text | {"default": 5})
+
+
+def test_a_default_may_not_nest_deeply() -> None:
+    value: Any = 0
+    for _ in range(101):
+        value = {"a": [value]}
+
+    with pytest.raises(SchemaError, match="has a default that nests deeper than 100 levels"):
+        converted_default(check_of({}), {"default": value})
+
+
+def test_the_bytes_of_a_value_are_those_in_a_message() -> None:
+    assert size_in_bytes({"a": [1, "b"]}) == 7
+    assert size_in_bytes(10**30) == 0
