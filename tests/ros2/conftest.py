@@ -9,7 +9,6 @@ from __future__ import annotations
 import atexit
 import faulthandler
 import os
-import socket
 from collections.abc import Generator, Iterator
 from contextlib import suppress
 from importlib.util import find_spec
@@ -17,12 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.ros_domain import claim_domain
+
 NEEDED = ("rclpy", "test_msgs", "geometry_msgs", "arduinobot_msgs", "fibaction_test_msgs")
 MISSING = [name for name in NEEDED if find_spec(name) is None]
 REQUIRED = os.environ.get("FIBACTION_ROS") == "required"
-
-DOMAINS = 102
-"""The number of domain IDs whose UDP ports are below those that Linux assigns by itself."""
 
 ENDING = 30
 """Seconds after all tests within which the process must end."""
@@ -30,24 +28,6 @@ OTHERS = 300.0
 """Seconds for which a process of pytest-xdist may wait for the others, whose files take longer."""
 
 collect_ignore_glob = ["*"] if MISSING else []
-
-
-def claim_domain(first: int) -> tuple[int, socket.socket]:
-    """Take the first free ROS domain of this machine, looking from `first` on.
-
-    It is taken as long as the socket is open. The kernel closes the socket in any case, and its
-    name is not a file, so nothing stays behind.
-    """
-    for step in range(DOMAINS):
-        domain = (first + step) % DOMAINS
-        claim = socket.socket(socket.AF_UNIX)
-        try:
-            claim.bind(f"\0fibaction-test-ros-domain-{domain}")
-        except OSError:
-            claim.close()
-        else:
-            return domain, claim
-    raise RuntimeError("all ROS domains of this machine are taken by test runs")
 
 
 if MISSING:

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from fibaction_transports.ros2.rcl import middleware
-from tests.ros2.conftest import DOMAIN, DOMAINS, claim_domain
+from tests.ros2.conftest import DOMAIN
+from tests.support.ros_domain import DOMAINS, claim_domain
 
 CONFTEST = Path(__file__).with_name("conftest.py")
 SKIPPING = """

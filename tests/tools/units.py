@@ -67,6 +67,7 @@ UNITS = {
         "tests/transports/tcp",
         "tests/transports/web",
     ],
+    "transports/fibaction_transports/rtps": ["tests/transports/rtps"],
     "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
     "transports/fibaction_transports/web": ["tests/transports/web"],
 }

@@ -147,7 +147,7 @@ async def started(
 @asynccontextmanager
 async def ros_environment() -> AsyncGenerator[dict[str, str], None]:
     """Set a ROS domain for this run, on this machine only, without log files in the home folder."""
-    from tests.ros2.conftest import claim_domain  # here, because it looks for ROS
+    from tests.support.ros_domain import claim_domain
 
     domain, claim = claim_domain(os.getpid())
     with claim, TemporaryDirectory() as folder:

@@ -1,0 +1,498 @@
+"""Participants find each other, match, and notice when one is gone."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from fibaction_transports.rtps.discovery.endpoint_data import EndpointData, endpoint_payload
+from fibaction_transports.rtps.discovery.known_participants import reachable
+from fibaction_transports.rtps.discovery.participant_data import (
+    ParticipantData,
+    participant_payload,
+)
+from fibaction_transports.rtps.events import (
+    EndpointMatched,
+    EndpointUnmatched,
+    LivelinessChanged,
+    ParticipantFound,
+    ParticipantLost,
+    QosMismatch,
+)
+from fibaction_transports.rtps.messages import parameters as pids
+from fibaction_transports.rtps.messages.decoder import read_packet
+from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
+from fibaction_transports.rtps.messages.ids import (
+    FAST_DDS,
+    PARTICIPANT,
+    SPDP_WRITER,
+    UNKNOWN_ENTITY,
+    Guid,
+)
+from fibaction_transports.rtps.messages.layout import BIG, Order
+from fibaction_transports.rtps.messages.locators import Locator, udp_locator
+from fibaction_transports.rtps.messages.parameters import Parameters
+from fibaction_transports.rtps.messages.submessages import (
+    AckNack,
+    Data,
+    NumberSet,
+    SourceInfo,
+    Submessage,
+    WriterHeartbeat,
+)
+from fibaction_transports.rtps.qos import Durability, Liveliness, Qos
+from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
+
+PREFIX = FAST_DDS + b"a peer    "
+SOURCE = ("10.0.0.99", 7410)
+LOCATORS = (udp_locator(SOURCE),)
+
+
+def packet(*submessages: Submessage, prefix: bytes = PREFIX, order: Order = "<") -> bytes:
+    """Return a packet of a peer of our own making."""
+    content = b"".join(submessage_bytes(each, order) for each in submessages)
+    return packet_head(prefix[:2], prefix) + content
+
+
+def announcement(content: bytes, inline_qos: Parameters | None = None) -> Data:
+    return Data(UNKNOWN_ENTITY, SPDP_WRITER, 1, content, inline_qos)
+
+
+def hello(prefix: bytes = PREFIX, **changed: object) -> bytes:
+    fields = {"prefix": prefix, "discovery_locators": LOCATORS, "data_locators": LOCATORS}
+    data = ParticipantData(**(fields | changed))  # type: ignore[arg-type]  # fields of any kind
+    return packet(announcement(participant_payload(data)), prefix=prefix)
+
+
+def receive(world: World, node: Node, datagram: bytes) -> None:
+    node.participant.receive(datagram, SOURCE, world.now)
+    world.flush()
+
+
+def prefixes(node: Node) -> list[bytes]:
+    return [event.prefix for event in node.all(ParticipantFound)]
+
+
+def test_participants_find_each_other_and_match_what_was_there_before_and_comes_later() -> None:
+    world = World()
+    one, other = world.join(), world.join()
+    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now, user_data=b"hash")
+    reader = reader_of(world, other)
+    world.run(0.2)
+    assert prefixes(one) == [other.participant.prefix]
+    assert prefixes(other) == [one.participant.prefix]
+    later = reader_of(world, other)
+    world.run(0.2)
+    assert writer.readers == [reader.guid, later.guid]
+    assert reader.writers == later.writers == [writer.guid]
+    assert other.all(EndpointMatched) == [
+        EndpointMatched(reader.guid, writer.guid),
+        EndpointMatched(later.guid, writer.guid),
+    ]
+    (known,) = other.participant.remote_endpoints
+    assert (known.topic, known.type_name, known.user_data) == (TOPIC, TYPE, b"hash")
+    assert one.participant.vendor_of(other.participant.prefix) == b"\x01\x7f"
+    assert one.participant.vendor_of(bytes(12)) is None
+    assert one.participant.guid == one.participant.prefix + PARTICIPANT
+
+
+def test_they_find_each_other_with_loss() -> None:
+    world = World(1, loss=0.5, repeats=0.2, delay=0.01)
+    one, other = world.join(), world.join()
+    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    reader = reader_of(world, other)
+    assert world.run_until(lambda: bool(writer.readers and reader.writers))
+
+
+def test_endpoints_of_another_topic_or_of_the_same_kind_do_not_match() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    other.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    reader_of(world, other, topic="rt/other")
+    world.run(1.0)
+    one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    world.run(1.0)
+    assert writer.readers == []
+    assert one.told == [*one.all(ParticipantFound)]
+
+
+def test_a_mismatch_is_told_with_its_reasons_at_both_ends() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = one.participant.create_writer(TOPIC, "another_type", Qos(), world.now)
+    late = Qos(durability=Durability.TRANSIENT_LOCAL)
+    reader = reader_of(world, other, late)
+    world.run(1.0)
+    durability = "durability: the writer offers volatile, the reader requests transient_local"
+    assert other.all(QosMismatch) == [
+        QosMismatch(
+            reader.guid, writer.guid, (f"type: {TYPE} here, another_type there", durability)
+        )
+    ]
+    assert one.all(QosMismatch) == [
+        QosMismatch(
+            writer.guid, reader.guid, (f"type: another_type here, {TYPE} there", durability)
+        )
+    ]
+
+
+def test_a_removed_endpoint_matches_no_longer() -> None:
+    world = World(3, loss=0.3)
+    one, other = world.pair()
+    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    reader = reader_of(world, other)
+    assert world.run_until(lambda: bool(writer.readers and reader.writers))
+    one.participant.remove(writer, world.now)
+    assert world.run_until(lambda: not reader.writers)
+    assert other.all(EndpointUnmatched) == [EndpointUnmatched(reader.guid, writer.guid)]
+    other.participant.remove(reader, world.now)
+    world.run(5.0)
+    assert one.participant.remote_endpoints == []
+
+
+def test_a_participant_that_leaves_is_gone_at_once() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    reader = reader_of(world, other)
+    reader_of(world, one, topic="rt/other")
+    world.run(1.0)
+    one.participant.close(world.now)
+    one.participant.close(world.now)
+    world.run(0.01)
+    assert other.all(ParticipantLost) == [ParticipantLost(one.participant.prefix, has_left=True)]
+    assert other.all(EndpointUnmatched) == [EndpointUnmatched(reader.guid, writer.guid)]
+    assert one.participant.next_deadline() == float("inf")
+    datagrams = one.participant.counters.datagrams
+    world.run(5.0)
+    assert one.participant.counters.datagrams == datagrams
+    assert list(one.participant.datagrams_to_send()) == []
+
+
+def test_a_participant_that_is_silent_for_its_lease_is_gone() -> None:
+    world = World()
+    one, other = world.join(lease=4.0), world.join()
+    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    reader = reader_of(world, other)
+    world.run(10.0)
+    assert reader.writers == [writer.guid]
+    world.kill(one)
+    world.run(2.5)
+    assert reader.writers == [writer.guid]
+    world.run(2.0)
+    assert other.all(ParticipantLost) == [ParticipantLost(one.participant.prefix, has_left=False)]
+    assert reader.writers == []
+
+
+def test_a_participant_is_answered_until_it_knows_us() -> None:
+    """Fast DDS misses the first answer if it comes before its receive side is up."""
+    world = World()
+    node = world.join()
+    world.run(2.0)
+    answers = list[float]()
+
+    def note(_: bytes, address: object) -> bool:
+        if address == SOURCE:
+            answers.append(world.now)
+        return False
+
+    world.is_lost = note
+    for _ in range(4):
+        receive(world, node, hello())
+        receive(world, node, hello())
+        world.run(0.1)
+    spoken = len({round(at, 2) for at in answers})
+    assert spoken >= 4
+    writer = node.participant._builtin.publications.guid.entity
+    nack = AckNack(b"\0\0\3\xc7", writer, NumberSet(1), 1, True)
+    receive(world, node, packet(nack))
+    world.run(0.9)
+    answers.clear()
+    receive(world, node, hello())
+    assert answers == []
+
+
+def test_a_participant_of_another_domain_or_tag_is_not_there() -> None:
+    world = World()
+    node = world.join()
+    receive(world, node, hello(domain=5))
+    content = participant_payload(ParticipantData(prefix=PREFIX, discovery_locators=LOCATORS))
+    tag = struct.pack("<HHI", pids.DOMAIN_TAG, 8, 4) + b"tag\0"
+    receive(world, node, packet(announcement(content[:4] + tag + content[4:])))
+    assert node.told == []
+    receive(world, node, hello(domain=0))
+    assert prefixes(node) == [PREFIX]
+
+
+def test_a_participant_without_an_address_that_can_be_reached_is_not_there() -> None:
+    world = World()
+    node = world.join()
+    receive(world, node, hello(discovery_locators=(Locator(16, 7410, bytes(16)),)))
+    assert node.told == []
+    assert node.participant.counters.over_limit == 1
+
+
+def test_fast_dds_leaves_without_a_payload() -> None:
+    world = World()
+    node = world.join()
+    receive(world, node, hello())
+    guid = PREFIX + PARTICIPANT
+    status = Parameters(((pids.KEY_HASH, guid), (pids.STATUS_INFO, b"\0\0\0\3")))
+    leave = Data(UNKNOWN_ENTITY, SPDP_WRITER, 2, None, status)
+    receive(world, node, packet(leave))
+    assert node.all(ParticipantLost) == [ParticipantLost(PREFIX, has_left=True)]
+    receive(world, node, packet(leave))
+    assert len(node.all(ParticipantLost)) == 1
+
+
+def test_a_participant_without_discovery_of_endpoints_is_there_alone() -> None:
+    world = World()
+    node = world.join()
+    receive(world, node, hello(endpoints=0))
+    assert node.participant._builtin.publications.readers == []
+
+
+def test_a_big_endian_participant_is_found() -> None:
+    world = World()
+    node = world.join()
+    items = (
+        (pids.PARTICIPANT_GUID, PREFIX + PARTICIPANT),
+        (pids.METATRAFFIC_UNICAST_LOCATOR, struct.pack(">iI12x4B", 1, 7410, 10, 0, 0, 99)),
+        (pids.LEASE, struct.pack(">iI", 11, 0)),
+    )
+    content = b"\x00\x02\x00\x00"
+    for pid, value in items:
+        content += struct.pack(">HH", pid, len(value)) + value
+    content += struct.pack(">HH", 1, 0)
+    receive(world, node, packet(announcement(content), order=BIG))
+    (found,) = node.all(ParticipantFound)
+    assert (found.prefix, found.name, found.user_data) == (PREFIX, "", b"")
+    world.run(10.0)
+    assert node.all(ParticipantLost) == []
+    world.run(2.0)
+    assert len(node.all(ParticipantLost)) == 1
+
+
+def test_an_info_src_changes_the_sender() -> None:
+    world = World()
+    node = world.join()
+    content = participant_payload(ParticipantData(prefix=PREFIX, discovery_locators=LOCATORS))
+    source = SourceInfo(FAST_DDS, PREFIX)
+    receive(world, node, packet(source, announcement(content), prefix=b"\x01\x10relay     "))
+    (found,) = node.all(ParticipantFound)
+    assert (found.prefix, found.vendor) == (PREFIX, FAST_DDS)
+
+
+BROKEN = {
+    "of another participant": participant_payload(
+        ParticipantData(prefix=bytes(12), discovery_locators=LOCATORS)
+    ),
+    "without a name": b"\0\3\0\0\1\0\0\0",
+    "that is not a list": b"\0\1\0\0\1\0\0\0",
+    "without an end": b"\0\3\0\0",
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_an_announcement_is_dropped(name: str) -> None:
+    world = World()
+    node = world.join()
+    receive(world, node, packet(announcement(BROKEN[name])))
+    assert node.told == []
+    assert node.participant.counters.invalid == 1
+
+
+# Endpoints of a peer of our own making
+
+
+class Announcer:
+    """A peer that announces endpoints, right or wrong."""
+
+    def __init__(self, world: World, node: Node) -> None:
+        self.world, self.node = world, node
+        self.number = 0
+        receive(world, node, hello())
+
+    def send(self, content: bytes | None, inline: Parameters | None = None) -> None:
+        """Announce an endpoint of any kind to the reader of writers."""
+        self.number += 1
+        data = Data(UNKNOWN_ENTITY, b"\0\0\3\xc2", self.number, content, inline)
+        beat = WriterHeartbeat(
+            UNKNOWN_ENTITY, b"\0\0\3\xc2", 1, self.number, self.number, is_final=True
+        )
+        receive(self.world, self.node, packet(data, beat))
+
+
+def endpoint(number: int, *, prefix: bytes = PREFIX, topic: str = TOPIC) -> EndpointData:
+    guid = Guid(prefix + number.to_bytes(3, "big") + b"\3")
+    return EndpointData(guid=guid, topic=topic, type_name=TYPE, qos=Qos())
+
+
+def changed(pid: int, value: bytes | None) -> bytes:
+    """Return the announcement of an endpoint with another value of a parameter, or without it."""
+    content = endpoint_payload(endpoint(1))
+    items = list[tuple[int, bytes]]()
+    place = 4
+    while place < len(content) - 4:
+        found, size = struct.unpack_from("<HH", content, place)
+        items.append((found, content[place + 4 : place + 4 + size]))
+        place += 4 + size
+    kept = [(found, old) for found, old in items if found != pid]
+    kept += [] if value is None else [(pid, value)]
+    parts = [struct.pack("<HH", found, len(old)) + old for found, old in kept]
+    return content[:4] + b"".join(parts) + content[-4:]
+
+
+WRONG = {
+    "of another participant": endpoint_payload(endpoint(1, prefix=bytes(12))),
+    "without a topic": changed(pids.TOPIC_NAME, None),
+    "without a type": changed(pids.TYPE_NAME, None),
+    "of an unknown reliability": changed(pids.RELIABILITY, struct.pack("<IiI", 99, 0, 0)),
+    "with a short durability": changed(pids.DURABILITY, b""),
+    "without a name": b"\0\3\0\0\1\0\0\0",
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_the_announcement_of_an_endpoint_is_dropped_and_those_after_it_are_read(name: str) -> None:
+    world = World()
+    node = world.join()
+    peer = Announcer(world, node)
+    peer.send(WRONG[name])
+    assert node.participant.counters.invalid == 1
+    assert node.participant.remote_endpoints == []
+    peer.send(endpoint_payload(endpoint(1)))
+    assert node.participant.remote_endpoints == [endpoint(1)]
+
+
+def test_an_endpoint_may_change_and_may_leave_by_its_key_alone() -> None:
+    world = World()
+    node = world.join()
+    reader = reader_of(world, node)
+    peer = Announcer(world, node)
+    peer.send(endpoint_payload(endpoint(1)))
+    peer.send(endpoint_payload(endpoint(1)))
+    assert len(node.all(EndpointMatched)) == 1
+    peer.send(endpoint_payload(endpoint(1, topic="rt/other")))
+    assert node.all(EndpointUnmatched) == [EndpointUnmatched(reader.guid, endpoint(1).guid)]
+    status = Parameters(((pids.KEY_HASH, endpoint(1).guid), (pids.STATUS_INFO, b"\0\0\0\3")))
+    peer.send(None, status)
+    assert node.participant.remote_endpoints == []
+    peer.send(None, status)
+    assert node.participant.counters.invalid == 0
+
+
+def test_endpoints_of_topics_with_keys_are_no_endpoints_of_ros() -> None:
+    world = World()
+    node = world.join()
+    peer = Announcer(world, node)
+    strange = Guid(PREFIX + b"\0\0\1\x09")
+    peer.send(endpoint_payload(EndpointData(guid=strange, topic=TOPIC, type_name=TYPE, qos=Qos())))
+    assert node.participant.remote_endpoints == []
+    assert node.participant.counters.invalid == 0
+
+
+def test_an_endpoint_is_sent_to_at_its_own_address() -> None:
+    world = World()
+    node = world.join()
+    reader_of(world, node)
+    peer = Announcer(world, node)
+    addresses = list[object]()
+
+    def note(_: bytes, address: object) -> bool:
+        addresses.append(address)
+        return False
+
+    world.is_lost = note
+    data = endpoint(1)
+    locators = (Locator(19, 9, bytes(16)), udp_locator(("10.0.0.99", 7000)))
+    own = EndpointData(guid=data.guid, topic=TOPIC, type_name=TYPE, qos=Qos(), locators=locators)
+    peer.send(endpoint_payload(own))
+    assert ("10.0.0.99", 7000) in addresses
+
+
+def test_a_heartbeat_that_comes_before_its_writer_is_known_is_answered() -> None:
+    """Fast DDS sends it before its discovery has told of the writer, and the next one in 3 s."""
+    world = World()
+    node = world.join()
+    reader_of(world, node)
+    peer = Announcer(world, node)
+    entity = endpoint(1).guid.entity
+    asked = list[AckNack]()
+
+    def note(datagram: bytes, _: object) -> bool:
+        found = read_packet(datagram).submessages
+        asked.extend(each for each in found if isinstance(each, AckNack))
+        return False
+
+    world.is_lost = note
+    early = WriterHeartbeat(UNKNOWN_ENTITY, entity, 4, 5, 1)
+    receive(world, node, packet(early))
+    peer.send(endpoint_payload(endpoint(1)))
+    nacks = [each for each in asked if each.writer == entity]
+    assert [each.missing for each in nacks] == [NumberSet(4, (4, 5))]
+
+
+def test_a_participant_of_this_machine_is_reached_over_the_loopback_interface() -> None:
+    locators = [Locator(19, 1, bytes(16)), udp_locator(("192.168.0.7", 7412))]
+    assert reachable(locators, "127.0.0.1") == ("127.0.0.1", 7412)
+
+
+def test_of_several_interfaces_the_one_that_is_sent_from_is_used() -> None:
+    locators = [udp_locator(("172.17.0.1", 7412)), udp_locator(("192.168.0.7", 7412))]
+    assert reachable(locators, "192.168.0.7") == ("192.168.0.7", 7412)
+    assert reachable(locators, "192.168.0.8") == ("172.17.0.1", 7412)
+    assert reachable([], "192.168.0.8") is None
+
+
+# Liveliness
+
+ALIVE = Qos(liveliness_lease=1.0)
+
+
+def test_a_writer_that_promises_to_be_alive_is_followed() -> None:
+    world = World(2, loss=0.1)
+    one, other = world.pair()
+    writer = one.participant.create_writer(TOPIC, TYPE, ALIVE, world.now)
+    reader = reader_of(world, other, ALIVE)
+    assert world.run_until(lambda: bool(reader.writers))
+    world.run(10.0)
+    assert other.all(LivelinessChanged) == []
+    world.kill(one)
+    world.run(2.0)
+    dead = LivelinessChanged(reader.guid, writer.guid, is_alive=False)
+    assert other.all(LivelinessChanged) == [dead]
+    world.nodes[one.host] = one
+    world.run(3.0)
+    assert other.all(LivelinessChanged)[1:] == [
+        LivelinessChanged(reader.guid, writer.guid, is_alive=True)
+    ]
+    one.participant.remove(writer, world.now)
+    world.run(5.0)
+    assert len(other.all(LivelinessChanged)) == 2
+    assert one.participant._shared.timers.next() > world.now + 0.5
+
+
+@pytest.mark.parametrize("kind", [Liveliness.BY_PARTICIPANT, Liveliness.BY_TOPIC])
+def test_a_sample_shows_that_its_writer_is_alive(kind: Liveliness) -> None:
+    world = World()
+    one, other = world.pair()
+    qos = Qos(liveliness=kind, liveliness_lease=1.0)
+    writer = one.participant.create_writer(TOPIC, TYPE, qos, world.now)
+    second = one.participant.create_writer(TOPIC, TYPE, qos, world.now)
+    one.participant.create_writer(TOPIC, TYPE, ALIVE, world.now)
+    reader = reader_of(world, other)
+    world.run(0.5)
+    for _ in range(5):
+        writer.write(payload("x"), world.now)
+        world.run(0.5)
+    lost = [event.writer for event in other.all(LivelinessChanged)]
+    assert lost == ([] if kind == Liveliness.BY_PARTICIPANT else [second.guid])
+    world.run(1.0)
+    beat = WriterHeartbeat(reader.guid.entity, writer.guid.entity, 1, 5, 99, is_alive=True)
+    prefix = one.participant.prefix
+    other.participant.receive(packet(beat, prefix=prefix), SOURCE, world.now)
+    world.flush()
+    assert LivelinessChanged(reader.guid, writer.guid, is_alive=True) in other.told

@@ -1,0 +1,320 @@
+"""Samples over a network that loses, delays, repeats and reorders: in order, once, and all."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fibaction.words.errors import LimitReached
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.events import EndpointMatched, SamplesLost
+from fibaction_transports.rtps.limits import RtpsLimits
+from fibaction_transports.rtps.messages.decoder import read_packet
+from fibaction_transports.rtps.messages.submessages import AckNack, DataFragment, Timestamp
+from fibaction_transports.rtps.qos import Durability, Qos, Reliability
+from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
+
+KEEP_ALL = Qos(depth=None)
+LATE = Qos(durability=Durability.TRANSIENT_LOCAL, depth=3)
+BEST_EFFORT = Qos(reliability=Reliability.BEST_EFFORT)
+
+
+def writer_of(world: World, node: Node, qos: Qos = KEEP_ALL) -> DataWriter:
+    return node.participant.create_writer(TOPIC, TYPE, qos, world.now)
+
+
+def write(world: World, writer: DataWriter, *texts: str) -> None:
+    for text in texts:
+        writer.write(payload(text), world.now)
+
+
+def numbers(*of: int) -> list[str]:
+    return [str(number) for number in range(*of)]
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    loss=st.sampled_from([0.0, 0.1, 0.4]),
+    delay=st.sampled_from([0.0001, 0.01, 0.2]),
+    repeats=st.sampled_from([0.0, 0.3]),
+    size=st.sampled_from([1, 500]),
+)
+@settings(deadline=None)
+def test_every_sample_of_a_reliable_writer_arrives_in_order_and_once(
+    seed: int, loss: float, delay: float, repeats: float, size: int
+) -> None:
+    world = World(seed, loss=loss, delay=delay, repeats=repeats)
+    one, other = world.join(fragment_size=256), world.join(fragment_size=256)
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    assert world.run_until(lambda: bool(writer.readers and reader.writers), 300)
+    texts = [f"{number}" * size for number in range(30)]
+    for text in texts:
+        write(world, writer, text)
+        world.run(0.01)
+    assert world.run_until(lambda: len(other.texts(reader)) == len(texts), 300)
+    assert world.run_until(lambda: writer.kept == 0, 300)
+    assert writer.acknowledged(world.now) == writer.last
+    assert other.texts(reader) == texts
+    assert other.participant.counters.invalid == 0
+
+
+def test_a_network_without_loss_needs_few_datagrams() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(5.0)
+    world.sent = 0
+    for number in range(100):
+        write(world, writer, str(number))
+        world.run(0.001)
+    world.run(1.0)
+    assert len(other.texts(reader)) == 100
+    assert world.sent <= 200
+
+
+def test_a_sample_of_a_megabyte_arrives_with_loss() -> None:
+    world = World(3, loss=0.2, delay=0.002)
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    assert world.run_until(lambda: bool(writer.readers and reader.writers))
+    text = "".join(map(str, range(200_000)))[:1_000_000]
+    write(world, writer, text, "after")
+    assert world.run_until(lambda: len(other.texts(reader)) == 2)
+    assert other.texts(reader) == [text, "after"]
+
+
+def test_no_fragment_is_sent_twice_if_none_is_lost() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(1.0)
+    fragments = list[int]()
+
+    def note(datagram: bytes, _: object) -> bool:
+        of = read_packet(datagram).submessages
+        fragments.extend(each.first for each in of if isinstance(each, DataFragment))
+        return False
+
+    world.is_lost = note
+    write(world, writer, "x" * 1_000_000)
+    assert world.run_until(lambda: bool(other.texts(reader)))
+    assert fragments == list(range(1, 17))
+
+
+def test_a_late_reader_gets_the_samples_that_are_kept_for_it() -> None:
+    world = World(5, loss=0.2)
+    one, other = world.pair()
+    writer = writer_of(world, one, LATE)
+    write(world, writer, *numbers(10))
+    world.run(1.0)
+    reader = reader_of(world, other, LATE)
+    assert world.run_until(lambda: len(other.texts(reader)) == 3)
+    write(world, writer, "10")
+    assert world.run_until(lambda: len(other.texts(reader)) == 4)
+    assert other.texts(reader) == numbers(7, 11)
+    assert writer.kept == 3
+
+
+def test_a_late_reader_that_wants_none_of_them_gets_new_ones_only() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one, LATE)
+    write(world, writer, *numbers(10))
+    reader = reader_of(world, other)
+    world.run(2.0)
+    write(world, writer, "10", "11")
+    world.run(2.0)
+    assert other.texts(reader) == ["10", "11"]
+    assert other.all(SamplesLost) == []
+
+
+def test_a_reader_that_comes_late_gets_the_first_sample_that_is_for_it() -> None:
+    """As the first reply of a service, whose heartbeat is lost."""
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one)
+    write(world, writer, *numbers(10))
+    reader = reader_of(world, other)
+    assert world.run_until(lambda: bool(writer.readers))
+    world.is_lost = lambda datagram, _: world.now < 1.5
+    write(world, writer, "10")
+    world.run(2.0)
+    write(world, writer, "11")
+    world.run(2.0)
+    assert other.texts(reader) == ["10", "11"]
+
+
+def test_samples_beyond_the_depth_are_lost_to_a_slow_reader_which_is_told() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one, Qos(depth=2)), reader_of(world, other)
+    world.run(1.0)
+    write(world, writer, "0")
+    world.run(1.0)
+    world.is_lost = lambda *_: True
+    for number in range(1, 10):
+        write(world, writer, str(number))
+        world.flush()
+    world.is_lost = lambda *_: False
+    world.run(5.0)
+    assert other.texts(reader) == ["0", "8", "9"]
+    assert [(event.writer, event.count) for event in other.all(SamplesLost)] == [(writer.guid, 7)]
+
+
+def test_best_effort_samples_arrive_in_order_and_are_not_sent_again() -> None:
+    world = World(7, loss=0.3, delay=0.005, repeats=0.2)
+    one, other = world.join(fragment_size=256), world.join()
+    writer, reader = writer_of(world, one, BEST_EFFORT), reader_of(world, other, BEST_EFFORT)
+    assert world.run_until(lambda: bool(writer.readers and reader.writers))
+    for number in range(200):
+        write(world, writer, str(number), f"{number}" * 200)
+        world.run(0.002)
+    world.run(1.0)
+    got = [text[:3] for text in other.texts(reader)]
+    assert 50 < len(got) < 400
+    places = [sample.number for sample in other.samples(reader)]
+    assert places == sorted(set(places))
+    assert writer.kept == 0
+    assert writer.acknowledged(world.now) == writer.last
+
+
+def test_a_best_effort_reader_of_a_reliable_writer_keeps_nothing_back() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other, BEST_EFFORT)
+    world.run(1.0)
+    write(world, writer, "0")
+    world.run(1.0)
+    assert other.texts(reader) == ["0"]
+    assert writer.kept == 0
+
+
+def test_kept_samples_are_sent_to_a_late_reader_that_is_best_effort() -> None:
+    world = World()
+    one, other = world.pair()
+    late = Qos(reliability=Reliability.BEST_EFFORT, durability=Durability.TRANSIENT_LOCAL)
+    writer = writer_of(world, one, LATE)
+    write(world, writer, "0")
+    reader = reader_of(world, other, late)
+    world.run(1.0)
+    assert set(other.texts(reader)) <= {"0"}
+    assert writer.readers == [reader.guid]
+
+
+def test_a_sample_for_one_reader_leaves_no_hole_for_the_others() -> None:
+    world = World(2, loss=0.2)
+    server, one, other = world.join(), world.join(), world.join()
+    writer = writer_of(world, server)
+    first, second = reader_of(world, one), reader_of(world, other)
+    assert world.run_until(lambda: len(writer.readers) == 2)
+    world.run(1.0)
+    for number in range(20):
+        target = (first, second)[number % 2].guid
+        writer.write(payload(str(number)), world.now, only_to=target)
+    assert world.run_until(lambda: writer.acknowledged(world.now) == 20)
+    assert one.texts(first) == numbers(0, 20, 2)
+    assert other.texts(second) == numbers(1, 20, 2)
+    assert one.all(SamplesLost) == other.all(SamplesLost) == []
+    assert writer.kept == 0
+
+
+def test_a_full_history_rejects_samples_until_readers_have_acknowledged() -> None:
+    world = World()
+    one, other = world.join(limits=RtpsLimits(history=1000, history_samples=3)), world.join()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(1.0)
+    write(world, writer, "0", "1", "2")
+    with pytest.raises(LimitReached, match=r"history of 3 samples and 24 bytes is full"):
+        write(world, writer, "3")
+    world.run(1.0)
+    write(world, writer, "3")
+    with pytest.raises(LimitReached):
+        write(world, writer, "x" * 1000)
+    world.run(1.0)
+    assert other.texts(reader) == numbers(4)
+
+
+def test_a_reader_that_is_silent_for_long_keeps_nothing_back() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(1.0)
+    world.kill(other)
+    write(world, writer, "0")
+    world.run(9.0)
+    assert writer.acknowledged(world.now) == 0
+    world.run(2.0)
+    write(world, writer, "1")
+    assert writer.readers == [reader.guid]
+    assert writer.kept == 0
+
+
+def test_a_sample_has_the_time_and_the_parameters_of_its_writer() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one)
+    reader = reader_of(world, other)
+    world.run(1.0)
+    stamp = 1_700_000_000.123456789
+    writer.write(payload("a"), world.now, time=stamp, inline_qos=[(0x83, b"x" * 24)])
+    writer.write(payload("b"), world.now)
+    writer.write(payload("c" * 100_000), world.now, time=stamp, inline_qos=[(0x83, b"y" * 24)])
+    world.run(1.0)
+    samples = other.samples(reader)
+    assert [sample.time for sample in samples] == [pytest.approx(stamp, abs=1e-6), None, stamp]
+    values = [s.inline_qos and s.inline_qos.all(0x83) for s in samples]
+    assert values == [[b"x" * 24], None, [b"y" * 24]]
+
+
+def test_a_reader_asks_when_it_is_told_to() -> None:
+    world = World()
+    one, other = world.pair()
+    writer_of(world, one)
+    reader, unreliable = reader_of(world, other), reader_of(world, other, BEST_EFFORT)
+    world.run(1.0)
+    reader.ask(world.now)
+    unreliable.ask(world.now)
+    ((datagram, _),) = other.participant.datagrams_to_send()
+    (nack,) = [each for each in read_packet(datagram).submessages if isinstance(each, AckNack)]
+    assert nack.reader == reader.guid.entity
+    assert not nack.is_final
+    assert nack.missing.base == 1
+
+
+def test_several_samples_and_their_heartbeat_travel_in_one_datagram() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(1.0)
+    write(world, writer, *numbers(100), *("x" * 60_000 for _ in range(3)))
+    datagrams = [datagram for datagram, _ in one.participant.datagrams_to_send()]
+    assert len(datagrams) == 4
+    assert max(map(len, datagrams)) < 65_507
+    assert not any(isinstance(each, Timestamp) for each in read_packet(datagrams[0]).submessages)
+    for datagram in datagrams:
+        other.participant.receive(datagram, (one.host, 7410), world.now)
+    world.flush()
+    assert len(other.texts(reader)) == 103
+
+
+def test_two_readers_of_one_participant_each_get_every_sample() -> None:
+    world = World(4, loss=0.2)
+    one, other = world.pair()
+    writer = writer_of(world, one)
+    readers = [reader_of(world, other), reader_of(world, other)]
+    assert world.run_until(lambda: len(other.all(EndpointMatched)) == 2 == len(writer.readers))
+    write(world, writer, *numbers(20))
+    assert world.run_until(lambda: all(len(other.texts(each)) == 20 for each in readers))
+
+
+def test_a_payload_without_an_encapsulation_header_is_rejected() -> None:
+    world = World()
+    writer = writer_of(world, world.join())
+    with pytest.raises(ValueError, match="no encapsulation header of 4 bytes"):
+        writer.write(b"abc", world.now)
+
+
+def test_a_fragment_size_that_does_not_fit_is_rejected() -> None:
+    with pytest.raises(ValueError, match="fragment size 65000 is not between 256 and 63,000"):
+        World().join(fragment_size=65_000)

@@ -1,0 +1,146 @@
+"""Participants on a network in virtual time, which loses, delays, repeats and reorders."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Callable
+from random import Random
+from typing import TypeVar
+
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.events import Event, SampleReceived
+from fibaction_transports.rtps.limits import RtpsLimits
+from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.participant import Participant, ParticipantSettings
+from fibaction_transports.rtps.qos import Qos
+
+GROUP = ("239.255.0.1", 7400)
+TOPIC, TYPE = "rt/chatter", "std_msgs::msg::dds_::String_"
+E = TypeVar("E")
+
+
+def payload(text: str) -> bytes:
+    """Return a payload of any length, with its encapsulation header."""
+    return b"\x00\x01\x00\x00" + text.encode()
+
+
+class Node:
+    """A participant at an address, and what it has told."""
+
+    def __init__(self, participant: Participant, host: str) -> None:
+        self.participant = participant
+        self.host = host
+        self.told: list[Event] = []
+
+    def all(self, kind: type[E]) -> list[E]:
+        """Return the events of a kind."""
+        return [event for event in self.told if isinstance(event, kind)]
+
+    def samples(self, reader: DataReader) -> list[Sample]:
+        """Return the samples that a reader has received."""
+        found = self.all(SampleReceived)
+        return [event.sample for event in found if event.reader == reader.guid]
+
+    def texts(self, reader: DataReader) -> list[str]:
+        """Return the texts that a reader has received."""
+        return [sample.payload[4:].decode() for sample in self.samples(reader)]
+
+
+class World:
+    """A network and its participants."""
+
+    def __init__(
+        self, seed: int = 0, *, loss: float = 0, delay: float = 0.0001, repeats: float = 0
+    ) -> None:
+        self.random = Random(seed)
+        self.now = 0.0
+        self.nodes: dict[str, Node] = {}
+        self.loss, self.delay, self.repeats = loss, delay, repeats
+        self.sent = 0
+        self.is_lost: Callable[[bytes, Address], bool] = lambda datagram, address: False
+        """A rule for losses of its own."""
+        self._under_way: list[tuple[float, int, bytes, Address, Address]] = []
+        self._order = itertools.count()
+
+    def join(
+        self, *, lease: float = 20.0, fragment_size: int = 63_000, limits: RtpsLimits | None = None
+    ) -> Node:
+        """Add a participant."""
+        number = len(self.nodes) + 1
+        host = f"10.0.0.{number}"
+        settings = ParticipantSettings(
+            discovery_addresses=((host, 7410),),
+            data_addresses=((host, 7411),),
+            announce_to=(GROUP,),
+            lease=lease,
+            fragment_size=fragment_size,
+            limits=limits or RtpsLimits(),
+        )
+        prefix = b"\x01\x7f" + number.to_bytes(10, "big")
+        node = Node(Participant(settings, self.now, prefix=prefix), host)
+        self.nodes[host] = node
+        return node
+
+    def kill(self, node: Node) -> None:
+        """Take a participant away, without a word."""
+        del self.nodes[node.host]
+
+    def pair(self) -> tuple[Node, Node]:
+        """Add two participants, and wait until both know each other."""
+        one, other = self.join(), self.join()
+        self.run(1.0)
+        return one, other
+
+    def flush(self) -> None:
+        """Take what the participants want to send and tell."""
+        for node in list(self.nodes.values()):
+            for datagram, address in node.participant.datagrams_to_send():
+                self.send(datagram, (node.host, 7410), address)
+            node.told += node.participant.events()
+
+    def send(self, datagram: bytes, source: Address, address: Address) -> None:
+        """Send a datagram, which may be lost or repeated."""
+        self.sent += 1
+        for _ in range(1 + (self.random.random() < self.repeats)):
+            if self.random.random() >= self.loss and not self.is_lost(datagram, address):
+                when = self.now + self.random.uniform(0.00005, self.delay)
+                item = (when, next(self._order), datagram, source, address)
+                heapq.heappush(self._under_way, item)
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        self.run_until(lambda: False, seconds)
+
+    def run_until(self, is_done: Callable[[], bool], limit: float = 60.0) -> bool:
+        """Let time pass until something holds, at most the limit; return whether it holds."""
+        end = self.now + limit
+        while True:
+            self.flush()
+            if is_done():
+                return True
+            nodes = [node.participant for node in self.nodes.values()]
+            arrival = self._under_way[0][0] if self._under_way else math.inf
+            deadline = min((each.next_deadline() for each in nodes), default=math.inf)
+            if min(arrival, deadline) > end:
+                self.now = end
+                return False
+            self.now = max(self.now, min(arrival, deadline))
+            if arrival <= deadline:
+                self._arrive()
+            else:
+                for participant in nodes:
+                    participant.handle_deadline(self.now)
+
+    def _arrive(self) -> None:
+        _, _, datagram, source, (host, _) = heapq.heappop(self._under_way)
+        for node in list(self.nodes.values()):
+            if node.host == host or (host == GROUP[0] and node.host != source[0]):
+                node.participant.receive(datagram, source, self.now)
+
+
+def reader_of(world: World, node: Node, qos: Qos | None = None, topic: str = TOPIC) -> DataReader:
+    """Create a reader."""
+    return node.participant.create_reader(topic, TYPE, qos or Qos(), world.now)

@@ -1,0 +1,5 @@
+"""RTPS 2.3, the protocol of DDS, for topics of ROS 2 without ROS.
+
+`participant` is the library, which does no I/O, and `network` runs it with sockets. No transport
+uses it yet.
+"""

@@ -1,0 +1,34 @@
+"""The endpoints of this participant: those of discovery, and those of the user's topics."""
+
+from __future__ import annotations
+
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, Guid, is_builtin
+
+_BUILTIN_READER = b"\xc7"
+
+
+class LocalEndpoints:
+    """The endpoints of a participant, by their entities."""
+
+    def __init__(self) -> None:
+        self.writers: dict[bytes, DataWriter] = {}
+        self.readers: dict[bytes, DataReader] = {}
+
+    def user_writers(self) -> list[DataWriter]:
+        """Return the writers of the user's topics."""
+        return [found for entity, found in self.writers.items() if not is_builtin(entity)]
+
+    def user_readers(self) -> list[DataReader]:
+        """Return the readers of the user's topics."""
+        return [found for entity, found in self.readers.items() if not is_builtin(entity)]
+
+    def addressed(self, entity: bytes, writer: Guid) -> list[DataReader]:
+        """Return the readers that something from a writer is for, whether they match or not."""
+        if entity == UNKNOWN_ENTITY and is_builtin(writer.entity):
+            entity = writer.entity[:3] + _BUILTIN_READER
+        if entity != UNKNOWN_ENTITY:
+            reader = self.readers.get(entity)
+            return [] if reader is None else [reader]
+        return [reader for reader in self.readers.values() if reader.is_matched(writer)]

@@ -1,0 +1,83 @@
+"""The rule which endpoints exchange samples: same topic, same type, and a fitting QoS."""
+
+from __future__ import annotations
+
+from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
+from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
+from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
+from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
+from fibaction_transports.rtps.discovery.remote_endpoints import RemoteEndpoints
+from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.shared import SharedParts
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.events import EndpointMatched, EndpointUnmatched, QosMismatch
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.qos import mismatches
+
+
+class Matcher:
+    """Matches the endpoints of this participant with those of others."""
+
+    def __init__(
+        self,
+        local: LocalEndpoints,
+        remote: RemoteEndpoints,
+        participants: KnownParticipants,
+        early: EarlyHeartbeats,
+        liveliness: WriterLiveliness,
+        shared: SharedParts,
+    ) -> None:
+        self._local = local
+        self._remote = remote
+        self._participants = participants
+        self._early = early
+        self._liveliness = liveliness
+        self._shared = shared
+
+    def match_local(self, endpoint: DataWriter | DataReader, now: float) -> None:
+        """Match a new endpoint of this participant with those of others."""
+        for data in self._remote.on_topic(endpoint.topic):
+            if data.guid.is_reader == isinstance(endpoint, DataWriter):
+                self._match(endpoint, data, now)
+
+    def match_remote(self, data: EndpointData, now: float) -> None:
+        """Match a new endpoint of another participant with those of this one."""
+        for endpoint in self._local_opposites(data.guid):
+            if endpoint.topic == data.topic:
+                self._match(endpoint, data, now)
+
+    def unmatch_remote(self, guid: Guid, now: float) -> None:
+        """End the matches of an endpoint of another participant."""
+        for endpoint in self._local_opposites(guid):
+            if isinstance(endpoint, DataWriter):
+                was_matched = endpoint.unmatch(guid, now)
+            else:
+                was_matched = endpoint.unmatch(guid)
+                self._liveliness.forget(endpoint.guid, guid)
+            if was_matched:
+                self._shared.emit(EndpointUnmatched(endpoint.guid, guid))
+
+    def _local_opposites(self, guid: Guid) -> list[DataWriter] | list[DataReader]:
+        if guid.is_reader:
+            return self._local.user_writers()
+        return self._local.user_readers()
+
+    def _match(self, endpoint: DataWriter | DataReader, data: EndpointData, now: float) -> None:
+        is_writer = isinstance(endpoint, DataWriter)
+        pair = (endpoint.qos, data.qos) if is_writer else (data.qos, endpoint.qos)
+        reasons = mismatches(*pair)
+        if endpoint.type_name != data.type_name:
+            reasons.insert(0, f"type: {endpoint.type_name} here, {data.type_name} there")
+        if reasons:
+            self._shared.emit(QosMismatch(endpoint.guid, data.guid, tuple(reasons)))
+            return
+        participant = self._participants.of(data.guid)
+        route = participant.route(data.locators)
+        self._shared.emit(EndpointMatched(endpoint.guid, data.guid))
+        if isinstance(endpoint, DataWriter):
+            endpoint.match(data.guid, route, data.qos, now)
+            return
+        self._liveliness.follow(endpoint.guid, data.guid, data.qos, now)
+        heartbeat = self._early.take(data.guid)
+        endpoint.match(data.guid, route, data.qos, participant.data.vendor, now, heartbeat)

@@ -1,0 +1,1 @@
+"""Writers and readers of topics: histories, acknowledgements, repairs and fragments."""

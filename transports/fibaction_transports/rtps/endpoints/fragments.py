@@ -1,0 +1,100 @@
+"""Samples that arrive in fragments, within one bound for all readers of a participant."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from fibaction_transports.rtps.limits import RtpsLimits
+from fibaction_transports.rtps.messages.number_sets import MAX_BITS
+from fibaction_transports.rtps.messages.parameters import Parameters
+from fibaction_transports.rtps.messages.submessages import DataFragment, NumberSet
+
+_OVERHEAD = 512
+"""Bytes that are counted for an incomplete sample beside its content."""
+_ARRIVED = 1
+
+
+class PartialSample:
+    """One sample of which not all fragments have arrived."""
+
+    def __init__(self, fragment: DataFragment, home: dict[int, PartialSample]) -> None:
+        """Make room for the sample of a fragment, without its content.
+
+        It is in its home, by its number, until it is complete or given up.
+        """
+        self.number = fragment.number
+        self.home = home
+        self.inline_qos: Parameters | None = None
+        self.data = bytearray(fragment.sample_size)
+        self._fragment_size = fragment.fragment_size
+        self._left = -(-fragment.sample_size // fragment.fragment_size)
+        self._arrived = bytearray(self._left)
+
+    @property
+    def size(self) -> int:
+        """Bytes that are counted for it."""
+        return len(self.data) + len(self._arrived) + _OVERHEAD
+
+    @property
+    def is_complete(self) -> bool:
+        """True if every fragment has arrived."""
+        return not self._left
+
+    def add(self, fragment: DataFragment) -> bool:
+        """Put fragments into their places; return False if they are of another sample."""
+        size = self._fragment_size
+        if fragment.sample_size != len(self.data) or fragment.fragment_size != size:
+            return False
+        if fragment.inline_qos is not None:
+            self.inline_qos = fragment.inline_qos
+        first = fragment.first - 1
+        start = first * size
+        self.data[start : start + len(fragment.payload)] = fragment.payload
+        last = first + fragment.count
+        self._left -= self._arrived.count(0, first, last)
+        self._arrived[first:last] = bytes([_ARRIVED]) * fragment.count
+        return True
+
+    def missing(self) -> NumberSet:
+        """Return the numbers of missing fragments, as many as a request can name."""
+        first = self._arrived.find(0)
+        end = min(first + MAX_BITS, len(self._arrived))
+        numbers = (at + 1 for at in range(first, end) if not self._arrived[at])
+        return NumberSet(first + 1, tuple(numbers))
+
+
+class PartialSamples:
+    """The incomplete samples of all readers. If they need too much memory, the one that has
+    been without a new fragment for the longest time is given up.
+    """
+
+    def __init__(self, limits: RtpsLimits) -> None:
+        self._sample_limit = limits.sample
+        self._limit = limits.incomplete
+        self._waiting: OrderedDict[PartialSample, None] = OrderedDict()
+        self.held = 0
+        """Bytes that all of them need."""
+
+    def start(self, fragment: DataFragment, home: dict[int, PartialSample]) -> PartialSample | None:
+        """Put a new sample into its home; return None if it exceeds a limit."""
+        if fragment.sample_size > self._sample_limit:
+            return None
+        partial = PartialSample(fragment, home)
+        if partial.size > self._limit:
+            return None
+        while self.held + partial.size > self._limit:
+            self.remove(next(iter(self._waiting)))
+        self.held += partial.size
+        self._waiting[partial] = None
+        home[partial.number] = partial
+        return partial
+
+    def touch(self, partial: PartialSample) -> None:
+        """Note that a fragment has arrived."""
+        self._waiting.move_to_end(partial)
+
+    def remove(self, partial: PartialSample) -> None:
+        """Take a sample out of its home: it is complete, or not needed."""
+        del self._waiting[partial]
+        del partial.home[partial.number]
+        self.held -= partial.size

@@ -1,0 +1,97 @@
+"""The samples that a writer keeps, for readers that come later or have lost some."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from msgspec import Struct
+
+from fibaction.words.errors import LimitReached
+from fibaction_transports.rtps.limits import RtpsLimits
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.parameters import Parameters
+
+
+class StoredSample(Struct, frozen=True, kw_only=True):
+    """A sample that is to be sent, perhaps several times."""
+
+    payload: bytes
+    """The serialized data, padded."""
+    inline_qos: Parameters | None = None
+    time: float | None = None
+    only_to: Guid | None = None
+    """The one reader that the sample is for; None for all."""
+    key: bytes = b""
+    """The key of the sample, in a topic with keys."""
+    is_disposed: bool = False
+    """True if what it is about is disposed: the payload is its key only."""
+
+
+class History:
+    """The samples of one writer, by their numbers.
+
+    With a depth, the newest of each key are kept; without one, all until `forget` is called.
+    """
+
+    def __init__(self, depth: int | None, limits: RtpsLimits) -> None:
+        self._depth = depth
+        self._limits = limits
+        self._samples: dict[int, StoredSample] = {}
+        self._numbers: dict[bytes, deque[int]] = {}
+        self._bytes = 0
+        self.last = 0
+        """The number of the newest sample, kept or not; 0 if there is none."""
+
+    @property
+    def first(self) -> int:
+        """The number of the oldest sample that is kept; one more than `last` if there is none."""
+        return next(iter(self._samples), self.last + 1)
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def get(self, number: int) -> StoredSample | None:
+        """Return a sample; None if it is not kept."""
+        return self._samples.get(number)
+
+    def add(self, sample: StoredSample) -> int:
+        """Keep a sample, and return its number.
+
+        Raises:
+            LimitReached: The history is full.
+        """
+        numbers = self._numbers.get(sample.key, deque())
+        while self._depth is not None and len(numbers) >= self._depth:
+            self.forget(numbers[0])
+        size = self._bytes + len(sample.payload)
+        if size > self._limits.history or len(self._samples) >= self._limits.history_samples:
+            raise LimitReached(
+                f"history of {len(self._samples)} samples and {self._bytes} bytes is full:"
+                " wait until readers have acknowledged, or write less"
+            )
+        self._bytes = size
+        self.last += 1
+        self._samples[self.last] = sample
+        numbers.append(self.last)
+        self._numbers[sample.key] = numbers
+        return self.last
+
+    def forget(self, number: int) -> None:
+        """Keep a sample no longer."""
+        sample = self._samples.pop(number)
+        self._bytes -= len(sample.payload)
+        numbers = self._numbers[sample.key]
+        numbers.remove(number)
+        if not numbers:
+            del self._numbers[sample.key]
+
+    def forget_acknowledged(self, number: int, *, is_volatile: bool) -> None:
+        """Forget samples up to a number that no reader needs again.
+
+        A history that is not volatile keeps them for later readers, but for disposed ones.
+        """
+        for at in list(self._samples):
+            if at > number:
+                break
+            if is_volatile or self._samples[at].is_disposed:
+                self.forget(at)

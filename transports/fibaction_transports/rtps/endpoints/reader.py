@@ -1,0 +1,118 @@
+"""The reader of a topic, reliable or best effort."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.endpoints.shared import SharedParts
+from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.submessages import (
+    Data,
+    DataFragment,
+    Gap,
+    WriterHeartbeat,
+)
+from fibaction_transports.rtps.outbox import PeerRoute
+from fibaction_transports.rtps.qos import Qos
+
+Deliver: TypeAlias = Callable[[Guid, Sample, float], None]
+"""A callback for a reader's GUID, a sample and the time."""
+
+
+class DataReader:
+    """The reader of a topic: it hands over the samples of each writer in order, and once."""
+
+    def __init__(
+        self,
+        guid: Guid,
+        topic: str,
+        type_name: str,
+        qos: Qos,
+        shared: SharedParts,
+        deliver: Deliver,
+    ) -> None:
+        self.guid = guid
+        self.topic = topic
+        self.type_name = type_name
+        self.qos = qos
+        self._shared = shared
+        self._deliver = deliver
+        self._writers: dict[Guid, WriterProxy] = {}
+
+    @property
+    def writers(self) -> list[Guid]:
+        """The matched writers of other participants."""
+        return list(self._writers)
+
+    def is_matched(self, writer: Guid) -> bool:
+        """Return whether samples of this writer are taken."""
+        return writer in self._writers
+
+    def match(
+        self,
+        writer: Guid,
+        route: PeerRoute,
+        qos: Qos,
+        vendor: bytes,
+        now: float,
+        heartbeat: WriterHeartbeat | None = None,
+    ) -> None:
+        """Take the samples of a writer from now on, which may have sent a heartbeat before."""
+        is_reliable = self.qos.is_reliable and qos.is_reliable
+        proxy = WriterProxy(writer, route, vendor, self.guid, self._shared, self._deliver)
+        self._writers[writer] = proxy
+        if is_reliable:
+            proxy.start_reliable(heartbeat, now)
+
+    def unmatch(self, writer: Guid) -> bool:
+        """Forget a writer; return whether it was matched."""
+        proxy = self._writers.pop(writer, None)
+        if proxy is not None:
+            proxy.close()
+        return proxy is not None
+
+    def ask(self, now: float) -> None:
+        """Ask every writer for its newest samples, without waiting for its heartbeat.
+
+        Fast DDS repeats a lost heartbeat only after three seconds. If you wait for an answer, ask
+        after some 30 ms, and again after twice the time.
+        """
+        for proxy in self._writers.values():
+            proxy.ask(now)
+
+    def receive_data(self, writer: Guid, data: Data, time: float | None, now: float) -> None:
+        """Take a sample."""
+        proxy = self._writers.get(writer)
+        if proxy is not None:
+            proxy.receive_data(data, time, now)
+
+    def receive_fragment(
+        self, writer: Guid, fragment: DataFragment, time: float | None, now: float
+    ) -> None:
+        """Take fragments of a sample."""
+        proxy = self._writers.get(writer)
+        if proxy is not None:
+            proxy.receive_fragment(fragment, time, now)
+
+    def receive_heartbeat(self, writer: Guid, heartbeat: WriterHeartbeat, now: float) -> bool:
+        """Note which samples there are, and request those that are missing; return False if the
+        writer is not matched.
+        """
+        proxy = self._writers.get(writer)
+        if proxy is not None:
+            proxy.receive_heartbeat(heartbeat, now)
+        return proxy is not None
+
+    def receive_gap(self, writer: Guid, gap: Gap, now: float) -> None:
+        """Note the samples that do not come."""
+        proxy = self._writers.get(writer)
+        if proxy is not None:
+            proxy.receive_gap(gap, now)
+
+    def close(self) -> None:
+        """Forget all writers."""
+        for writer in self.writers:
+            self.unmatch(writer)

@@ -1,0 +1,71 @@
+"""Samples of a topic: as received, and their payload with its padding."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.parameters import STATUS_INFO, Parameters
+from fibaction_transports.rtps.messages.submessages import Data
+
+ENCAPSULATION = 4
+"""Size of the encapsulation header, with which each payload begins."""
+_PADDING_BITS = 0x03
+_ENDED_BITS = 0x03
+DISPOSED = b"\x00\x00\x00\x03"
+"""The status of a sample that says: disposed and unregistered."""
+
+
+class Sample(Struct, frozen=True):
+    """One sample that a reader has received."""
+
+    writer: Guid
+    number: int
+    payload: bytes
+    """The serialized data with its encapsulation header, without padding; or empty."""
+    inline_qos: Parameters | None = None
+    time: float | None = None
+    """The time of the writer, in seconds since 1970; None if it has not told it."""
+    is_key: bool = False
+    """True if the payload is a key only."""
+
+    @property
+    def is_ended(self) -> bool:
+        """True if the sample says that what it is about is disposed or unregistered."""
+        if self.inline_qos is None:
+            return False
+        return any(
+            int.from_bytes(status[3:4]) & _ENDED_BITS for status in self.inline_qos.all(STATUS_INFO)
+        )
+
+
+def received_sample(writer: Guid, data: Data, time: float | None) -> Sample:
+    """Return the sample in a submessage, as its own bytes."""
+    content = b"" if data.payload is None else unpadded(data.payload)
+    return Sample(writer, data.number, content, data.inline_qos, time, data.is_key)
+
+
+def padded(payload: bytes) -> bytes:
+    """Return a payload whose length is a multiple of four, with the padding in its header.
+
+    Raises:
+        ValueError: The payload has no encapsulation header.
+    """
+    if len(payload) < ENCAPSULATION:
+        raise ValueError(f"payload of {len(payload)} bytes has no encapsulation header of 4 bytes")
+    padding = -len(payload) % 4
+    if padding == payload[3] & _PADDING_BITS == 0:
+        return payload
+    return b"".join(
+        (payload[:3], bytes([payload[3] & ~_PADDING_BITS | padding]), payload[4:], bytes(padding))
+    )
+
+
+def unpadded(payload: bytes | bytearray | memoryview) -> bytes:
+    """Return a received payload without its padding, and with none in its header."""
+    padding = payload[3] & _PADDING_BITS
+    if not padding or len(payload) < ENCAPSULATION + padding:
+        return bytes(payload)
+    view = memoryview(payload)
+    end = len(payload) - padding
+    return b"".join((view[:3], bytes([payload[3] & ~_PADDING_BITS]), view[4:end]))

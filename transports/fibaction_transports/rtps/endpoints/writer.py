@@ -1,0 +1,157 @@
+"""The writer of a topic, reliable or best effort."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fibaction_transports.rtps.endpoints.history import History, StoredSample
+from fibaction_transports.rtps.endpoints.reader_proxy import ReaderProxy
+from fibaction_transports.rtps.endpoints.sample import padded
+from fibaction_transports.rtps.endpoints.shared import SharedParts
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.parameters import Parameters
+from fibaction_transports.rtps.messages.submessages import AckNack, FragmentNack
+from fibaction_transports.rtps.outbox import PeerRoute
+from fibaction_transports.rtps.qos import Qos
+
+FIRST_HEARTBEAT = 0.02
+"""Seconds after which a writer asks readers again for what they have not acknowledged."""
+LONGEST_HEARTBEAT = 1.0
+"""The longest time between two such questions, in seconds: each pause is twice the one before."""
+
+
+class DataWriter:
+    """The writer of a topic: it keeps samples, and sends them until readers have them.
+
+    A reader that has been silent for long keeps nothing back: its samples are forgotten when all
+    others have acknowledged them.
+    """
+
+    def __init__(
+        self, guid: Guid, topic: str, type_name: str, qos: Qos, shared: SharedParts
+    ) -> None:
+        self.guid = guid
+        self.topic = topic
+        self.type_name = type_name
+        self.qos = qos
+        self._shared = shared
+        self._history = History(qos.depth, shared.limits)
+        self._readers: dict[Guid, ReaderProxy] = {}
+        self._pause = FIRST_HEARTBEAT
+
+    @property
+    def readers(self) -> list[Guid]:
+        """The matched readers of other participants."""
+        return list(self._readers)
+
+    @property
+    def last(self) -> int:
+        """The number of the newest sample; 0 if there is none."""
+        return self._history.last
+
+    @property
+    def kept(self) -> int:
+        """Number of samples that are kept."""
+        return len(self._history)
+
+    def acknowledged(self, now: float) -> int:
+        """Return the number up to which every reader has all samples; silent ones do not count."""
+        return min(
+            (
+                proxy.acknowledged
+                for proxy in self._readers.values()
+                if proxy.is_reliable and not proxy.is_silent(now)
+            ),
+            default=self.last,
+        )
+
+    def write(
+        self,
+        payload: bytes,
+        now: float,
+        *,
+        inline_qos: Sequence[tuple[int, bytes]] = (),
+        time: float | None = None,
+        only_to: Guid | None = None,
+    ) -> int:
+        """Send a sample to all matched readers, or only to one; return its number.
+
+        The payload begins with its encapsulation header of 4 bytes. The inline QoS are parameters,
+        by their IDs, in little-endian.
+
+        Raises:
+            LimitReached: The history is full.
+            ValueError: The payload has no encapsulation header.
+        """
+        inline = Parameters(tuple(inline_qos)) if inline_qos else None
+        sample = StoredSample(
+            payload=padded(payload), inline_qos=inline, time=time, only_to=only_to
+        )
+        return self.write_sample(sample, now)
+
+    def write_sample(self, sample: StoredSample, now: float) -> int:
+        """Send a sample whose payload is padded already; return its number.
+
+        Raises:
+            LimitReached: The history is full.
+        """
+        self._forget(now)
+        number = self._history.add(sample)
+        for proxy in self._readers.values():
+            if not proxy.has_unacknowledged(number - 1):
+                proxy.waits_since = now
+            proxy.send([number], now)
+        self._pause = FIRST_HEARTBEAT
+        self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
+        self._forget(now)
+        return number
+
+    def match(self, reader: Guid, route: PeerRoute, qos: Qos, now: float) -> None:
+        """Send samples to a reader from now on, and those that are kept if it asks for them."""
+        is_reliable = self.qos.is_reliable and qos.is_reliable
+        is_late = self.qos.is_transient_local and qos.is_transient_local
+        proxy = ReaderProxy(reader, route, self.guid.entity, self._history, self._shared)
+        proxy.start(0 if is_late else self.last, is_reliable=is_reliable, now=now)
+        self._readers[reader] = proxy
+        if is_reliable:
+            proxy.heartbeat()
+            self._pause = FIRST_HEARTBEAT
+            self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
+        elif is_late:
+            proxy.send(range(self._history.first, self.last + 1), now)
+
+    def unmatch(self, reader: Guid, now: float) -> bool:
+        """Forget a reader; return whether it was matched."""
+        found = self._readers.pop(reader, None) is not None
+        self._forget(now)
+        return found
+
+    def receive_acknack(self, reader: Guid, nack: AckNack, now: float) -> None:
+        """Note what a reader has, and send what it misses."""
+        proxy = self._readers.get(reader)
+        if proxy is not None and proxy.is_reliable and nack.missing.base <= self.last + 1:
+            proxy.receive_acknack(nack, now)
+            self._forget(now)
+
+    def receive_fragment_nack(self, reader: Guid, nack: FragmentNack, now: float) -> None:
+        """Send the fragments that a reader misses."""
+        proxy = self._readers.get(reader)
+        if proxy is not None and proxy.is_reliable:
+            proxy.receive_fragment_nack(nack, now)
+
+    def on_heartbeat_due(self, now: float) -> None:
+        """Ask the readers again that have not acknowledged everything."""
+        waiting = [p for p in self._readers.values() if p.has_unacknowledged(self.last)]
+        for proxy in waiting:
+            proxy.heartbeat()
+        self._pause = min(self._pause * 2, LONGEST_HEARTBEAT)
+        if waiting:
+            self._shared.timers.set(self.on_heartbeat_due, now + self._pause)
+
+    def close(self) -> None:
+        """Send nothing any more."""
+        self._shared.timers.cancel(self.on_heartbeat_due)
+
+    def _forget(self, now: float) -> None:
+        is_volatile = not self.qos.is_transient_local
+        self._history.forget_acknowledged(self.acknowledged(now), is_volatile=is_volatile)

@@ -1,0 +1,1 @@
+"""The wire format of RTPS: packets, their submessages, and lists of parameters."""

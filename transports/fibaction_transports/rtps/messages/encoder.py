@@ -1,0 +1,139 @@
+"""Submessages as bytes. Each is a multiple of four bytes long if its payload is."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from fibaction_transports.rtps.messages import kinds
+from fibaction_transports.rtps.messages.layout import LITTLE, U32, Order, halves, time_halves
+from fibaction_transports.rtps.messages.locators import Locator, locator_bytes
+from fibaction_transports.rtps.messages.number_sets import bits_bytes
+from fibaction_transports.rtps.messages.parameters import parameters_bytes
+from fibaction_transports.rtps.messages.submessages import (
+    AckNack,
+    Data,
+    DataFragment,
+    Destination,
+    FragmentHeartbeat,
+    FragmentNack,
+    Gap,
+    NumberSet,
+    ReplyLocators,
+    SourceInfo,
+    Submessage,
+    Timestamp,
+    WriterHeartbeat,
+)
+
+_Parts: TypeAlias = tuple[int, int, bytes]
+"""The kind, the flags and the body of a submessage."""
+
+_MAX_BODY = 2**16 - 1
+
+
+def packet_head(vendor: bytes, prefix: bytes) -> bytes:
+    """Return the head of a packet, after which its submessages follow."""
+    return kinds.MAGIC + kinds.VERSION + vendor + prefix
+
+
+def submessage_bytes(submessage: Submessage, order: Order = LITTLE) -> bytes:
+    """Return a submessage as on the wire; inline QoS must have the same byte order.
+
+    Raises:
+        ValueError: It is longer than 65,535 bytes.
+    """
+    kind, flags, body = _parts(submessage, order)
+    if len(body) > _MAX_BODY:
+        raise ValueError(f"submessage of {len(body)} bytes exceeds {_MAX_BODY} bytes")
+    flags |= kinds.LITTLE_FLAG if order == LITTLE else 0
+    return kinds.SUBMESSAGE_HEAD[order].pack(kind, flags, len(body)) + body
+
+
+def _parts(submessage: Submessage, order: Order) -> _Parts:
+    match submessage:
+        case Data():
+            return _data(submessage, order)
+        case DataFragment():
+            return _fragment(submessage, order)
+        case AckNack() | FragmentNack():
+            return _nack(submessage, order)
+        case WriterHeartbeat() | FragmentHeartbeat():
+            return _heartbeat(submessage, order)
+        case Gap(reader, writer, start, rest):
+            numbers = (*halves(start), *halves(rest.base))
+            head = kinds.GAP_HEAD[order].pack(reader, writer, *numbers)
+            return kinds.GAP, 0, head + bits_bytes(rest.base, rest.numbers, order)
+        case Destination(prefix):
+            return kinds.INFO_DST, 0, prefix
+        case SourceInfo(vendor, prefix):
+            body = kinds.SOURCE_BODY[order].pack(kinds.VERSION, vendor, prefix)
+            return kinds.INFO_SRC, 0, body
+        case Timestamp(time):
+            if time is None:
+                return kinds.INFO_TS, kinds.INVALID_FLAG, b""
+            return kinds.INFO_TS, 0, kinds.TIME_BODY[order].pack(*time_halves(time))
+        case _:
+            return _reply(submessage, order)
+
+
+def _data(data: Data, order: Order) -> _Parts:
+    distance = kinds.DATA_HEAD.size - kinds.TO_INLINE
+    head = kinds.DATA_HEAD[order].pack(0, distance, data.reader, data.writer, *halves(data.number))
+    inline = b"" if data.inline_qos is None else parameters_bytes(data.inline_qos)
+    flags = kinds.INLINE_FLAG if inline else 0
+    if data.payload is not None:
+        flags |= kinds.KEY_FLAG if data.is_key else kinds.PAYLOAD_FLAG
+    return kinds.DATA, flags, b"".join((head, inline, data.payload or b""))
+
+
+def _fragment(fragment: DataFragment, order: Order) -> _Parts:
+    head = kinds.FRAGMENT_HEAD[order].pack(
+        0,
+        kinds.FRAGMENT_HEAD.size - kinds.TO_INLINE,
+        fragment.reader,
+        fragment.writer,
+        *halves(fragment.number),
+        fragment.first,
+        fragment.count,
+        fragment.fragment_size,
+        fragment.sample_size,
+    )
+    inline = b"" if fragment.inline_qos is None else parameters_bytes(fragment.inline_qos)
+    flags = kinds.INLINE_FLAG if inline else 0
+    flags |= kinds.FRAGMENT_KEY_FLAG if fragment.is_key else 0
+    return kinds.DATA_FRAG, flags, b"".join((head, inline, fragment.payload))
+
+
+def _heartbeat(heartbeat: WriterHeartbeat | FragmentHeartbeat, order: Order) -> _Parts:
+    ends = heartbeat.reader, heartbeat.writer
+    if isinstance(heartbeat, FragmentHeartbeat):
+        numbers = (*halves(heartbeat.number), heartbeat.last, heartbeat.count)
+        return kinds.HEARTBEAT_FRAG, 0, kinds.HEARTBEAT_FRAG_BODY[order].pack(*ends, *numbers)
+    span = (*halves(heartbeat.first), *halves(heartbeat.last), heartbeat.count)
+    flags = kinds.FINAL_FLAG if heartbeat.is_final else 0
+    flags |= kinds.ALIVE_FLAG if heartbeat.is_alive else 0
+    return kinds.HEARTBEAT, flags, kinds.HEARTBEAT_BODY[order].pack(*ends, *span)
+
+
+def _nack(nack: AckNack | FragmentNack, order: Order) -> _Parts:
+    missing: NumberSet = nack.missing
+    tail = bits_bytes(missing.base, missing.numbers, order) + kinds.COUNT[order].pack(nack.count)
+    ends = nack.reader, nack.writer
+    if isinstance(nack, FragmentNack):
+        head = kinds.NACK_FRAG_HEAD[order].pack(*ends, *halves(nack.number), missing.base)
+        return kinds.NACK_FRAG, 0, head + tail
+    head = kinds.ACK_NACK_HEAD[order].pack(*ends, *halves(missing.base))
+    return kinds.ACK_NACK, kinds.FINAL_FLAG if nack.is_final else 0, head + tail
+
+
+def _reply(reply: ReplyLocators, order: Order) -> _Parts:
+    body = _locators(reply.unicast, order)
+    if not reply.multicast:
+        return kinds.INFO_REPLY, 0, body
+    return kinds.INFO_REPLY, kinds.MULTICAST_FLAG, body + _locators(reply.multicast, order)
+
+
+def _locators(locators: tuple[Locator, ...], order: Order) -> bytes:
+    return U32[order].pack(len(locators)) + b"".join(
+        locator_bytes(locator, order) for locator in locators
+    )

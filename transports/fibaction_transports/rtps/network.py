@@ -1,0 +1,217 @@
+"""A participant with sockets: the driver of the library for asyncio and trio."""
+
+from __future__ import annotations
+
+import math
+import socket
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import asynccontextmanager, closing
+
+import anyio
+
+from fibaction.words.errors import TransportError
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.events import Event
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.participant import Participant, ParticipantSettings
+from fibaction_transports.rtps.ports import (
+    LOCALHOST,
+    DiscoveryRange,
+    DomainSettings,
+    announced_addresses,
+    data_port,
+    discovery_port,
+)
+from fibaction_transports.rtps.qos import Qos
+from fibaction_transports.rtps.sockets import ParticipantSockets, default_interface
+
+MOST_AT_ONCE = 64
+"""Datagrams that are taken from a socket before other tasks get their turn."""
+_LARGEST_DATAGRAM = 2**16
+
+
+class ParticipantNetwork:
+    """A participant that sends and receives. Made by `open_network`."""
+
+    def __init__(
+        self,
+        participant: Participant,
+        sockets: ParticipantSockets,
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self.participant = participant
+        """The participant. After calling its methods that change something, call `settle`."""
+        self._sockets = sockets
+        self._on_event = on_event
+        self._sending = participant.datagrams_to_send()
+        self._unsent: tuple[bytes, Address] | None = None
+        self._is_blocked = anyio.Event()
+        self._woken = anyio.Event()
+        self._wake_at = math.inf
+
+    def create_writer(
+        self, topic: str, type_name: str, qos: Qos, *, user_data: bytes = b""
+    ) -> DataWriter:
+        """Create a writer of a topic, and announce it."""
+        now = anyio.current_time()
+        writer = self.participant.create_writer(topic, type_name, qos, now, user_data=user_data)
+        self.settle()
+        return writer
+
+    def create_reader(
+        self, topic: str, type_name: str, qos: Qos, *, user_data: bytes = b""
+    ) -> DataReader:
+        """Create a reader of a topic, and announce it."""
+        now = anyio.current_time()
+        reader = self.participant.create_reader(topic, type_name, qos, now, user_data=user_data)
+        self.settle()
+        return reader
+
+    def remove(self, endpoint: DataWriter | DataReader) -> None:
+        """Close a writer or reader, and tell others that it is gone."""
+        self.participant.remove(endpoint, anyio.current_time())
+        self.settle()
+
+    def write(
+        self,
+        writer: DataWriter,
+        payload: bytes,
+        *,
+        inline_qos: Sequence[tuple[int, bytes]] = (),
+        time: float | None = None,
+        only_to: Guid | None = None,
+    ) -> int:
+        """Send a sample, as `DataWriter.write` describes."""
+        now = anyio.current_time()
+        number = writer.write(payload, now, inline_qos=inline_qos, time=time, only_to=only_to)
+        self.settle()
+        return number
+
+    def settle(self) -> None:
+        """Send what the participant wants to send, hand over its events, and note its deadline."""
+        self._send()
+        for event in self.participant.events():
+            self._on_event(event)
+        if self.participant.next_deadline() < self._wake_at:
+            self._woken.set()
+
+    def close(self) -> None:
+        """Tell others that this participant is gone."""
+        self.participant.close(anyio.current_time())
+        self._send()
+
+    async def receive_from(self, source: socket.socket) -> None:
+        """Take the datagrams that arrive at a socket, until it is canceled."""
+        while True:
+            await anyio.wait_readable(source)
+            now = anyio.current_time()
+            for _ in range(MOST_AT_ONCE):
+                try:
+                    datagram, address = source.recvfrom(_LARGEST_DATAGRAM)
+                except BlockingIOError:
+                    break
+                except OSError:
+                    continue  # an answer of ICMP to something that was sent
+                self.participant.receive(datagram, address, now)
+            self.settle()
+
+    async def keep_deadlines(self) -> None:
+        """Wake the participant at its deadlines, until it is canceled."""
+        while True:
+            self._woken = anyio.Event()
+            self._wake_at = self.participant.next_deadline()
+            with anyio.CancelScope(deadline=self._wake_at):
+                await self._woken.wait()
+            self.participant.handle_deadline(anyio.current_time())
+            self.settle()
+
+    async def send_later(self) -> None:
+        """Go on sending when the system has room again, until it is canceled."""
+        while True:
+            await self._is_blocked.wait()
+            await anyio.wait_writable(self._sockets.sender)
+            self._is_blocked = anyio.Event()
+            self._send()
+
+    def _send(self) -> None:
+        while not self._is_blocked.is_set():
+            if self._unsent is None:
+                self._unsent = next(self._sending, None)
+            if self._unsent is None:
+                self._sending = self.participant.datagrams_to_send()
+                return
+            try:
+                self._sockets.send(*self._unsent)
+            except BlockingIOError:
+                self._is_blocked.set()
+            else:
+                self._unsent = None
+
+
+@asynccontextmanager
+async def open_network(
+    settings: DomainSettings,
+    on_event: Callable[[Event], None],
+    *,
+    interfaces: Sequence[str] = (),
+    name: str = "/",
+    fragment_size: int = 63_000,
+) -> AsyncGenerator[ParticipantNetwork, None]:
+    """Open the sockets of a participant, and run it while the block is open.
+
+    `on_event` is called for each event, in order; it must not block. The interfaces, by their
+    addresses, are for multicast; by default the one of the default route.
+
+    Raises:
+        TransportError: The sockets cannot be opened, or a static peer is unknown.
+    """
+    reach = settings.discovery_range
+    peers = await _addresses(settings.static_peers) if reach is not DiscoveryRange.OFF else ()
+    is_multicast = reach is DiscoveryRange.SUBNET
+    if is_multicast and not interfaces:
+        interfaces = (default_interface(),)
+    is_local = not is_multicast and not peers
+    hosts = interfaces if is_multicast else (LOCALHOST if is_local else default_interface(),)
+    domain = settings.domain
+    with closing(
+        ParticipantSockets(domain, is_local=is_local, interfaces=interfaces if is_multicast else ())
+    ) as sockets:
+        number = sockets.participant
+        participant = Participant(
+            ParticipantSettings(
+                discovery_addresses=tuple((host, discovery_port(domain, number)) for host in hosts),
+                data_addresses=tuple((host, data_port(domain, number)) for host in hosts),
+                announce_to=announced_addresses(settings, peers),
+                domain=domain,
+                name=name,
+                fragment_size=fragment_size,
+            ),
+            anyio.current_time(),
+        )
+        network = ParticipantNetwork(participant, sockets, on_event)
+        async with anyio.create_task_group() as tasks:
+            if reach is not DiscoveryRange.OFF:
+                for source in sockets.received:
+                    tasks.start_soon(network.receive_from, source)
+            tasks.start_soon(network.keep_deadlines)
+            tasks.start_soon(network.send_later)
+            network.settle()
+            try:
+                yield network
+            finally:
+                network.close()
+                tasks.cancel_scope.cancel()
+
+
+async def _addresses(hosts: Sequence[str]) -> tuple[str, ...]:
+    """Return the addresses of hosts."""
+    found = list[str]()
+    for host in hosts:
+        try:
+            infos = await anyio.getaddrinfo(host, None, family=socket.AF_INET)
+        except OSError as error:
+            raise TransportError(f"static peer {host!r} is unknown: {error}") from error
+        found.append(str(infos[0][4][0]))
+    return tuple(found)

@@ -1,0 +1,84 @@
+"""Submessages that wait to be sent, packed into as few datagrams as possible."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from fibaction_transports.rtps.limits import RtpsCounters
+from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
+from fibaction_transports.rtps.messages.ids import UNKNOWN_PREFIX
+from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.submessages import (
+    Data,
+    DataFragment,
+    Destination,
+    Submessage,
+    Timestamp,
+)
+
+PACKED = 64_000
+"""The longest datagram with several submessages, in bytes."""
+
+
+class PeerRoute(NamedTuple):
+    """An address, and the participant there that the submessages are for."""
+
+    address: Address
+    prefix: bytes = UNKNOWN_PREFIX
+
+
+class _Entry(NamedTuple):
+    """A submessage, and the time of its sample."""
+
+    submessage: Submessage
+    time: float | None
+
+
+class Outbox:
+    """The submessages that a participant wants to send, by their routes.
+
+    They become bytes when a datagram is taken, so a large sample for several readers is not copied
+    for each of them beforehand.
+    """
+
+    def __init__(self, vendor: bytes, prefix: bytes, limit: int, counters: RtpsCounters) -> None:
+        self._head = packet_head(vendor, prefix)
+        self._limit = limit
+        self._counters = counters
+        self._waiting: dict[PeerRoute, list[_Entry]] = {}
+        self._count = 0
+
+    def add(self, route: PeerRoute, submessage: Submessage, time: float | None = None) -> None:
+        """Send a submessage after those that wait for the same route."""
+        if self._count >= self._limit:
+            self._counters.unsent += 1
+            return
+        self._count += 1
+        self._waiting.setdefault(route, []).append(_Entry(submessage, time))
+
+    def datagrams(self) -> Iterator[tuple[bytes, Address]]:
+        """Take the datagrams one by one, with the addresses that they are for."""
+        while self._waiting:
+            route = next(iter(self._waiting))
+            entries = self._waiting.pop(route)
+            self._count -= len(entries)
+            for datagram in self._packed(route, entries):
+                yield datagram, route.address
+
+    def _packed(self, route: PeerRoute, entries: list[_Entry]) -> Iterator[bytes]:
+        first = self._head
+        if route.prefix != UNKNOWN_PREFIX:
+            first += submessage_bytes(Destination(route.prefix))
+        parts, size, time = [first], len(first), None
+        for entry in entries:
+            part = submessage_bytes(entry.submessage)
+            if size + len(part) > PACKED and len(parts) > 1:
+                yield b"".join(parts)
+                parts, size, time = [first], len(first), None
+            if entry.time != time and isinstance(entry.submessage, Data | DataFragment):
+                time = entry.time
+                parts.append(submessage_bytes(Timestamp(time)))
+            parts.append(part)
+            size += len(part)
+        yield b"".join(parts)

@@ -1,0 +1,126 @@
+"""The way of received submessages to the endpoints that they are for."""
+
+from __future__ import annotations
+
+from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
+from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
+from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
+from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
+from fibaction_transports.rtps.endpoints.sample import received_sample
+from fibaction_transports.rtps.messages.ids import (
+    SPDP_WRITER,
+    UNKNOWN_PREFIX,
+    Guid,
+    is_builtin,
+)
+from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.submessages import (
+    AckNack,
+    Data,
+    DataFragment,
+    Destination,
+    FragmentNack,
+    Gap,
+    Packet,
+    SourceInfo,
+    Submessage,
+    Timestamp,
+    WriterHeartbeat,
+)
+
+
+class MessageRouter:
+    """Takes packets, and gives each submessage to the endpoints that it is for.
+
+    INFO_REPLY is not used: answers go to the addresses that discovery has told. HEARTBEAT_FRAG is
+    not used either: fragments are requested after a pause, whether it has told of them or not.
+    """
+
+    def __init__(
+        self,
+        prefix: bytes,
+        endpoints: LocalEndpoints,
+        participants: KnownParticipants,
+        early: EarlyHeartbeats,
+        liveliness: WriterLiveliness,
+    ) -> None:
+        self._own = prefix
+        self._endpoints = endpoints
+        self._participants = participants
+        self._early = early
+        self._liveliness = liveliness
+
+    def route(self, packet: Packet, source: Address, now: float) -> None:
+        """Hand over the submessages of a packet from this address.
+
+        Raises:
+            InvalidPacket: An announcement of discovery is broken; what came before it is taken.
+        """
+        prefix, vendor = packet.prefix, packet.vendor
+        time: float | None = None
+        is_ours = True
+        for submessage in packet.submessages:
+            if isinstance(submessage, Destination):
+                is_ours = submessage.prefix in (self._own, UNKNOWN_PREFIX)
+            elif isinstance(submessage, SourceInfo):
+                prefix, vendor = submessage.prefix, submessage.vendor
+            elif isinstance(submessage, Timestamp):
+                time = submessage.time
+            elif not is_ours or prefix == self._own:
+                continue
+            elif isinstance(submessage, Data) and submessage.writer == SPDP_WRITER:
+                sample = received_sample(Guid(prefix + SPDP_WRITER), submessage, time)
+                self._participants.receive(sample, vendor, source, now)
+            else:
+                self._hand_over(prefix, submessage, time, now)
+
+    def _hand_over(
+        self, prefix: bytes, submessage: Submessage, time: float | None, now: float
+    ) -> None:
+        match submessage:
+            case AckNack(reader, writer) | FragmentNack(reader, writer):
+                self._nack(Guid(prefix + reader), writer, submessage, now)
+            case Data(reader, writer) | DataFragment(reader, writer):
+                self._sample(reader, Guid(prefix + writer), submessage, time, now)
+            case WriterHeartbeat(reader, writer):
+                self._heartbeat(reader, Guid(prefix + writer), submessage, now)
+            case Gap(reader, writer):
+                guid = Guid(prefix + writer)
+                for matched in self._endpoints.addressed(reader, guid):
+                    matched.receive_gap(guid, submessage, now)
+            case _:
+                pass
+
+    def _nack(self, reader: Guid, entity: bytes, nack: AckNack | FragmentNack, now: float) -> None:
+        writer = self._endpoints.writers.get(entity)
+        if writer is None:
+            return
+        if isinstance(nack, FragmentNack):
+            writer.receive_fragment_nack(reader, nack, now)
+            return
+        participant = self._participants.get(reader.prefix)
+        if participant is not None and is_builtin(entity):
+            participant.has_acknowledged = True
+        writer.receive_acknack(reader, nack, now)
+
+    def _sample(
+        self, reader: bytes, writer: Guid, data: Data | DataFragment, time: float | None, now: float
+    ) -> None:
+        for matched in self._endpoints.addressed(reader, writer):
+            if isinstance(data, Data):
+                matched.receive_data(writer, data, time, now)
+            else:
+                matched.receive_fragment(writer, data, time, now)
+        if not is_builtin(writer.entity):
+            self._liveliness.hear(writer, now)
+
+    def _heartbeat(
+        self, reader: bytes, writer: Guid, heartbeat: WriterHeartbeat, now: float
+    ) -> None:
+        is_known = False
+        for found in self._endpoints.addressed(reader, writer):
+            is_known |= found.receive_heartbeat(writer, heartbeat, now)
+        if not is_known and self._participants.get(writer.prefix) is not None:
+            self._early.keep(writer, heartbeat)
+        if heartbeat.is_alive:
+            self._liveliness.hear(writer, now)
