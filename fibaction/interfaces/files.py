@@ -58,6 +58,8 @@ class InterfaceMessage(NamedTuple):
     definition: MessageDefinition
     nested: dict[str, InterfaceMessage]
     """The messages in its fields, by field name."""
+    type_name: str = ""
+    """Its ROS 2 type, for example `geometry_msgs/msg/Pose`; empty if the package is unknown."""
 
 
 class ActionFile(NamedTuple):
@@ -262,10 +264,12 @@ class _Messages:
                     self._made[key] = self.message(self._definitions[key], key[0])
                 nested[field.name] = self._made[key]
         name = definition.name
+        folder = "action" if full_name else "msg"
+        type_name = f"{package}/{folder}/{name}" if package else ""
         if self._namesakes[name] > 1 and not full_name:
             name = f"{package}_{name}"
         full_name = full_name or f"`{_full(package, definition.name)}`"
-        return InterfaceMessage(name, full_name, package, definition, nested)
+        return InterfaceMessage(name, full_name, package, definition, nested, type_name)
 
 
 def _full(package: str, name: str) -> str:

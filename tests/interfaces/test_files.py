@@ -277,3 +277,30 @@ def test_a_byte_order_mark_is_ignored(lift: Path) -> None:
     lift.write_bytes(b"\xef\xbb\xbfint32 a\n---\n---\n")
 
     assert read_action(lift).goal.definition.fields[0].name == "a"
+
+
+def test_each_message_has_its_type_name(tmp_path: Path) -> None:
+    write(tmp_path / "arm_msgs/msg/Joint.msg", "int32 number")
+    path = with_goal(tmp_path / "arm_msgs/action/Lift.action", "Joint joint")
+
+    goal = read_action(path).goal
+
+    assert goal.type_name == "arm_msgs/action/Lift_Goal"
+    assert goal.nested["joint"].type_name == "arm_msgs/msg/Joint"
+
+
+def test_a_message_of_an_unknown_package_has_no_type_name(lift: Path) -> None:
+    assert read_action(with_goal(lift, "int32 number")).goal.type_name == ""
+
+
+def test_namesakes_keep_their_type_names(tmp_path: Path) -> None:
+    for package in ("arm_msgs", "leg_msgs"):
+        write(tmp_path / package / "msg/Joint.msg", "int32 number")
+    path = with_goal(tmp_path / "arm_msgs/action/Lift.action", "Joint a\nleg_msgs/Joint b")
+
+    nested = read_action(path).goal.nested
+
+    assert [(one.class_name, one.type_name) for one in nested.values()] == [
+        ("arm_msgs_Joint", "arm_msgs/msg/Joint"),
+        ("leg_msgs_Joint", "leg_msgs/msg/Joint"),
+    ]

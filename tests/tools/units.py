@@ -61,6 +61,7 @@ UNITS = {
     "fibaction/wire/settings.py": ["tests/wire", "tests/transports/tcp"],
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
     "fibaction/wire/transport.py": ["tests/transports/tcp"],
+    "transports/fibaction_transports/cdr": ["tests/transports/cdr"],
     "transports/fibaction_transports/mcp": ["tests/transports/mcp"],
     "transports/fibaction_transports/nats": ["tests/transports/nats"],
     "transports/fibaction_transports/_socket_lines": [
