@@ -34,7 +34,8 @@ RESULT = 8 * KIB
 """Bytes of one goal that has ended, beside its bytes, and of one rejection."""
 
 WHAT_HAPPENS = {
-    "connections": "the oldest one that has said nothing is ended, otherwise the new one",
+    "connections": "the oldest one that has said nothing, or does not read, is ended, otherwise the"
+    " new one",
     "goals": "a goal is rejected; following one raises `LimitReached`",
     "follows": "following raises `LimitReached`",
     "lost": "those that were lost first are given up sooner",
@@ -45,6 +46,7 @@ WHAT_HAPPENS = {
     "queue": "answers and feedback wait; the connection ends if it asks for twice as much",
     "handshake": "the connection ends",
     "heartbeat": "the connection ends after four times as long",
+    "write": "the connection ends",
 }
 """The effect of each limit."""
 OF_THE_SERVER = {

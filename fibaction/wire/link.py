@@ -234,7 +234,8 @@ class Link:
         while True:
             step = heartbeat.step
             await sleep(step)
-            is_stuck = self._is_writing and progress == self._progress
+            # What a line has to say by itself, such as pongs, may be in the way of the queue.
+            is_stuck = (self._is_writing or self._queued > 0) and progress == self._progress
             if heartbeat.tick(
                 step, has_heard=self._has_heard, has_said=self._has_said, is_stuck=is_stuck
             ):

@@ -22,7 +22,7 @@ HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""
 
 
-_SECONDS = ("handshake", "heartbeat")
+_SECONDS = ("handshake", "heartbeat", "write")
 """The limits that are times, and may be any number."""
 
 
@@ -60,6 +60,8 @@ class Limits(msgspec.Struct, frozen=True):
     heartbeat: float = 15.0
     """Seconds between two messages of a client, at most; after four times that it counts as dead,
     even if it asks for more."""
+    write: float = 30.0
+    """Seconds within which a client must take a piece of an answer over HTTP, of 64 KiB at most."""
 
     def __post_init__(self) -> None:
         """Check the values.

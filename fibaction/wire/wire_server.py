@@ -48,7 +48,8 @@ class WireServer:
         """The bytes that all connections hold together, see `Limits.total_memory`."""
         self.frames = FrameMemory(self.memory)
         """The part of these bytes that is large messages which are being read or written."""
-        self._turn = anyio.Lock()  # of the lines that have much to handle
+        self.turn = anyio.Lock()
+        """The turn of the connections that have much to handle."""
         self.endpoints = endpoints
         """The endpoints that are served, by the names of their actions."""
         self.settings = settings
@@ -75,7 +76,7 @@ class WireServer:
 
     async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
-        line.share_turns(self._turn)
+        line.share_turns(self.turn)
         try:
             await self._serve(line)
         except Exception as exc:

@@ -48,8 +48,9 @@ TESTED = {
     "queue",
     "handshake",
     "heartbeat",
+    "write",
 }
-"""The limits that the tests below reach."""
+"""The limits that the tests below reach, and those of `test_doors`."""
 
 
 @asynccontextmanager

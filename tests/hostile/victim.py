@@ -36,6 +36,8 @@ class Settings(msgspec.Struct):
     """Arguments of `serve`."""
     authorize: str = ""
     """The name of a function in `AUTHORIZE`; empty for none."""
+    url: str = "tcp://127.0.0.1:0"
+    """The address at which it serves."""
     looks: bool = False
     """True if the meter looks where the longest turn is."""
 
@@ -172,7 +174,7 @@ async def serve_all(settings: Settings, test: Connection) -> None:
     limits: Any = settings.limits
     with anyio.open_signal_receiver(SIGTERM) as signals:
         async with serve(
-            servers(settings.server), "tcp://127.0.0.1:0", limits=Limits(**limits), **wire
+            servers(settings.server), settings.url, limits=Limits(**limits), **wire
         ) as (url,):
             test.send(url)
             await anext(signals)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import AsyncGenerator, Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -634,6 +635,19 @@ async def test_a_client_that_reads_nothing_is_lost_after_four_of_the_servers_hea
             took = await lost_after(client, alive(client))
         assert 4 * 2 < took <= 4 * 2 + 2 + 2  # the first ping is what gets stuck
         assert [line.getMessage() for line in lines] == ["the client has read nothing for 9.0 s"]
+
+
+@in_virtual_time()
+async def test_a_peer_that_does_not_read_what_the_line_says_by_itself_is_lost() -> None:
+    here, there = memory.pair()
+    here.has_answer = True  # such as pongs: the queue waits behind them
+    link = Link(here, 2)
+    there.stop_reading()
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(every(1, lambda: there.send([encode(Ping())])))
+        error = await link.run(lambda _: None)
+        tasks.cancel_scope.cancel()
+    assert re.fullmatch(r"the (client|server) has read nothing for \d\.\d s", str(error))
 
 
 @in_virtual_time()

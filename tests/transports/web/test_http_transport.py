@@ -27,6 +27,8 @@ pytestmark = pytest.mark.anyio
 
 HTTP = "http://127.0.0.1:0"
 GOALS = "/actions/fibonacci/goals"
+MANY = b"GET /fibaction.js HTTP/1.1\r\nHost: [::1]\r\n\r\n" * 1500
+"""Requests whose answers are more than a socket holds."""
 
 
 @pytest.fixture(params=["asyncio", "trio"])
@@ -59,6 +61,13 @@ async def said_to(url: str, *pieces: bytes) -> bytes:
                     said += await stream.receive()
             except (anyio.EndOfStream, anyio.BrokenResourceError):
                 return said
+
+
+async def let_in(url: str) -> None:
+    """Ask until a full server has a place for this client."""
+    with anyio.fail_after(10):
+        while (await fetch(url, "GET", "/actions")).status != 200:  # noqa: ASYNC110  # as a client
+            await anyio.sleep(0.01)
 
 
 # Addresses
@@ -309,6 +318,22 @@ async def test_newcomers_push_each_other_out_and_no_client_that_is_known(newcome
             assert (await known.ask("GET", "/actions"))[0] == 200
 
 
+async def test_a_client_that_does_not_read_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "UNREAD", 0.0)
+    async with served(limits=Limits(connections=1)) as url, client_of(url) as deaf:
+        await deaf.stream.send(MANY)
+        await let_in(url)
+
+
+async def test_a_client_that_asks_before_it_has_its_answer_makes_room() -> None:
+    transport = HttpTransport(port=0, limits=Limits(connections=1))
+    async with serve(new_server(), transport) as (url,), client_of(url) as hasty:
+        (server,) = transport._served
+        async with server.turn:
+            await hasty.stream.send(b"GET /actions HTTP/1.1\r\nHost: [::1]\r\n\r\n" * 2)
+            await let_in(url)
+
+
 async def test_a_full_server_says_so(log: Hearing) -> None:
     async with served(limits=Limits(connections=1)) as url, connect(url, FIBONACCI) as client:
         await client.wait_for_server()
@@ -358,6 +383,15 @@ async def test_a_bug_ends_its_connection_only(
             assert await said_to(url, b"GET / HTTP/1.1\r\nHost: [::1]\r\n\r\n") == b""
         await log.until("the connection failed")
         await client.wait_for_server()
+
+
+async def test_the_end_does_not_wait_for_clients_that_read_no_answer(log: Hearing) -> None:
+    begun = anyio.current_time()
+    async with served() as url, client_of(url) as deaf:
+        await deaf.stream.send(MANY)
+        assert (await fetch(url, "GET", "/actions")).status == 200
+    assert anyio.current_time() - begun < 10
+    assert len(log.warnings) <= 1
 
 
 async def test_the_end_does_not_wait_for_clients_that_read_nothing() -> None:

@@ -31,7 +31,6 @@ from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream, Meta
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.web.http import exchange
 from fibaction_transports.web.rest import event_stream
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, hearing
@@ -300,9 +299,7 @@ async def test_much_feedback_is_told_in_few_pieces_and_in_order() -> None:
         assert numbers == list(range(1, 90))
 
 
-async def test_a_client_that_does_not_read_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exchange, "WRITE_TIMEOUT", 0.1)
-
+async def test_a_client_that_does_not_read_is_let_go() -> None:
     async def endless(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
         try:
             while True:
@@ -312,7 +309,8 @@ async def test_a_client_that_does_not_read_is_let_go(monkeypatch: pytest.MonkeyP
             raise
 
     canceled = anyio.Event()
-    async with served(ActionServer(FIBONACCI, endless)) as url, client_of(url) as client:
+    server, limits = ActionServer(FIBONACCI, endless), Limits(write=0.1)
+    async with served(server, limits=limits) as url, client_of(url) as client:
         await client.ask("POST", GOALS, {"order": 0}, accept=EVENTS)
         await canceled.wait()
 

@@ -202,6 +202,16 @@ async def test_a_client_that_has_gone_is_no_error(log: Hearing) -> None:
     assert len(log.warnings) == 1
 
 
+@pytest.mark.parametrize("path", ["/openapi.json", "/nothing"])
+async def test_a_client_that_does_not_read_its_answer_is_not_waited_for(path: str) -> None:
+    web = WebTransport(limits=Limits(write=0.05))
+    async with served(web):
+        call = http(path=path)
+        call.stuck = anyio.Event()
+        await call.run(web)
+        assert call.said == []
+
+
 async def test_streams_that_are_open_at_the_end_are_cut_and_no_others_begin(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -212,7 +222,7 @@ async def test_streams_that_are_open_at_the_end_are_cut_and_no_others_begin(
 
     async def be_late() -> None:
         assert web._application is not None
-        while not web._application._is_closing:
+        while not web._application.is_closing:
             await anyio.lowlevel.checkpoint()
         assert await answer_of(web, http()) == (503, ANY)
         late = websocket("fibaction.1")

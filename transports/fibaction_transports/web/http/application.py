@@ -85,8 +85,9 @@ class WebApplication:
         self._probes = Probes(metrics, self._rest.admit)
         self._requests: set[CancelScope] = set()
         self._sockets: set[CancelScope] = set()
-        self._left = Notifier()
-        self._is_closing = False
+        self._changed = Notifier()  # of both
+        self.is_closing = False
+        """True if no more requests are answered."""
         server.tasks.start_soon(self._hold)
         if metrics is not None:
             server.tasks.start_soon(metrics.run)
@@ -100,18 +101,18 @@ class WebApplication:
 
     async def close(self) -> None:
         """Answer no more requests; end those that have begun."""
-        self._is_closing = True
+        self.is_closing = True
         with CancelScope(shield=True):
             with anyio.move_on_after(LEAVE_TIMEOUT):
                 while self._requests:
-                    await self._left.wait()
+                    await self._changed.wait()
             await self._end(self._requests)
 
     async def _end(self, scopes: set[CancelScope]) -> None:
-        for scope in scopes:
-            scope.cancel()
         while scopes:
-            await self._left.wait()
+            for scope in scopes:  # more may have come
+                scope.cancel()
+            await self._changed.wait()
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request or a WebSocket."""
@@ -119,14 +120,17 @@ class WebApplication:
         scopes = self._sockets if is_socket else self._requests
         with CancelScope() as life:
             scopes.add(life)
+            self._changed.notify()
             try:
                 if is_socket:
                     await self._handle_socket(scope, receive, send)
                 else:
-                    await self._handle_request(Exchange(scope, receive, send))
+                    limit, answers = self._server.settings.limits.write, self._server.frames
+                    exchange = Exchange(scope, receive, send, limit, answers)
+                    await self._handle_request(exchange)
             finally:
                 scopes.discard(life)
-                self._left.notify()
+                self._changed.notify()
 
     # HTTP
 
@@ -152,7 +156,7 @@ class WebApplication:
                 ("Access-Control-Expose-Headers", "location"),
                 ("Vary", "Origin"),
             ]
-        if self._is_closing:
+        if self.is_closing:
             raise Refused(503, "the server is closing", RETRY)
         most = self._server.settings.limits.connections
         if len(self._requests) > most:
@@ -207,7 +211,7 @@ class WebApplication:
         offered = scope.get("subprotocols")
         if offered and SUBPROTOCOL not in offered:
             raise Refused(400, f"the request must offer the subprotocol {SUBPROTOCOL}")
-        if self._is_closing:
+        if self.is_closing:
             raise Refused(503, "the server is closing", RETRY)
 
 

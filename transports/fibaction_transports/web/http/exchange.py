@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Mapping, MutableMapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import (
+    AsyncGenerator,
+    Awaitable,
+    Callable,
+    Generator,
+    Iterable,
+    Mapping,
+    MutableMapping,
+)
+from contextlib import asynccontextmanager, contextmanager, suppress
 from typing import Any, TypeAlias
 from urllib.parse import parse_qsl
 
@@ -12,6 +20,8 @@ from anyio import CancelScope
 
 from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.border.http_access import Refused
+from fibaction.wire.channel import CHUNK
+from fibaction.wire.frames import UNCOUNTED, FrameMemory
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.web.http.problems import PROBLEM_JSON, RETRY, Problem
 
@@ -22,8 +32,8 @@ Send: TypeAlias = Callable[[Message], Awaitable[None]]
 
 BODY_TIMEOUT = 30.0
 """Seconds in which the body of a request must have arrived."""
-WRITE_TIMEOUT = 60.0
-"""Seconds in which a client must take a piece of a stream of events."""
+WRITE_TIMEOUT = 30.0
+"""Seconds in which a client must take a piece of an answer, if the server has no limit for it."""
 EVENT_STREAM = "text/event-stream"
 JSON = "application/json"
 COMMON_HEADERS = (
@@ -67,7 +77,17 @@ def path_of(scope: Scope) -> str:
 class Exchange:
     """One request and its answer."""
 
-    def __init__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    def __init__(
+        self,
+        scope: Scope,
+        receive: Receive,
+        send: Send,
+        write_timeout: float = WRITE_TIMEOUT,
+        answers: FrameMemory | None = None,
+    ) -> None:
+        """Let a client take that long for a piece of the answer; count a large one while it is
+        written, if there is a memory for that.
+        """
         self.method: str = scope["method"]
         self.path = path_of(scope)
         self.root: str = scope.get("root_path", "").rstrip("/")
@@ -81,7 +101,10 @@ class Exchange:
         self._query = dict(parse_qsl(scope.get("query_string", b"").decode("latin-1")))
         self._receive = receive
         self._send = send
+        self._write_timeout = write_timeout
+        self._answers = answers
         self._held: CountedBytes | None = None
+        self._writing = CancelScope()  # of a large answer
 
     # The request
 
@@ -175,7 +198,37 @@ class Exchange:
         await self._begin(status, [*headers, ("Content-Length", str(len(body)))])
         if self.method == "HEAD":  # whose answer has no body, whatever its length says
             body = b""
-        await self._write({"type": "http.response.body", "body": body, "more_body": False})
+        with self._counted(max(0, len(body) - UNCOUNTED)):
+            for start in range(0, len(body) or 1, CHUNK):
+                piece, has_more = body[start : start + CHUNK], start + CHUNK < len(body)
+                await self._write(
+                    {"type": "http.response.body", "body": piece, "more_body": has_more}
+                )
+
+    @contextmanager
+    def _counted(self, size: int) -> Generator[None, None, None]:
+        """Count so many bytes of an answer that is being written.
+
+        Raises:
+            ConnectionLost: Their memory is needed, and the client does not take them.
+        """
+        if not size or self._answers is None:
+            yield
+            return
+        with self._writing:
+            self._answers.hold(self, size)
+            try:
+                yield
+            finally:
+                self._answers.hold(self, 0)
+        if self._writing.cancelled_caught:
+            raise ConnectionLost(f"{self.peer} takes too long for a large answer at a busy server")
+
+    def give_up(self) -> None:
+        """End the answer, whose memory is needed."""
+        assert self._answers is not None
+        self._answers.hold(self, 0)
+        self._writing.cancel()
 
     async def tell(self, problem: Problem) -> None:
         """Answer with a problem."""
@@ -192,11 +245,7 @@ class Exchange:
         Raises:
             ConnectionLost: The client has gone, or takes too long.
         """
-        try:
-            with anyio.fail_after(WRITE_TIMEOUT):
-                await self._write({"type": "http.response.body", "body": data, "more_body": True})
-        except TimeoutError:
-            raise ConnectionLost(f"{self.peer} does not read") from None
+        await self._write({"type": "http.response.body", "body": data, "more_body": True})
 
     async def end(self) -> None:
         """End a stream."""
@@ -212,7 +261,10 @@ class Exchange:
 
     async def _write(self, message: Message) -> None:
         try:
-            await self._send(message)
+            with anyio.fail_after(self._write_timeout):
+                await self._send(message)
+        except TimeoutError:
+            raise ConnectionLost(f"{self.peer} does not read") from None
         except OSError as exc:  # as ASGI has it for a client that has gone
             raise ConnectionLost(f"{self.peer} has gone") from exc
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from http import HTTPStatus
 from urllib.parse import unquote
@@ -41,6 +42,7 @@ class HttpExchange:
         self,
         http: h11.Connection,
         stream: ByteStream,
+        send: Callable[[bytes], Awaitable[None]],
         request: h11.Request,
         peer: str,
         scheme: str,
@@ -49,7 +51,8 @@ class HttpExchange:
         self._http = http
         self._stream = stream
         self._begin: h11.Response | None = None
-        self._has_body = self._is_gone = False
+        self._send_piece = send
+        self._has_body = self._is_gone = self._is_cut = False
         # Another server on the way may have seen another end of the body, and so another request
         # behind it (RFC 9112, 6.1).
         names = {name for name, _ in request.headers}
@@ -80,7 +83,8 @@ class HttpExchange:
         with suppress(h11.RemoteProtocolError):
             if http.their_state is h11.SEND_BODY:
                 http.next_event()  # the end of a request without a body, which nobody has read
-        return http.our_state is h11.DONE and http.their_state is h11.DONE and not self._is_gone
+        is_done = http.our_state is h11.DONE and http.their_state is h11.DONE
+        return is_done and not (self._is_gone or self._is_cut)
 
     async def receive(self) -> Message:
         """Return the next piece of the body; after it, wait until the client has gone.
@@ -143,8 +147,10 @@ class HttpExchange:
 
     async def _send(self, *events: h11.Event) -> None:
         data = b"".join(self._http.send(event) or b"" for event in events)
+        was_cut, self._is_cut = self._is_cut, True  # unless the client takes all of it
         try:
-            await self._stream.send(data)
+            await self._send_piece(data)
         except (anyio.BrokenResourceError, anyio.ClosedResourceError) as exc:
             self._is_gone = True
             raise OSError(str(exc)) from exc
+        self._is_cut = was_cut

@@ -10,7 +10,8 @@ answers, what the client sends is read when the application asks for it, so it k
 client goes. After the answer the connection waits for the next request, for a limited time.
 
 If the limit of connections is reached, the one that has waited for a request for the longest time
-is ended: connections that say nothing keep no client out.
+is ended, or one whose client does not read its answer: connections that say or read nothing keep no
+client out. What a client has to read is one answer; its later requests wait in its socket.
 
 Why not a server of others: with one stream open whose client reads nothing, hypercorn 0.18 does not
 end. On asyncio it left two tasks behind, with tracebacks (Python 3.11), or had not ended after 30 s
@@ -22,9 +23,10 @@ all work. This server ends 1.1 s after the signal, on both, with three such clie
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from socket import socket
 
 import anyio
@@ -56,6 +58,9 @@ from fibaction_transports.web.rosbridge.server.channel import (
 )
 from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming
 
+UNREAD = 1.0
+"""Seconds after which a client that does not take its answer makes room for another one."""
+
 logger = clean_logger("fibaction.web")
 
 
@@ -73,6 +78,8 @@ class HttpServer:
         # Those that wait for a request, their first one or another, in the order of their begin.
         self._new: dict[CancelScope, None] = {}
         self._idle: dict[CancelScope, None] = {}
+        # Those whose clients have an answer to take, since when.
+        self._writing: dict[CancelScope, float] = {}
 
     @cached_property
     def lines(self) -> LineMaker:
@@ -103,16 +110,34 @@ class HttpServer:
                 await stream.aclose()
 
     def _make_room(self) -> bool:
-        """End the oldest connection that has asked for nothing; without one, an idle one."""
-        return _end_oldest(self._new) or self.server.make_room() or _end_oldest(self._idle)
+        """End the oldest connection that has asked for nothing; without one, an idle one, or one
+        whose client does not read.
+        """
+        if _end_oldest(self._new) or self.server.make_room() or _end_oldest(self._idle):
+            return True
+        since = next(iter(self._writing.values()), math.inf)
+        return anyio.current_time() - since > UNREAD and _end_oldest(self._writing)
 
     async def _reject(self, stream: ByteStream, peer: str) -> None:
         most = self.server.settings.limits.connections
         reason = f"the server is full: it has {most} connections"
         logger.warning("%s is rejected: %s", peer, reason)
-        with anyio.move_on_after(LEAVE):
-            await stream.send(http_answer(503, reason, ("Retry-After", "1")))
-            await discard(stream)
+        await leave(stream, http_answer(503, reason, ("Retry-After", "1")))
+
+    async def write(self, stream: ByteStream, data: bytes) -> None:
+        """Send a piece of an answer, unless its connection has to make room.
+
+        Raises:
+            anyio.BrokenResourceError: The client has gone, or has to go.
+        """
+        with CancelScope() as scope:
+            self._writing[scope] = anyio.current_time()
+            try:
+                await stream.send(data)
+            finally:
+                self._writing.pop(scope, None)
+        if scope.cancelled_caught:
+            raise anyio.BrokenResourceError
 
     def waits(self, scope: CancelScope, *, is_new: bool) -> None:
         """Note that a connection waits for its first request or another one; its scope may be
@@ -126,7 +151,7 @@ class HttpServer:
         self._idle.pop(scope, None)
 
 
-def _end_oldest(waiting: dict[CancelScope, None]) -> bool:
+def _end_oldest(waiting: dict[CancelScope, None] | dict[CancelScope, float]) -> bool:
     oldest = next(iter(waiting), None)
     if oldest is None:
         return False
@@ -161,7 +186,13 @@ class _Connection:
                     await self._upgrade(request)
                     return
                 exchange = HttpExchange(
-                    self._http, self._stream, request, self._peer, self._server.scheme, self._root
+                    self._http,
+                    self._stream,
+                    partial(self._server.write, self._stream),
+                    request,
+                    self._peer,
+                    self._server.scheme,
+                    self._root,
                 )
             except h11.RemoteProtocolError as exc:
                 await self._refuse(Refused(exc.error_status_hint, str(exc)))
@@ -170,15 +201,17 @@ class _Connection:
                 await self._refuse(exc)
                 return
             self._has_asked = True
-            handle = self._server.application.handle
-            await handle(exchange.scope, exchange.receive, exchange.send)
-            if not exchange.can_go_on():
-                await discard(self._stream)
+            application = self._server.application
+            await application.handle(exchange.scope, exchange.receive, exchange.send)
+            if application.is_closing or not exchange.can_go_on():
+                await leave(self._stream)
                 return
             self._received = self._http.trailing_data[0] + exchange.early
             self._http.start_next_cycle()
             if exchange.early:
                 self._http.receive_data(exchange.early)
+            if self._received and not await self._take_turn():
+                return
 
     async def _next_request(self) -> h11.Request | None:
         """Return the next request; None if the connection has ended.
@@ -200,6 +233,19 @@ class _Connection:
             raise Refused(408, f"the request has not arrived within {seconds:g} s")
         return None
 
+    async def _take_turn(self) -> bool:
+        """Wait with all other clients that ask before they have their answers; return False if this
+        connection has to make room meanwhile.
+        """
+        with CancelScope() as scope:
+            self._server.waits(scope, is_new=False)
+            try:
+                async with self._server.server.turn:
+                    return True
+            finally:
+                self._server.goes_on(scope)
+        return False
+
     async def _receive(self) -> None:
         try:
             data = await self._stream.receive(CHUNK)
@@ -212,8 +258,7 @@ class _Connection:
         """Answer a request that the application does not see."""
         reason = excerpt(str(refused))
         logger.warning("%s: HTTP %d: %s", self._peer, refused.status, reason)
-        await self._stream.send(http_answer(refused.status, reason, *refused.headers))
-        await discard(self._stream)
+        await leave(self._stream, http_answer(refused.status, reason, *refused.headers))
 
     # WebSocket
 
@@ -253,13 +298,15 @@ class _Connection:
         return stream
 
 
-async def discard(stream: ByteStream) -> None:
-    """End the stream, and give the peer a moment to read what was sent.
+async def leave(stream: ByteStream, last: bytes = b"") -> None:
+    """Send the last bytes, end the stream, and give the peer a moment to read what was sent.
 
     If what it has sent meanwhile were not read, closing would reset the connection, and the answer
     could be lost on the way.
     """
     with anyio.move_on_after(LEAVE), suppress(*BROKEN):
+        if last:
+            await stream.send(last)
         with suppress(NotImplementedError):  # TLS
             await stream.send_eof()
         while True:
