@@ -138,8 +138,8 @@ async def test_a_question_that_is_not_one_is_not_answered() -> None:
 
 async def test_waiting_goals_run_at_the_worker_that_is_free() -> None:
     async with MemoryBrokers() as shared:
-        schedule = Schedule(concurrency=1, queue=9)
-        servers = [ActionServer(COUNT, count, schedule=schedule) for _ in range(2)]
+        schedules = [Schedule(concurrency=1, queue=9) for _ in range(2)]  # one shares its places
+        servers = [ActionServer(COUNT, count, schedule=schedule) for schedule in schedules]
         async with serving(shared.member(), servers[0], "a"):
             async with client(shared.member()) as caller, create_task_group() as tasks:
                 for _ in range(4):
