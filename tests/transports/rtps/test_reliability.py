@@ -11,7 +11,16 @@ from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import EndpointMatched, SamplesLost
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.submessages import AckNack, DataFragment, Timestamp
+from fibaction_transports.rtps.messages.submessages import (
+    AckNack,
+    Data,
+    DataFragment,
+    Destination,
+    Gap,
+    NumberSet,
+    Timestamp,
+    WriterHeartbeat,
+)
 from fibaction_transports.rtps.qos import Durability, Qos, Reliability
 from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
 
@@ -313,6 +322,74 @@ def test_a_payload_without_an_encapsulation_header_is_rejected() -> None:
     writer = writer_of(world, world.join())
     with pytest.raises(ValueError, match="no encapsulation header of 4 bytes"):
         writer.write(b"abc", world.now)
+
+
+def test_inline_qos_that_are_too_long_are_rejected() -> None:
+    world = World()
+    writer = writer_of(world, world.join())
+    with pytest.raises(ValueError, match="inline QoS of 1025 bytes exceed 1024 bytes"):
+        writer.write(payload("a"), world.now, inline_qos=[(1, b"x"), (2, bytes(1024))])
+
+
+def test_samples_are_kept_until_the_last_reader_has_them() -> None:
+    world = World()
+    one, near, far = world.join(), world.join(), world.join()
+    writer = writer_of(world, one)
+    readers = [reader_of(world, near), reader_of(world, far)]
+    world.run(1.0)
+    world.is_lost = lambda _, address: address[0] == far.host
+    write(world, writer, *numbers(5))
+    world.run(1.0)
+    assert near.texts(readers[0]) == numbers(5)
+    assert writer.kept == 5
+    world.is_lost = lambda *_: False
+    world.run(3.0)
+    assert far.texts(readers[1]) == numbers(5)
+    assert writer.kept == 0
+
+
+def test_samples_before_a_reader_came_are_not_announced_and_not_sent_to_it() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one, LATE)
+    write(world, writer, *numbers(3))
+    reader = reader_of(world, other)
+    world.run(1.0)
+    world.is_lost = lambda *_: True
+    write(world, writer, "3")
+    ((datagram, address),) = one.participant.datagrams_to_send()
+    heartbeat = read_packet(datagram).submessages[-1]
+    assert isinstance(heartbeat, WriterHeartbeat)
+    assert (heartbeat.first, heartbeat.last) == (4, 4)
+    world.run(0.01)
+    nack = AckNack(reader.guid.entity, writer.guid.entity, NumberSet(1, (1, 2, 3)), 9)
+    writer.receive_acknack(reader.guid, nack, world.now)
+    ((datagram, _),) = one.participant.datagrams_to_send()
+    kinds = [type(each) for each in read_packet(datagram).submessages]
+    assert kinds == [Destination, Gap, WriterHeartbeat]
+    assert address == (other.host, 7411)
+
+
+def test_a_gap_may_be_longer_than_the_window() -> None:
+    world = World()
+    one, other, third = world.join(), world.join(), world.join()
+    writer = writer_of(world, one)
+    reader, target = reader_of(world, other), reader_of(world, third)
+    world.run(1.0)
+    world.is_lost = lambda _, address: address[0] == other.host
+    for number in range(1000):
+        writer.write(payload(str(number)), world.now, only_to=target.guid)
+    world.run(1.0)
+    world.is_lost = lambda *_: False
+    write(world, writer, "for all")
+    assert world.run_until(lambda: other.texts(reader) == ["for all"])
+    assert other.all(SamplesLost) == []
+    gap = Gap(reader.guid.entity, writer.guid.entity, 1002, NumberSet(3000))
+    reader.receive_gap(writer.guid, gap, world.now)
+    data = Data(reader.guid.entity, writer.guid.entity, 3000, payload("after"))
+    reader.receive_data(writer.guid, data, None, world.now)
+    world.flush()
+    assert other.texts(reader) == ["for all", "after"]
 
 
 def test_a_fragment_size_that_does_not_fit_is_rejected() -> None:

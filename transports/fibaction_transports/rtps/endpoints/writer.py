@@ -18,6 +18,8 @@ FIRST_HEARTBEAT = 0.02
 """Seconds after which a writer asks readers again for what they have not acknowledged."""
 LONGEST_HEARTBEAT = 1.0
 """The longest time between two such questions, in seconds: each pause is twice the one before."""
+MAX_INLINE_QOS = 1024
+"""Bytes of the inline QoS of a sample: they go into each datagram of it."""
 
 
 class DataWriter:
@@ -81,8 +83,11 @@ class DataWriter:
 
         Raises:
             LimitReached: The history is full.
-            ValueError: The payload has no encapsulation header.
+            ValueError: The payload has no encapsulation header, or the inline QoS are too long.
         """
+        size = sum(len(value) for _, value in inline_qos)
+        if size > MAX_INLINE_QOS:
+            raise ValueError(f"inline QoS of {size} bytes exceed {MAX_INLINE_QOS} bytes")
         inline = Parameters(tuple(inline_qos)) if inline_qos else None
         sample = StoredSample(
             payload=padded(payload), inline_qos=inline, time=time, only_to=only_to
