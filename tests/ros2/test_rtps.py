@@ -14,6 +14,7 @@ from typing import Any
 
 import anyio
 import pytest
+from rcl_interfaces.srv import GetParameterTypes
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
@@ -230,3 +231,44 @@ async def test_a_goal_of_raw_bytes_runs_at_a_stock_action_server() -> None:
         assert ints(heard[0][20:]) == [0, 1, 1]
         rejected = await send.call(uuid.uuid4().bytes + struct.pack("<i", -1))
         assert rejected[0] == 0
+
+
+async def test_requests_of_two_stock_clients_are_each_answered_to_their_client_only() -> None:
+    service = f"t{uuid.uuid4().hex}"
+    type_name = "rcl_interfaces::srv::dds_::GetParameterTypes_"
+    with spun_node("/", "one") as one, spun_node("/", "other") as other:
+        clients = [node.create_client(GetParameterTypes, service) for node in (one, other)]
+        async with ours() as found:
+            network = found.network
+            requests = network.create_reader(f"rq/{service}Request", f"{type_name}Request_", Qos())
+            replies = network.create_writer(
+                f"rr/{service}Reply", f"{type_name}Response_", Qos(depth=None)
+            )
+            for client in clients:
+                await seen(client.service_is_ready, True)
+            await found.until(lambda: len(replies.readers) == len(requests.writers) == 2)
+            calls = [
+                (name, client.call_async(GetParameterTypes.Request(names=[name])))
+                for name in ("a", "bcd", "efghi")
+                for client in clients
+            ]
+            await found.until(lambda: len(found.payloads(requests)) == len(calls))
+            for event in found.all(SampleReceived):
+                sample = event.sample
+                client_reader = sample.inline_qos.identity(RELATED_SAMPLE_IDENTITY).writer
+                assert client_reader in replies.readers
+                related = identity_value(SampleIdentity(client_reader, sample.number))
+                name = text_of(LITTLE + sample.payload[8:])
+                network.write(
+                    replies,
+                    LITTLE + struct.pack("<IB", 1, len(name)),
+                    inline_qos=[
+                        (FAST_DDS_RELATED_SAMPLE_IDENTITY, related),
+                        (RELATED_SAMPLE_IDENTITY, related),
+                    ],
+                    only_to=client_reader,
+                )
+            for name, future in calls:
+                await seen(future.done, True)
+                assert list(future.result().types) == [len(name)]
+            await seen(lambda: replies.kept, 0)
