@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,10 +24,13 @@ POSES = {
 }
 
 
-def action_of(text: str, messages: Mapping[str, str] = NONE) -> ActionFile:
+def action_of(
+    text: str, messages: Mapping[str, str] = NONE, search: Iterable[Path] = ()
+) -> ActionFile:
     """Return the action `made_msgs/action/Made` of a file with this text.
 
-    `messages` are the texts of messages in it, by names such as `geometry_msgs/Pose`.
+    `messages` are the texts of messages in it, by names such as `geometry_msgs/Pose`; others are in
+    packages of the folders in `search`.
     """
     with TemporaryDirectory() as folder:
         for name, definition in messages.items():
@@ -38,7 +41,7 @@ def action_of(text: str, messages: Mapping[str, str] = NONE) -> ActionFile:
         path = Path(folder, "made_msgs", "action", "Made.action")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-        return read_action(path)
+        return read_action(path, search=search)
 
 
 class Goal:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from hypothesis import strategies as st
 
+from fibaction.interfaces.definitions import FieldType
 from fibaction.interfaces.files import InterfaceMessage
 from fibaction.interfaces.ros_types import attribute
 from fibaction.interfaces.structs import is_bytes
@@ -27,10 +29,31 @@ _SINGLES: dict[str, st.SearchStrategy[Any]] = {
     "float32": st.floats(width=32, allow_nan=False),
     "float64": st.floats(allow_nan=False),
     "string": _TEXT,
-    "string<=3": _TEXT.map(lambda text: text[:3]),
     "wstring": _TEXT,
 }
 _ENDS = ["", "", "", "[]", "[3]", "[<=2]"]
+
+
+def values_of(message: InterfaceMessage, structs: Mapping[str, Any]) -> st.SearchStrategy[Any]:
+    """Return values of a message; the structs are those of its codec."""
+    fields: dict[str, st.SearchStrategy[Any]] = {}
+    for field in message.definition.fields:
+        kind = field.type
+        nested = message.nested.get(field.name)
+        one = _single(kind) if nested is None else values_of(nested, structs)
+        if kind.is_array:
+            least, most = kind.size or 0, kind.size or kind.bound or 3
+            if is_bytes(kind):
+                one = st.binary(min_size=least, max_size=most)
+            else:
+                one = st.lists(one, min_size=least, max_size=most)
+        fields[attribute(field.name)] = one
+    return st.builds(structs[message.class_name], **fields)
+
+
+def _single(kind: FieldType) -> st.SearchStrategy[Any]:
+    values = _SINGLES[kind.base]
+    return values if kind.characters is None else values.map(lambda text: text[: kind.characters])
 
 
 class GeneratedGoal(Goal):
@@ -39,29 +62,13 @@ class GeneratedGoal(Goal):
     @property
     def values(self) -> st.SearchStrategy[Any]:
         """Values of the goal."""
-        return self._values(self.message)
-
-    def _values(self, message: InterfaceMessage) -> st.SearchStrategy[Any]:
-        fields: dict[str, st.SearchStrategy[Any]] = {}
-        for field in message.definition.fields:
-            kind = field.type
-            nested = message.nested.get(field.name)
-            name = kind.base if kind.characters is None else f"{kind.base}<={kind.characters}"
-            one = _SINGLES[name] if nested is None else self._values(nested)
-            if kind.is_array:
-                least, most = kind.size or 0, kind.size or kind.bound or 3
-                if is_bytes(kind):
-                    one = st.binary(min_size=least, max_size=most)
-                else:
-                    one = st.lists(one, min_size=least, max_size=most)
-            fields[attribute(field.name)] = one
-        return st.builds(self.structs[message.class_name], **fields)
+        return values_of(self.message, self.structs)
 
 
 @st.composite
 def goals(draw: st.DrawFn) -> GeneratedGoal:
     """Make a goal that nests two levels of messages."""
-    kinds = list(_SINGLES)
+    kinds = [*_SINGLES, "string<=3"]
     messages: dict[str, str] = {}
     for name in ("Innermost", "Inner"):
         messages[f"made_msgs/{name}"] = draw(_fields(kinds))
