@@ -103,6 +103,33 @@ def test_constants_and_defaults_are_those_of_the_struct() -> None:
     assert goal.decoded(goal.body()) == goal.type(side=goal.type.LEFT, name="gripper")
 
 
+@pytest.mark.parametrize(
+    "fields",
+    [
+        "float64 a\nfloat64 b",  # no gaps between elements
+        "int32 a\nint8 b",  # a gap before all but the first
+        "int8 a\nint64 b",
+        "int8 a\nfloat64 b\nint8 c",
+        "uint8[3] a\nint16 b",
+        "bool a",
+        "string a",
+    ],
+)
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 7])
+@pytest.mark.parametrize("before", ["", "x", "xxxx"])
+def test_elements_lie_where_they_would_one_by_one(fields: str, count: int, before: str) -> None:
+    def goal_with(elements: str) -> Goal:
+        return Goal(f"string before\n{elements}", {"made_msgs/Element": fields})
+
+    many = goal_with("Element[] all")
+    # The same elements, as fields after their number.
+    singly = goal_with("uint32 count\n" + "\n".join(f"Element e{n}" for n in range(count)))
+    value = many.structs["Element"]()
+    body = many.body(before=before, all=[value] * count)
+    assert body == singly.body(before=before, count=count, **{f"e{n}": value for n in range(count)})
+    assert many.decoded(body).all == [value] * count
+
+
 # The bytes of ROS
 
 

@@ -93,6 +93,12 @@ def test_another_encoding_is_named(header: str, error: str) -> None:
     assert error_of(Goal("int8 a"), "", header) == f": {error}"
 
 
+def test_of_many_elements_the_one_that_is_cut_off_is_named() -> None:
+    goal = Goal("Element[] all", {"made_msgs/Element": "int32 a\nint8 b"})
+    whole = goal.encoded(all=[goal.structs["Element"]()] * 3)
+    assert error_of(goal, whole[4:-8].hex()) == ".all[2].a: 4 bytes expected, 0 bytes left"
+
+
 def test_padding_does_not_count_as_data() -> None:
     assert error_of(Goal("int32 a"), "01000000", "00010002") == (
         ".a: 4 bytes expected, 2 bytes left"
@@ -205,6 +211,13 @@ def test_of_several_numbers_the_one_that_does_not_fit_is_named() -> None:
     )
     inner = goal.structs["Inner"](x=1, y=1000)
     assert unfit(goal, a=1, inner=inner).startswith(".inner.y: 1000 does not fit")
+
+
+def test_of_many_elements_the_one_that_does_not_fit_is_named() -> None:
+    goal = Goal("Element[] all", {"made_msgs/Element": "int8 a\nint8 b"})
+    element = goal.structs["Element"]
+    assert unfit(goal, all=[element(), element(), element(b=200)]).startswith(".all[2].b: 200 does")
+    assert unfit(goal, all=[element(), element(), None]).startswith(".all[2]: a message expected")
 
 
 def test_a_message_that_is_not_one_is_named() -> None:

@@ -15,6 +15,9 @@ from typing import Any, TypeGuard
 from fibaction.border.peer_text import excerpt
 from fibaction_transports.cdr.cdr_error import CdrError
 
+UNFIT = (struct.error, OverflowError, TypeError)
+"""The errors of `struct` for a value that it cannot pack."""
+
 _FORMATS = {code: kind for kind in ("bhilq", "BHILQ", "fd", "?") for code in kind}
 """The kind of number of a code of `array`; with its size, it tells the type."""
 
@@ -49,7 +52,7 @@ def numbers_of(value: Any, code: str) -> bytes | memoryview:
         return _bools(value)
     try:
         return struct.pack(f"<{len(value)}{code}", *value)
-    except (struct.error, OverflowError, TypeError) as exc:
+    except UNFIT as exc:
         raise unfit((f"[{index}]", code, number) for index, number in enumerate(value)) from exc
 
 
@@ -64,7 +67,7 @@ def unfit(values: Iterable[tuple[str, str, Any]]) -> CdrError:
 def _misfit(field: str, code: str, value: Any) -> CdrError | None:
     try:
         struct.pack(f"<{code}", value)
-    except (struct.error, OverflowError, TypeError) as exc:
+    except UNFIT as exc:
         return CdrError(f"{excerpt(repr(value))} does not fit: {exc}", field=field)
     return None
 

@@ -134,12 +134,7 @@ class ElementArray(CdrStep):
         count = self._size.read(reader, element.least)
         reader.reserve(count * element.weight)
         items: list[Any] = []
-        try:
-            for _ in range(count):
-                element.read(reader, items)
-        except CdrError as exc:
-            exc.put_under(f"[{len(items)}]")
-            raise
+        element.read_many(reader, count, items)
         into.append(items)
 
     def write(self, writer: CdrWriter, values: Sequence[Any], index: int) -> None:
@@ -147,10 +142,4 @@ class ElementArray(CdrStep):
         if not is_sequence(items):
             raise CdrError(f"a list expected, found {type(items).__name__}")
         self._size.write(writer, len(items))
-        element, done = self._element, 0
-        try:
-            for done in range(len(items)):
-                element.write(writer, items, done)
-        except CdrError as exc:
-            exc.put_under(f"[{done}]")
-            raise
+        self._element.write_many(writer, items)

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from fibaction_transports.cdr.array_values import octets_of, unfit
+from fibaction_transports.cdr.array_values import UNFIT, octets_of, unfit
 from fibaction_transports.cdr.cdr_error import CdrError
 from fibaction_transports.cdr.streams import (
     LITTLE_ENDIAN,
@@ -72,6 +72,32 @@ class CdrStep(ABC):
             CdrError: A value does not fit.
         """
 
+    def read_many(self, reader: CdrReader, count: int, into: list[Any]) -> None:
+        """Append elements of an array to a list, until it has `count` of them.
+
+        Raises:
+            CdrError: The payload is malformed.
+        """
+        try:
+            for _ in range(len(into), count):
+                self.read(reader, into)
+        except CdrError as exc:
+            exc.put_under(f"[{len(into)}]")
+            raise
+
+    def write_many(self, writer: CdrWriter, values: Sequence[Any], start: int = 0) -> None:
+        """Write the elements of an array, from an index on.
+
+        Raises:
+            CdrError: A value does not fit.
+        """
+        for index in range(start, len(values)):
+            try:
+                self.write(writer, values, index)
+            except CdrError as exc:
+                exc.put_under(f"[{index}]")
+                raise
+
 
 class RunItem(NamedTuple):
     """A primitive in a run: a number, a bool, or a fixed number of octets."""
@@ -101,8 +127,9 @@ class PrimitiveRun(CdrStep):
         with_value = [item for item in items if item.code != _DUMMY]
         self.values = len(with_value)
         self._names = [item.name for item in with_value]
-        self._bools = [index for index, item in enumerate(with_value) if item.code == "?"]
-        self._checked: list[tuple[int, Callable[[Any], Any]]] = [
+        # The indexes of values that are checked: when they are read, and when they are written.
+        self.bools = [index for index, item in enumerate(with_value) if item.code == "?"]
+        self.checked: list[tuple[int, Callable[[Any], Any]]] = [
             (index, _check_of(item))
             for index, item in enumerate(with_value)
             if item.code[-1] in "?s"
@@ -116,8 +143,12 @@ class PrimitiveRun(CdrStep):
             at = start + item.size
             yield item, start, at
 
-    def _struct(self, order: int, at: int) -> struct.Struct:
-        """Return the layout for a run that begins at `at`; it depends on `at` modulo 8."""
+    def layout(self, order: int, at: int) -> struct.Struct:
+        """Return the layout for a run that begins at `at`.
+
+        It depends on `at` modulo 8. Where a run ends, modulo its greatest alignment, does not: so
+        of several runs in a row, all but the first have the same layout.
+        """
         phase = at % _PHASES
         found = self._structs[order][phase]
         if found is None:
@@ -129,12 +160,12 @@ class PrimitiveRun(CdrStep):
         return found
 
     def read(self, reader: CdrReader, into: list[Any]) -> None:
-        packed = self._struct(reader.order, reader.at)
+        packed = self.layout(reader.order, reader.at)
         if reader.at + packed.size > reader.end:
             raise self._too_short(reader)
         into += packed.unpack_from(reader.data, reader.at)
         reader.at += packed.size
-        for index in self._bools:
+        for index in self.bools:
             place = len(into) - self.values + index
             if into[place] > 1:
                 raise CdrError(f"a bool is 0 or 1, not {into[place]}", field=self._names[index])
@@ -148,18 +179,18 @@ class PrimitiveRun(CdrStep):
 
     def write(self, writer: CdrWriter, values: Sequence[Any], index: int) -> None:
         values = values[index : index + self.values]
-        if self._checked:
+        if self.checked:
             values = list(values)
-            for place, checked in self._checked:
+            for place, checked in self.checked:
                 try:
                     values[place] = checked(values[place])
                 except CdrError as exc:
                     exc.put_under(self._names[place])
                     raise
-        packed = self._struct(LITTLE_ENDIAN, writer.at)
+        packed = self.layout(LITTLE_ENDIAN, writer.at)
         try:
             piece = packed.pack(*values)
-        except (struct.error, OverflowError, TypeError) as exc:
+        except UNFIT as exc:
             codes = [item.code for item in self.items if item.code != _DUMMY]
             raise unfit(zip(self._names, codes, values, strict=True)) from exc
         writer.pieces.append(piece)
