@@ -21,7 +21,7 @@ from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.convert.conversion import RosAction
-from tests.transports.cdr.definitions import action_of
+from tests.transports.cdr.definitions import Goal, action_of
 from tests.transports.cdr.generated import values_of
 from tests.transports.cdr.recorded import RECORDED, recorded
 
@@ -177,3 +177,38 @@ def test_the_messages_that_all_actions_use_have_the_hashes_of_ros() -> None:
 def test_an_action_of_ros_has_its_codecs() -> None:
     codecs = ActionCodecs(action_file("test_msgs/action/Fibonacci"))
     assert codecs.feedback_message.type_name == "test_msgs/action/Fibonacci_FeedbackMessage"
+
+
+# Arrays of numpy, which is installed with ROS
+
+
+@pytest.mark.parametrize(
+    ("kind", "dtype"),
+    [
+        ("bool", "bool"),
+        ("uint8", "uint8"),
+        ("int8", "int8"),
+        ("uint16", "uint16"),
+        ("int64", "int64"),
+        ("float32", "float32"),
+        ("float64", "float64"),
+        ("float64", ">f8"),  # another byte order
+        ("float64", "float32"),  # another type, which fits
+        ("int32", "int64"),
+    ],
+)
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_an_array_of_numpy_is_taken_for_numbers(kind: str, dtype: str, count: int) -> None:
+    numpy = import_module("numpy")
+    goal = Goal(f"{kind}[] values")
+    values = numpy.arange(count).astype(dtype)
+    expected = bytes(values) if kind == "uint8" else values.tolist()
+    assert goal.codec.decode(goal.encoded(values=values)).values == expected
+
+
+def test_an_image_of_numpy_must_be_flat() -> None:
+    image = import_module("numpy").zeros((2, 3), "uint8")
+    goal = Goal("uint8[] data")
+    with pytest.raises(ValueError, match="one dimension expected, found 2: flatten the array"):
+        goal.encoded(data=image)
+    assert goal.codec.decode(goal.encoded(data=image.ravel())).data == bytes(6)

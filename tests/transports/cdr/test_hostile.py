@@ -220,6 +220,19 @@ def test_of_many_elements_the_one_that_does_not_fit_is_named() -> None:
     assert unfit(goal, all=[element(), element(), None]).startswith(".all[2]: a message expected")
 
 
+@pytest.mark.parametrize(
+    ("kind", "value", "error"),
+    [
+        ("bool", 5, "a bool expected, found 5"),
+        ("uint8[2]", b"x", "2 elements expected, found 1"),
+    ],
+)
+def test_many_elements_are_checked_as_one_is(kind: str, value: Any, error: str) -> None:
+    goal = Goal("Element[] all", {"made_msgs/Element": f"{kind} a"})
+    element = goal.structs["Element"]
+    assert unfit(goal, all=[element(), element(), element(a=value)]) == f".all[2].a: {error}"
+
+
 def test_a_message_that_is_not_one_is_named() -> None:
     goal = Goal("Inner inner\nInner[] all", {"made_msgs/Inner": "int8 x\nint8 y"})
     assert unfit(goal, inner=None) == (
