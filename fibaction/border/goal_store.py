@@ -102,6 +102,13 @@ class RecordTooLarge(StoreError):
     """
 
 
+class StoreFull(RecordTooLarge):
+    """The store has no room for another goal now; the text says why.
+
+    Only `accept` fails with it: what is about a goal that is kept waits for room.
+    """
+
+
 def no_obstacle(_goal: StoredGoal) -> str:
     """Return what keeps a server from running a goal if it runs every goal: nothing."""
     return ""

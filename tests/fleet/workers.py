@@ -66,6 +66,11 @@ class WorkerProcess:
         self.diary = Path(setup.diary)
         self._process = process
 
+    @property
+    def is_alive(self) -> bool:
+        """True until its process has ended."""
+        return self._process.is_alive()
+
     def kill(self) -> None:
         """End it at once."""
         self._process.kill()

@@ -96,6 +96,8 @@ class MemoryBrokers:
     """The brokers of a fleet, entered with `async with`."""
 
     def __init__(self) -> None:
+        self.goals_are_full = False
+        """True if the stream of the goals stores nothing more."""
         self.is_full = False
         """True if no more records are taken."""
         self.loses_answer: Callable[[Write], bool] = lambda _write: False
@@ -174,7 +176,7 @@ class MemoryBrokers:
     def put(self, subject: str, data: bytes, expected: int, ttl: float) -> int | PutError:
         """Store a record, and return its sequence."""
         newest = self.newest(subject)
-        if self.is_full:
+        if self.is_full or (self.goals_are_full and ".goal." in subject):
             return PutError(PutFailure.FULL, "maximum bytes exceeded")
         if (0 if newest is None else newest.sequence) != expected:
             return PutError(PutFailure.REFUSED, "wrong last sequence")

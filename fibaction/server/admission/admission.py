@@ -36,7 +36,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt, shortened
 from fibaction.border.abc import GoalRequest
-from fibaction.border.goal_store import RecordTooLarge
+from fibaction.border.goal_store import RecordTooLarge, StoreFull
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server.admission.callbacks import SERVER_STOPPING
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
@@ -251,7 +251,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = offer.sent.goal_id
         del self._writing[goal_id]
         offer.record.happen(Event.TOO_LARGE)
-        offer.error = self._reject(goal_id, f"the goal cannot be kept: {error}")
+        why = "busy" if isinstance(error, StoreFull) else "the goal cannot be kept"
+        offer.error = self._reject(goal_id, f"{why}: {error}")
         self._dispatcher.withdraw(goal_id)
 
     async def _await_acceptance(self, offer: Offer[GoalT], write: int) -> FeedbackCursor:

@@ -16,9 +16,9 @@ NO_RESPONDERS = None
 """The answer of nobody."""
 
 
-def failed(number: int, code: int = 400) -> dict[str, Any]:
+def failed(number: int, code: int = 400, text: str = "no") -> dict[str, Any]:
     """An answer with an error of JetStream."""
-    return {"error": {"code": code, "err_code": number, "description": "no"}}
+    return {"error": {"code": code, "err_code": number, "description": text}}
 
 
 class _Subscribed(BrokerSubscription):

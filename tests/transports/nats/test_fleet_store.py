@@ -13,12 +13,13 @@ from msgspec.structs import replace
 from fibaction import GoalID, GoalStatus
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
-from fibaction.border.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
+from fibaction.border.goal_store import GoalTaken, RecordTooLarge, StoredGoal, StoreFull, Then
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import Sender
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
+from fibaction_transports.nats.worker import goal_writes
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
 from fibaction_transports.nats.worker.store import FleetStore
@@ -380,13 +381,69 @@ async def test_what_is_too_large_concerns_its_goal_alone() -> None:
         assert len(robot.store) == 0
 
 
-async def test_a_full_stream_is_an_error_of_the_store() -> None:
+async def test_a_full_stream_takes_no_new_goals_and_all_of_the_others_when_there_is_room() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
-        shared.is_full = True
-        robot.write("accept", goal())
+        robot.write("accept", goal(1))
         await robot.answered(1)
-        assert robot.errors == [StoreError]
-        assert "the brokers of fleet 'test' keep no more goals: maximum" in str(robot.answers[0][1])
+        shared.goals_are_full = True
+        robot.write("accept", goal(2))
+        await robot.answered(2)
+        assert isinstance(robot.answers[1][1], StoreFull)
+        assert "of fleet 'test' keep no more goals: maximum bytes" in str(robot.answers[1][1])
+        robot.write("begin", goal(1))
+        await sleep(5)
+        shared.goals_are_full = False
+        robot.write("accept", goal(3))  # the room is for those that wait
+        await robot.answered(4)
+        assert robot.errors == [None, StoreFull, None, StoreFull]
+        assert "accepted goals wait for room" in str(robot.answers[3][1])
+        robot.write("accept", goal(3))
+        robot.write("end", ended(goal(1)))
+        await robot.answered(6)
+        assert robot.errors[4:] == [None, None]
+
+
+async def test_a_worker_stops_though_the_stream_is_full() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared) as robot:
+            robot.write("accept", goal(1))
+            robot.write("accept", goal(2))
+            await robot.answered(2)
+            shared.goals_are_full = True
+            robot.write("end", ended(goal(1)))
+            await sleep(3)
+        assert robot.errors == [None, None, StoreError]
+        assert robot.store.has_goals_left
+
+
+async def test_what_waits_for_room_is_not_written_once_another_worker_has_the_goal() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.write("accept", goal(1))
+        await robot.answered(1)
+        shared.goals_are_full = True
+        robot.write("end", ended(goal(1)))
+        await sleep(2)
+        robot.journal.lose(goal(1).goal_id)
+        await robot.answered(2)
+        assert robot.errors == [None, GoalTaken]
+        shared.goals_are_full = False
+        robot.write("accept", goal(2))
+        await robot.answered(3)
+        assert robot.errors[2] is None
+
+
+@pytest.mark.parametrize(
+    ("earlier", "later"),
+    [("accept", "take"), ("accept", "begin"), ("take", "begin"), ("begin", "cancel")],
+)
+async def test_a_record_is_smaller_than_the_one_before_so_that_a_full_stream_takes_it(
+    earlier: str, later: str
+) -> None:
+    def size(kind: str) -> int:
+        return len(goal_writes.Write(kind, goal(1), "robot", b"incarnat", lambda _error: None).data)
+
+    assert size(later) < size(earlier) - 50
+    assert size("end") < size("cancel") - 300
 
 
 # Outcomes

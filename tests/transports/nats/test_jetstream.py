@@ -165,9 +165,9 @@ def made(**changes: Any) -> Any:
     return [
         {"config": {**one, "num_replicas": 1, **changes}}
         for one in (
-            {"subjects": [NAMES.all_goals()], **shared},
-            {"subjects": [NAMES.worker()], **shared},
-            notes,
+            {"name": NAMES.goals, "subjects": [NAMES.all_goals()], "max_bytes": 2**30, **shared},
+            {"name": NAMES.workers, "subjects": [NAMES.worker()], **shared},
+            {"name": NAMES.notes, **notes},
         )
     ]
 
@@ -191,12 +191,57 @@ async def test_the_replicas_that_are_asked_for_are_given_to_streams_that_are_the
 async def test_a_cluster_without_room_for_three_replicas_keeps_one(
     number: int, no_pause: None
 ) -> None:
-    goals, *others = made()
+    first, *others = made()
     client = ScriptedClient(
-        STREAM_INFO=[MISSING, MISSING, *others], STREAM_CREATE=[failed(number, 503), goals]
+        STREAM_INFO=[MISSING, MISSING, *others], STREAM_CREATE=[failed(number, 503), first]
     )
     await create(client, brokers=3)
     assert [body["num_replicas"] for body in client.bodies("STREAM.CREATE")] == [3, 1]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("number", [10047, *NO_ROOM_FOR_REPLICAS])
+async def test_of_a_small_storage_the_goals_take_less(number: int, no_pause: None) -> None:
+    goals, *others = made()
+    goals["config"]["max_bytes"] = 2**28
+    full = failed(number, 500, "no suitable peers for placement, insufficient storage")
+    client = ScriptedClient(
+        STREAM_INFO=[MISSING],
+        STREAM_CREATE=[full, full, goals, full, *others],
+        STREAM_UPDATE=[{}],
+    )
+    await create(client, brokers=3)
+    sizes = [(one["max_bytes"], one["num_replicas"]) for one in client.bodies("STREAM.CREATE")]
+    assert sizes[:3] == [(2**30, 3), (2**29, 3), (2**28, 3)]
+    assert sizes[3:] == [(2**23, 3)] * 3
+    assert [one["max_bytes"] for one in client.bodies("STREAM.UPDATE")] == [2**27]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("is_made", [True, False])
+async def test_a_storage_without_any_room_is_one_sentence(is_made: bool) -> None:
+    goals, *_ = made()
+    goals["config"]["max_bytes"] = 2**18
+    full = failed(10047, 500, "insufficient storage resources available")
+    client = ScriptedClient(
+        STREAM_INFO=[MISSING], STREAM_CREATE=[goals, full] if is_made else [full]
+    )
+    name = NAMES.workers if is_made else NAMES.goals
+    with pytest.raises(TransportError, match=f"stream {name} cannot be made: insufficient storage"):
+        await create(client)
+    assert client.bodies("STREAM.CREATE")[-1]["max_bytes"] == 2**18
+
+
+@pytest.mark.asyncio
+async def test_a_stream_of_goals_without_a_limit_is_named_in_the_log(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    await create(ScriptedClient(STREAM_INFO=made()))
+    assert not caplog.messages
+    await create(ScriptedClient(STREAM_INFO=made(max_bytes=-1)))
+    assert [message.partition(": ")[0] for message in caplog.messages] == [
+        f"the stream {NAMES.goals} has no limit"
+    ]
 
 
 @pytest.mark.asyncio
@@ -226,9 +271,9 @@ async def test_streams_that_cannot_be_made_are_one_sentence(answers: dict[str, A
 
 @pytest.mark.asyncio
 async def test_a_stream_that_another_worker_makes_first_is_used() -> None:
-    goals, *others = made()
+    first, *others = made()
     client = ScriptedClient(
-        STREAM_INFO=[MISSING, goals, *others], STREAM_CREATE=[failed(NAME_IN_USE)]
+        STREAM_INFO=[MISSING, first, *others], STREAM_CREATE=[failed(NAME_IN_USE)]
     )
     await create(client)
     assert len(client.bodies("STREAM.CREATE")) == 1

@@ -12,6 +12,7 @@ from typing import Any
 import anyio
 import msgspec
 
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
@@ -45,6 +46,18 @@ TOO_LARGE = (10054,)
 FULL = (10023, 10028, 10047, 10077)
 """Numbers of errors, as in nats-server's server/errors.json."""
 NO_ROOM_FOR_REPLICAS = (10005, 10074)
+NO_STORAGE = "insufficient storage"
+"""A part of the text of each error that says so; their numbers have other meanings as well."""
+
+GOAL_BYTES = 2**30
+"""Bytes that a new fleet reserves for the records of goals, or a half of it, and so on, where the
+broker has less storage."""
+SHARE, MOST_OTHER_BYTES = 16, 2**23
+"""It reserves this part of them for the leases of its workers, and for its notes; and the most."""
+LEAST_BYTES = 2**18
+"""The least bytes of each of the three."""
+
+logger = clean_logger("fibaction.nats")
 
 
 class ApiError(Exception):
@@ -193,21 +206,64 @@ def _streams(names: FleetNames) -> list[dict[str, Any]]:
     ]
 
 
+class _NoStorage(TransportError):
+    """An error for a stream that reserves more than the broker has left."""
+
+
 async def create_streams(
     client: NatsClient, names: FleetNames, replicas: int, brokers: int
 ) -> None:
     """Make the streams of a fleet, or check those that are there.
 
+    Each has a limit, which is reserved for it: goals that fill their stream leave room for leases.
+
     Raises:
         TransportError: A stream of this name is of something else, or cannot be made.
     """
-    for wanted in _streams(names):
-        await _create_stream(client, wanted, replicas, brokers)
+    goals, *others = _streams(names)
+    made: dict[str, Any] = {}
+    size = GOAL_BYTES
+    while not made:
+        try:
+            made = await _create_stream(client, {**goals, "max_bytes": size}, replicas, brokers)
+        except _NoStorage:
+            if (size := size // 2) < LEAST_BYTES:
+                raise
+    if made.get("max_bytes", -1) < 0:
+        logger.warning(
+            "the stream %s has no limit: goals that fill the broker stop all workers; `nats stream"
+            " edit %s --max-bytes=...` sets one",
+            names.goals,
+            names.goals,
+        )
+    for wanted in others:
+        made = await _create_beside(made, client, wanted, replicas, brokers)
+
+
+async def _create_beside(
+    goals: dict[str, Any], client: NatsClient, wanted: dict[str, Any], replicas: int, brokers: int
+) -> dict[str, Any]:
+    """Make a stream, of whose size that of the goals leaves room; return the settings of that."""
+    while True:
+        limit = goals.get("max_bytes", -1)
+        size = MOST_OTHER_BYTES
+        if limit >= 0:
+            size = max(LEAST_BYTES, min(limit // SHARE, size))
+        try:
+            await _create_stream(client, {**wanted, "max_bytes": size}, replicas, brokers)
+        except _NoStorage:
+            if limit // 2 < LEAST_BYTES:
+                raise
+            goals = {**goals, "max_bytes": limit // 2}
+            await _update_stream(client, goals)
+        else:
+            return goals
 
 
 async def _create_stream(
     client: NatsClient, wanted: dict[str, Any], replicas: int, brokers: int
-) -> None:
+) -> dict[str, Any]:
+    """Make a stream, or check the one that is there; return its settings."""
     name = wanted["name"]
     count = replicas or (MANY if brokers >= MANY else 1)
     with anyio.move_on_after(ELECTION):
@@ -216,18 +272,25 @@ async def _create_stream(
                 found = await _get_or_create(client, {**wanted, "num_replicas": count})
                 _check_stream(wanted, found)
                 if replicas and found["num_replicas"] != replicas:
-                    changed = msgspec.json.encode({**found, "num_replicas": replicas})
-                    await call(client, f"STREAM.UPDATE.{name}", changed)
-                return
+                    found["num_replicas"] = replicas
+                    await _update_stream(client, found)
+                return found
             except ApiError as exc:
+                what = f"the stream {name} cannot be made: {exc}"
+                if NO_STORAGE in str(exc):
+                    raise _NoStorage(what) from exc
                 if exc.number in NO_ROOM_FOR_REPLICAS and not replicas and count > 1:
                     count = 1
                 elif exc.code != 503 or exc.number in NO_ROOM_FOR_REPLICAS:
-                    raise TransportError(f"the stream {name} cannot be made: {exc}") from exc
+                    raise TransportError(what) from exc
             except (NoResponders, BrokerAway):
                 pass  # there is no leader now
             await anyio.sleep(TRY_AGAIN)
     raise TransportError(f"the stream {name} cannot be made: JetStream does not answer")
+
+
+async def _update_stream(client: NatsClient, config: dict[str, Any]) -> None:
+    await call(client, f"STREAM.UPDATE.{config['name']}", msgspec.json.encode(config))
 
 
 async def _get_or_create(client: NatsClient, wanted: dict[str, Any]) -> dict[str, Any]:

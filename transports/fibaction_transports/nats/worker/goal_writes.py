@@ -10,6 +10,9 @@ A write without an answer may be stored or not. Then the record is read, until t
 the nonce of the write it is stored; with the sequence from before it is written again; otherwise
 the goal is taken (`HeldGoal.sequence_for`).
 
+If there is no room for a write, a new goal is rejected, and a write about an accepted one waits
+(`Shortage`).
+
 Sans-I/O.
 """
 
@@ -20,15 +23,22 @@ from collections import deque
 from collections.abc import Callable
 from copy import copy
 
-from fibaction.border.goal_store import GoalTaken, StoredGoal, Then
+from fibaction.border.goal_store import GoalTaken, RecordTooLarge, StoredGoal, StoreFull, Then
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ProtocolError, StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import BrokerRecord
+from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
 
+ROOM_TO_GROW = {"accept": 512, "take": 448, "begin": 384, "cancel": 320}
+"""Bytes that are added to a record of this kind. Each later record of the goal has fewer, so that a
+full stream has room for it in place of the one before: for an end with a short result, too."""
 IS_STORED = -1
 """Stands for a sequence: the write is stored already."""
+
+logger = clean_logger("fibaction.nats")
 
 
 class Write:
@@ -53,7 +63,7 @@ class Write:
         self.stored = copy(goal)
         self.stored.worker = "" if kind == "release" else worker
         self.incarnation = incarnation
-        self.nonce = secrets.token_bytes(NONCE_SIZE)
+        self.nonce = secrets.token_bytes(NONCE_SIZE) + bytes(ROOM_TO_GROW.get(kind, 0))
         owner = b"" if kind == "release" else incarnation
         self.data = encode(GoalEntry(self.stored, owner, self.nonce))
         self.then = then
@@ -144,3 +154,59 @@ class AnswerQueue:
 def taken(goal_id: GoalID) -> GoalTaken:
     """Return the error for a goal of another worker."""
     return GoalTaken(f"another worker has goal {goal_id}")
+
+
+def too_large(write: Write, limit: int) -> RecordTooLarge:
+    """Return the error for a record with more bytes than the brokers take."""
+    what = f"the record of goal {write.stored.goal_id} has {len(write.data)} bytes"
+    return RecordTooLarge(f"{what}, and the brokers take {limit} at most")
+
+
+class Shortage:
+    """A shortage of room at full brokers: the goals of one action whose writes wait.
+
+    New goals are rejected meanwhile: the next room is for goals that were accepted.
+    """
+
+    def __init__(self, names: FleetNames) -> None:
+        self._fleet = excerpt(names.fleet)
+        self._stream = names.goals
+        self._goals: set[GoalID] = set()
+        self._is_closed = False
+
+    def __bool__(self) -> bool:
+        return bool(self._goals)
+
+    def error(self, why: str = "accepted goals wait for room") -> StoreFull:
+        """Return the error of a new goal."""
+        return StoreFull(
+            f"the brokers of fleet {self._fleet!r} keep no more goals: {why} (stream"
+            f" {self._stream})"
+        )
+
+    def failure_of(self, write: Write, why: str) -> StoreError | None:
+        """Return the error of a write for which there is no room; None if it is to wait.
+
+        An end and a begin wait, however long. A new goal is rejected, and what is written at a stop
+        fails, so that it ends.
+        """
+        error = self.error(why)
+        if write.kind == "accept":
+            return error
+        if write.kind == "release" or self._is_closed:
+            return StoreError(str(error))
+        if not self._goals:
+            logger.error("%s; what is told of accepted goals waits", error)
+        self._goals.add(write.stored.goal_id)
+        return None
+
+    def close(self) -> None:
+        """Let nothing wait any longer: the server has stopped."""
+        self._is_closed = True
+
+    def discard(self, goal_id: GoalID) -> None:
+        """Note that nothing about a goal waits any longer."""
+        if goal_id in self._goals:
+            self._goals.remove(goal_id)
+            if not self._goals:
+                logger.warning("the brokers of fleet %r have room again", self._fleet)

@@ -21,8 +21,7 @@ from anyio import sleep
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
-from fibaction.border.goal_store import GoalJournal, RecordTooLarge, StoredGoal, Then
-from fibaction.border.peer_text import excerpt
+from fibaction.border.goal_store import GoalJournal, StoredGoal, Then
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (
@@ -37,8 +36,10 @@ from fibaction_transports.nats.worker.goal_writes import (
     IS_STORED,
     AnswerQueue,
     HeldGoal,
+    Shortage,
     Write,
     taken,
+    too_large,
 )
 from fibaction_transports.nats.worker.lease import Membership
 from fibaction_transports.nats.worker.outcomes import SECOND, KeptOutcomes
@@ -83,6 +84,7 @@ class FleetJournal(GoalJournal):
         self.obstacle = obstacle
         """The function that returns why the server cannot run a goal; empty if it can."""
         self._held: dict[GoalID, HeldGoal] = {}
+        self._shortage = Shortage(store.names)
         self._outcomes = KeptOutcomes(store.broker, max_results)
         self._settled = Notifier()
         self._answers = AnswerQueue(self._settled.notify)
@@ -103,9 +105,10 @@ class FleetJournal(GoalJournal):
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.accept`."""
-        if goal.goal_id in self._held:
-            # It is being taken over from another worker, and the server will be given it.
-            self._refuse(self._new_write("accept", goal, then))
+        error = self._shortage.error() if self._shortage else taken(goal.goal_id)
+        if self._shortage or goal.goal_id in self._held:
+            # In the second case, it is being taken over, and the server will be given it.
+            self._answers.answer(self._new_write("accept", goal, then), error)
             return
         held = self._held[goal.goal_id] = HeldGoal(goal.goal_id, 0, goal)
         held.waits = not goal.is_running
@@ -142,7 +145,7 @@ class FleetJournal(GoalJournal):
         write = self._new_write(kind, goal, then)
         held = self._held.get(goal.goal_id)
         if held is None:
-            self._refuse(write)
+            self._answers.answer(write, taken(goal.goal_id))
             return
         held.writes.append(write)
         if len(held.writes) == 1:
@@ -154,10 +157,6 @@ class FleetJournal(GoalJournal):
         write = Write(kind, goal, membership.worker, membership.incarnation, then)
         self._answers.add(write)
         return write
-
-    def _refuse(self, write: Write) -> None:
-        """Answer a write of a goal that belongs to another worker."""
-        self._answers.answer(write, taken(write.stored.goal_id))
 
     def _send(self, held: HeldGoal) -> None:
         """Send the first write of a goal."""
@@ -184,20 +183,27 @@ class FleetJournal(GoalJournal):
         if isinstance(answer, int):
             self._stored(held, write, answer)
         elif answer.kind is PutFailure.TOO_LARGE:
-            what = f"the record of goal {held.goal_id} has {len(write.data)} bytes"
-            limit = f"the brokers take {self._broker.max_record} at most"
-            self._failed(held, write, RecordTooLarge(f"{what}, and {limit}"))
+            self._failed(held, write, too_large(write, self._broker.max_record))
         elif answer.kind is PutFailure.FULL:
-            fleet = excerpt(self._names.fleet)
-            error = StoreError(f"the brokers of fleet {fleet!r} keep no more goals: {answer.text}")
-            self._failed(held, write, error)
+            error = self._shortage.failure_of(write, answer.text)
+            if error is not None:
+                self._failed(held, write, error)
+            else:
+                self._store.tasks.start_soon(self._send_later, held, write)
         else:
             self._store.tasks.start_soon(self._clear_doubt, held, write)
+
+    async def _send_later(self, held: HeldGoal, write: Write) -> None:
+        """Send the first write of a goal again after a pause."""
+        await sleep(write.next_pause())
+        if held.is_first(write):
+            self._send(held)
 
     def _stored(self, held: HeldGoal, write: Write, sequence: int) -> None:
         """Note that the first write of a goal is stored, and send the next one."""
         held.sequence, held.stored = sequence, write.stored
         held.writes.popleft()
+        self._shortage.discard(held.goal_id)
         if write.kind == "end":
             self._forget(held)
             self._outcomes.add(self._names.goal(self.action, held.goal_id), held)
@@ -234,6 +240,7 @@ class FleetJournal(GoalJournal):
     def _forget(self, held: HeldGoal) -> None:
         if self._held.get(held.goal_id) is held:
             del self._held[held.goal_id]
+            self._shortage.discard(held.goal_id)
         self._settled.notify()
         self.begun.notify()
 
@@ -260,9 +267,7 @@ class FleetJournal(GoalJournal):
                 self._stored(held, write, record.sequence)
             else:
                 held.sequence = sequence
-                await sleep(write.next_pause())
-                if held.is_first(write):
-                    self._send(held)
+                await self._send_later(held, write)
             return
 
     # Goals that come and go
@@ -322,6 +327,7 @@ class FleetJournal(GoalJournal):
 
     async def release_rest(self) -> None:
         """Release the goals that are left when the server has stopped."""
+        self._shortage.close()
         await self.settle()
         for held in tuple(self._held.values()):
             # They wait, or were claimed and not begun: whoever takes them decides.
