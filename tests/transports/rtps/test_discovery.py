@@ -145,7 +145,12 @@ def test_a_removed_endpoint_matches_no_longer() -> None:
     reader = reader_of(world, other)
     assert world.run_until(lambda: bool(writer.readers and reader.writers))
     one.participant.remove(writer, world.now)
+    one.participant.remove(writer, world.now)
+    world.flush()
+    writer.write(payload("too late"), world.now)
+    assert (writer.readers, writer.kept) == ([], 0)
     assert world.run_until(lambda: not reader.writers)
+    assert other.texts(reader) == []
     assert other.all(EndpointUnmatched) == [EndpointUnmatched(reader.guid, writer.guid)]
     other.participant.remove(reader, world.now)
     world.run(5.0)

@@ -324,6 +324,12 @@ def test_a_payload_without_an_encapsulation_header_is_rejected() -> None:
         writer.write(b"abc", world.now)
 
 
+def test_a_depth_that_keeps_nothing_is_rejected() -> None:
+    world = World()
+    with pytest.raises(ValueError, match="depth 0 keeps no sample: use 1 or more"):
+        writer_of(world, world.join(), Qos(depth=0))
+
+
 def test_inline_qos_that_are_too_long_are_rejected() -> None:
     world = World()
     writer = writer_of(world, world.join())

@@ -179,14 +179,14 @@ class Participant:
         return reader
 
     def remove(self, endpoint: DataWriter | DataReader, now: float) -> None:
-        """Close a writer or reader, and tell others that it is gone."""
+        """Close a writer or reader, and tell others that it is gone; once is enough."""
         endpoint.close()
-        if isinstance(endpoint, DataWriter):
-            del self._local.writers[endpoint.guid.entity]
-            self._assertions.plan(self._local.user_writers(), now)
-        else:
-            del self._local.readers[endpoint.guid.entity]
+        is_writer = isinstance(endpoint, DataWriter)
+        table = self._local.writers if is_writer else self._local.readers
+        if table.pop(endpoint.guid.entity, None) is None:
+            return
         self._discovery.withdraw(endpoint.guid, now)
+        self._assertions.plan(self._local.user_writers(), now)
 
     def receive(self, datagram: bytes, address: Address, now: float) -> None:
         """Take a datagram from an address."""

@@ -34,6 +34,8 @@ class History:
     """
 
     def __init__(self, depth: int | None, limits: RtpsLimits) -> None:
+        if depth is not None and depth < 1:
+            raise ValueError(f"depth {depth} keeps no sample: use 1 or more, or None for all")
         self._depth = depth
         self._limits = limits
         self._samples: dict[int, StoredSample] = {}

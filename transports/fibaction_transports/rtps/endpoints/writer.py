@@ -154,7 +154,8 @@ class DataWriter:
             self._shared.timers.set(self.on_heartbeat_due, now + self._pause)
 
     def close(self) -> None:
-        """Send nothing any more."""
+        """Forget all readers, and send nothing any more."""
+        self._readers.clear()
         self._shared.timers.cancel(self.on_heartbeat_due)
 
     def _forget(self, now: float) -> None:
