@@ -140,13 +140,14 @@ class JsonCodec:
         try:
             return shapes.of(shapes.root).convert(shapes.check(extent.size, pause), data)
         except NoMatch as exc:
-            found = exc
-        raise PayloadError(*self._problems(found, data, shapes, pause))
+            # Not the error itself: with its traceback, it would keep the data.
+            name, mismatch = field_name(self._name, tuple(reversed(exc.way))), exc.mismatch
+        raise PayloadError(
+            *(self._problems(data, shapes, pause) or dict.fromkeys(sentences(mismatch, name)))
+        )
 
-    def _problems(
-        self, found: NoMatch, data: Any, shapes: Shapes, pause: Pause | None
-    ) -> dict[str, None]:
-        """Return what is wrong: of a large message, only as much as is found in some steps."""
+    def _problems(self, data: Any, shapes: Shapes, pause: Pause | None) -> dict[str, None]:
+        """Return what is wrong, as far as it is found in some steps: all in a small message."""
         problems: dict[str, None] = {}
         check = shapes.check(pause=pause)
         with suppress(SchemaError):
@@ -154,10 +155,7 @@ class JsonCodec:
             # Each missing field is a mismatch, whose sentences name all of them.
             for mismatch in islice(check.mismatches(data, shapes.root), MAX_MISMATCHES):
                 problems |= dict.fromkeys(sentences(mismatch, self._name))
-        if problems:
-            return problems
-        where = field_name(self._name, tuple(reversed(found.way)))
-        return dict.fromkeys(sentences(found.mismatch, where))
+        return problems
 
 
 def to_json(value: Any) -> str:

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import anyio
-import msgspec
 from anyio.lowlevel import RunVar
 
 from fibaction.types.collector import collector_paused
@@ -41,18 +40,35 @@ async def in_turn(size: int | None, work: Callable[[Pause | None], T]) -> T:
     if limiter is None:
         limiter = anyio.CapacityLimiter(1)
         _turn.set(limiter)
-    return await anyio.to_thread.run_sync(work, _pause, limiter=limiter)
+    done = await anyio.to_thread.run_sync(_Done, work, limiter=limiter)
+    return done.result()
 
 
-def read_json(text: bytes | str) -> Any:
-    """Return the data in a JSON text.
+class _Done(Generic[T]):
+    """The outcome of some work, which is done at once.
 
-    Raises:
-        ValueError: It is not JSON.
-        RecursionError: It nests too deeply.
+    An error that a thread raises is in a cycle with the frame that waits for it. It would keep the
+    document until the garbage collector comes.
     """
-    with collector_paused():
-        return msgspec.json.decode(text)
+
+    def __init__(self, work: Callable[[Pause | None], T]) -> None:
+        self._error: Exception | None = None
+        # Each collection would go through all parts of the document, and find nothing.
+        with collector_paused():
+            try:
+                self._result = work(_pause)
+            except Exception as exc:
+                self._error = exc
+
+    def result(self) -> T:
+        """Return what the work has returned, or raise its error, once."""
+        if self._error is None:
+            return self._result
+        error, self._error = self._error, None
+        try:
+            raise error
+        finally:
+            del error
 
 
 def _pause() -> None:

@@ -34,6 +34,7 @@ PATIENCE = 40.0
 """Seconds for one attack in its short form: many times what the slowest takes."""
 HONEST_GOALS = 20
 """Goals of the honest client during an attack, at least."""
+WEB = ("fibaction_transports.web", "fibaction_transports.web.http_transport")
 SHUTDOWN = 0.5 + 2
 """Seconds in which SIGTERM ends the server: its `shutdown_timeout`, and two more."""
 
@@ -43,8 +44,10 @@ Honest = ActionClient[Goal, Feedback, Result]
 class Server:
     """A server in a process of its own."""
 
-    def __init__(self, process: ForkServerProcess, url: str, orders: Connection, log: Path) -> None:
-        self.url = url
+    def __init__(
+        self, process: ForkServerProcess, urls: list[str], orders: Connection, log: Path
+    ) -> None:
+        self.url, self.web = urls
         self._process = process
         self._orders = orders
         self._log = log
@@ -117,7 +120,9 @@ def started(settings: Settings) -> Generator[Server, None, None]:
     most attacks.
     """
     processes = get_context("forkserver")
-    processes.set_forkserver_preload(["tests.hostile.victim", "fibaction_transports.tcp", "pytest"])
+    processes.set_forkserver_preload(
+        ["tests.hostile.victim", "fibaction_transports.tcp", *WEB, "pytest"]
+    )
     here, there = processes.Pipe()
     orders, of_meter = processes.Pipe()
     with tempfile.TemporaryDirectory() as folder:
@@ -131,10 +136,10 @@ def started(settings: Settings) -> Generator[Server, None, None]:
             there.close()
             of_meter.close()
             try:
-                url: str = here.recv()
+                urls: list[str] = here.recv()
             except EOFError:
                 raise AssertionError(f"it has not started: {log.read_text()[-2000:]}") from None
-            yield Server(process, url, orders, log)
+            yield Server(process, urls, orders, log)
         finally:
             process.kill()
             process.join()
@@ -143,9 +148,10 @@ def started(settings: Settings) -> Generator[Server, None, None]:
 
 
 @contextmanager
-def attacked(name: str, url: str, token: str) -> Generator[None, None, None]:
+def attacked(name: str, server: Server, token: str) -> Generator[None, None, None]:
     """Attack in a process of its own, which ends with the block."""
-    command = [sys.executable, "-m", "tests.hostile.attacker", name, url, token]
+    command = [sys.executable, "-m", "tests.hostile.attacker", name]
+    command += [server.url, server.web, token]
     with subprocess.Popen(
         command, cwd=ROOT, env=environment(), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
     ) as process:
@@ -244,10 +250,10 @@ async def figures_of(name: str, seconds: float = 0.0, *, looks: bool = False) ->
                         latencies.clear()
                         work.clear()
                         if seconds:
-                            stack.enter_context(attacked(name, server.url, token))
+                            stack.enter_context(attacked(name, server, token))
                             await anyio.sleep(seconds)
                         else:
-                            target = Target(server.url, token)
+                            target = Target(server.url, token, web=server.web)
                             attacking.start_soon(repeat, attack, target, waves)
                             await until(lambda: len(waves) > 0)
                         await until(lambda: len(latencies) >= HONEST_GOALS)

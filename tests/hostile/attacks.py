@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from tests.hostile import connection_attacks, floods, goal_attacks, memory_attacks
+from tests.hostile import connection_attacks, document_attacks, floods, goal_attacks, memory_attacks
 from tests.hostile.attack import ATTACKS, Attack
 
 __all__ = [
     "ATTACKS",
     "Attack",
     "connection_attacks",
+    "document_attacks",
     "floods",
     "goal_attacks",
     "memory_attacks",

@@ -157,7 +157,9 @@ class Raw:
 class Target:
     """The server that is attacked, and the attacker's name there."""
 
-    def __init__(self, url: str, token: str = "", *, is_long: bool = False) -> None:
+    def __init__(self, url: str, token: str = "", *, web: str = "", is_long: bool = False) -> None:
+        """Attack the server at `url`, and its door for the web at `web`."""
+        self.web = web
         host, _, port = url.partition("://")[2].rpartition(":")
         self.is_long = is_long
         self.host, self.port = host, int(port)

@@ -21,6 +21,7 @@ import msgspec
 
 from fibaction import Action, ActionServer, GoalHandle, GoalRejected, Limits, Permission, serve
 from fibaction.wire.auth import Peer
+from tests.hostile.documents import ANYTHING, NUMBERS, TREE
 from tests.hostile.meter import Meter
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
@@ -37,7 +38,7 @@ class Settings(msgspec.Struct):
     authorize: str = ""
     """The name of a function in `AUTHORIZE`; empty for none."""
     url: str = "tcp://127.0.0.1:0"
-    """The address at which it serves."""
+    """The address at which it serves, beside one of `http://`."""
     looks: bool = False
     """True if the meter looks where the longest turn is."""
 
@@ -144,6 +145,9 @@ def servers(given: dict[str, Any]) -> list[ActionServer[Any, Any, Any]]:
         ActionServer(PICKY, nothing, on_goal=reject, **given),
         ActionServer(STRICT, nothing, **given),
         ActionServer(SLOW, nothing, on_goal=wait, **given),
+        ActionServer(TREE, nothing, **given),
+        ActionServer(NUMBERS, nothing, **given),
+        ActionServer(ANYTHING, nothing, **given),
     ]
 
 
@@ -167,16 +171,20 @@ AUTHORIZE: dict[str, Callable[..., Any]] = {
 
 
 async def serve_all(settings: Settings, test: Connection) -> None:
-    """Serve until SIGTERM; the test is sent the URL first."""
+    """Serve until SIGTERM; the test is sent the URLs first."""
     wire = dict(settings.wire)
     if settings.authorize:
         wire["authorize"] = AUTHORIZE[settings.authorize]
     limits: Any = settings.limits
     with anyio.open_signal_receiver(SIGTERM) as signals:
         async with serve(
-            servers(settings.server), settings.url, limits=Limits(**limits), **wire
-        ) as (url,):
-            test.send(url)
+            servers(settings.server),
+            settings.url,
+            "http://127.0.0.1:0",
+            limits=Limits(**limits),
+            **wire,
+        ) as urls:
+            test.send(urls)
             await anext(signals)
 
 

@@ -63,3 +63,25 @@ def test_a_default_may_not_nest_deeply() -> None:
 def test_the_bytes_of_a_value_are_those_in_a_message() -> None:
     assert size_in_bytes({"a": [1, "b"]}) == 7
     assert size_in_bytes(10**30) == 0
+
+
+@pytest.mark.parametrize(
+    ("schema", "value", "sent"),
+    [
+        ({"items": {"type": "integer"}}, [1, 2.0], [1, 2]),
+        ({"items": {"type": "integer"}}, [1.0, None, True], None),
+        ({"prefixItems": [{"type": "integer"}], "items": True}, [3.0, 3.5, "a"], [3, 3.5, "a"]),
+        ({"contentEncoding": "base64"}, [104, 105], b"hi"),
+        ({"contentEncoding": "base64"}, "aGk=", b"hi"),
+        ({"additionalProperties": {"contentEncoding": "base64"}}, {1: "aGk="}, {1: b"hi"}),
+        (FIELDS, {"a": [2, 1.5]}, {"a": [2, 1.5]}),
+        ({"properties": {"a": {"default": {"b": [1, "c"]}}}}, {}, {"a": {"b": [1, "c"]}}),
+        ({"properties": {"a": True}}, {}, {}),
+    ],
+)
+def test_a_value_is_sent_in_the_form_of_its_schema(schema: Any, value: Any, sent: Any) -> None:
+    if sent is None:
+        with pytest.raises(NoMatch):
+            converted(check_of(schema), value, schema)
+    else:
+        assert converted(check_of(schema), value, schema) == sent

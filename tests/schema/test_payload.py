@@ -193,6 +193,12 @@ def test_any_goal_in_json_arrives_as_it_is(tree: Tree) -> None:
     assert codec_of(Tree).decode(msgspec.msgpack.encode(tree)) == data
 
 
+def test_data_that_was_read_from_json_is_sent_without_a_copy() -> None:
+    data = {"object_name": "cup", "waypoints": [{"x": 1.0}]}
+
+    assert codec_of(Pick).encode(data, is_json=True) == codec_of(Pick).encode(data)
+
+
 # Hostile schemas and data
 
 JSON_SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)

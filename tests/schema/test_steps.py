@@ -5,7 +5,16 @@ from typing import Any
 import pytest
 
 from fibaction.schema.json_schema import SchemaError
-from fibaction.schema.steps import STEPS, STEPS_PER_VALUE, CheckSteps, Extent, are_equal
+from fibaction.schema.steps import (
+    FILLED,
+    FILLED_PER_VALUE,
+    STEPS,
+    STEPS_PER_VALUE,
+    TURN,
+    CheckSteps,
+    Extent,
+    are_equal,
+)
 
 
 def test_the_size_of_data_counts_text_by_its_length() -> None:
@@ -42,3 +51,25 @@ def test_values_are_equal_as_in_json(one: Any, other: Any, is_equal: bool) -> No
 def test_the_comparison_of_long_text_takes_many_steps() -> None:
     with pytest.raises(SchemaError, match="is too complex"):
         are_equal(CheckSteps(1), "a" * 20_000_000, "b")
+
+
+def test_a_check_pauses_after_each_turn() -> None:
+    pauses: list[int] = []
+    steps = CheckSteps(100, lambda: pauses.append(steps.spent))
+    for _ in range(3 * TURN):
+        steps.spend()
+
+    assert pauses == [1, TURN + 2, 2 * TURN + 3]
+    assert steps.spent == 3 * TURN
+
+
+def test_larger_data_may_have_more_defaults() -> None:
+    steps = CheckSteps(2)
+    steps.fill(FILLED + 2 * FILLED_PER_VALUE)
+
+    with pytest.raises(SchemaError, match="too many defaults: in this message they take over"):
+        steps.fill(1)
+
+
+def test_maps_are_compared_by_their_fields() -> None:
+    assert not are_equal(CheckSteps(1), {"a": [1, 2]}, {"a": [1, 3]})

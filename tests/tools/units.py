@@ -34,6 +34,7 @@ UNITS = {
     "fibaction/cli": ["tests/cli"],
     "fibaction/feeds": ["tests/feeds"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
+    "fibaction/schema/shapes": ["tests/schema/shapes"],
     "fibaction/server": ["tests/server"],
     "fibaction/stores": ["tests/stores"],
     # The rules without I/O.

@@ -204,3 +204,46 @@ def test_a_default_of_another_type_is_left_to_the_search() -> None:
 )
 def test_other_schemas_have_no_shape_of_their_own(schema: Any, kind: type) -> None:
     assert type(Shapes(JsonSchema(schema)).of(schema)) is kind
+
+
+OBJECT: Any = {"type": "object", "properties": {"a": {"type": "integer"}}}
+LOOSE: Any = {"type": "object", "additionalProperties": {"type": "integer"}}
+
+
+@pytest.mark.parametrize(
+    ("schema", "value"),
+    [
+        ({"type": "array"}, [1, "a", {"b": [2]}]),
+        ({"type": "array", "items": OBJECT, "maxItems": 1}, [{}, {}]),
+        (OBJECT | {"minProperties": 1}, {}),
+        (OBJECT | {"minProperties": 1}, {"a": 1}),
+        (LOOSE | {"maxProperties": 1}, {"a": 1, "b": 2}),
+        (LOOSE, {1: 2}),
+        (LOOSE, {1: "a"}),
+        (OBJECT | {"additionalProperties": True}, {"b": 1}),
+        (OBJECT | {"required": ["a"]}, {"b": 1}),
+        (OBJECT | {"required": ["b"]}, {}),
+        ({"anyOf": [OBJECT, {"type": "object"}]}, {"a": 1}),
+        ({"anyOf": [OBJECT, LOOSE]}, {"b": 1}),
+        ({"anyOf": [{"type": "array"}, {"type": "array", "maxItems": 1}]}, [1, 2]),
+        ({"anyOf": [{"type": "integer"}, {"type": "number"}]}, 1.5),
+        ({"type": ["integer", "null"]}, None),
+        ({"oneOf": [{"type": "integer"}, {"type": "null"}]}, 1),
+        ({"oneOf": [{"type": "integer"}, {"type": "number"}]}, 1),
+    ],
+)
+def test_a_shape_and_the_search_agree_about_odd_cases(schema: Any, value: Any) -> None:
+    read = JsonSchema(schema)
+    expected, found = by_search(read, value), by_shape(read, value)
+
+    assert found == expected
+
+
+def test_a_shape_is_prepared_once() -> None:
+    schema: Any = {"type": "array", "items": {"type": "array", "items": {"type": "integer"}}}
+    shapes = Shapes(JsonSchema(schema))
+    shape_of_lists = shapes.of(schema)
+
+    assert shapes.of(schema) is shape_of_lists
+    for value in ([[1], [2]], [[3]]):
+        assert shape_of_lists.convert(shapes.check(), value) == value

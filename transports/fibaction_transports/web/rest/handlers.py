@@ -22,7 +22,7 @@ from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
 from fibaction.schema.payload import JsonCodec
-from fibaction.schema.turns import Pause, in_turn, read_json
+from fibaction.schema.turns import Pause, in_turn
 from fibaction.types.action import ActionInfo
 from fibaction.wire.auth import Permission
 from fibaction.wire.messages import VERSION, Hello
@@ -292,7 +292,7 @@ def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:
         PayloadError: It is not a goal.
     """
     try:
-        data = read_json(body)
+        data = msgspec.json.decode(body)
     except (ValueError, RecursionError) as exc:
         raise Refused(400, f"the body is not JSON: {exc}") from None
     return codec.encode(data, is_json=True, pause=pause)

@@ -16,7 +16,6 @@ import msgspec
 
 from fibaction.border.peer_text import excerpt
 from fibaction.border.plain_values import is_map
-from fibaction.types.collector import collector_paused
 from fibaction.wire.errors import sendable
 from fibaction.words.errors import ProtocolError
 
@@ -124,8 +123,7 @@ class OperationReader:
             ProtocolError: The message is not JSON.
         """
         try:
-            with collector_paused():
-                return self._decoder.decode(text)
+            return self._decoder.decode(text)
         except (ValueError, RecursionError) as exc:
             why = str(exc)
         # Python's own parser takes NaN as well, which roslibpy writes: such a call gets its answer.
