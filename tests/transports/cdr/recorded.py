@@ -1,4 +1,4 @@
-"""Messages as rclpy writes them: recorded with rclpy 9.1.2 (Kilted) on Fast DDS, on x86_64.
+"""Messages as rclpy writes them: recorded with rclpy 9.1.2 (Kilted) on Fast DDS, x86_64.
 
 For example, with ROS 2 installed as `make ros` does:
 
