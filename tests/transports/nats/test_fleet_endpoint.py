@@ -299,11 +299,24 @@ async def test_a_goal_whose_owner_is_gone_is_lost_after_a_while(fleet: FakeFleet
         endpoint = connection.endpoint(COUNT)
         for ask in (endpoint.feedback, endpoint.cancel_goals):
             began = anyio.current_time()
-            with pytest.raises(
-                ConnectionLost, match=r"worker 'gone', which has goal 0001.* is gone"
-            ):
+            with pytest.raises(ConnectionLost) as caught:
                 await ask(GOAL_ID)
+            assert str(caught.value) == (
+                f"goal {GOAL_ID} has no worker: 'gone', which had it, is gone, and no other one has"
+                f" taken it over; start a worker that has room, and whose version can read the goal"
+            )
             assert anyio.current_time() - began == pytest.approx(8)
+
+
+async def test_a_released_goal_that_no_worker_takes_is_lost_after_a_while(fleet: FakeFleet) -> None:
+    former = FakeWorker(fleet.broker, "")
+    former.own(GOAL_ID)
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.connect(reconnect_timeout=8) as connection,
+    ):
+        with pytest.raises(ConnectionLost, match=f"goal {GOAL_ID} has no worker: it was released"):
+            await connection.endpoint(COUNT).cancel_goals(GOAL_ID)
 
 
 async def test_an_owner_that_does_not_know_the_goal_yet_is_asked_again(fleet: FakeFleet) -> None:

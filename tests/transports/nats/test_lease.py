@@ -74,6 +74,16 @@ async def test_a_term_counts_from_before_the_first_write_that_may_be_stored() ->
     assert term.valid_until < 0
 
 
+@pytest.mark.parametrize(("lease", "pause"), [(15, 6.9), (50, 23)])
+async def test_a_term_survives_a_pause_of_the_brokers_that_begins_before_a_renewal(
+    lease: float, pause: float
+) -> None:
+    term = Term(lease)
+    term.sent(0)
+    term.stored()
+    assert term.renew_at + pause < term.valid_until
+
+
 # Stay
 
 

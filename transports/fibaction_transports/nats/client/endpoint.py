@@ -319,6 +319,10 @@ class FleetEndpoint(Endpoint):
 
 def _gone(found: FoundGoal) -> ConnectionLost:
     goal = found.goal
+    former = (
+        f"{excerpt(goal.worker)!r}, which had it, is gone" if goal.worker else "it was released"
+    )
     return ConnectionLost(
-        f"worker {excerpt(goal.worker)!r}, which has goal {goal.goal_id}, is gone"
+        f"goal {goal.goal_id} has no worker: {former}, and no other one has taken it over; start a"
+        f" worker that has room, and whose version can read the goal"
     )
