@@ -649,3 +649,19 @@ async def test_pages_that_are_named_get_the_headers_of_cors() -> None:
         assert asked.status == 204
         assert "authorization" in asked.headers["access-control-allow-headers"]
         assert "access-control-allow-origin" not in (await fetch(url, "GET", "/actions")).headers
+
+
+async def test_goals_are_listed_in_pages() -> None:
+    async with served(new_server()) as url:
+        for _ in range(3):
+            await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 1})
+        first = await fetch(url, "GET", f"{GOALS}?limit=2")
+        assert len(first.json) == 2
+        address = re.fullmatch(r'<(\?limit=2&after=\S+)>; rel="next"', first.headers["link"])
+        assert address
+        second = await fetch(url, "GET", f"{GOALS}{address[1]}")
+        assert "link" not in second.headers
+        stamps = [int(goal["stamp"]) for goal in first.json + second.json]
+        assert len(stamps) == 3
+        assert stamps == sorted(stamps)
+        assert (await fetch(url, "GET", f"{GOALS}?limit=none")).status == 400

@@ -153,7 +153,7 @@ class WebApplication:
         if "origin" in headers:
             exchange.more_headers += [
                 ("Access-Control-Allow-Origin", headers["origin"]),
-                ("Access-Control-Expose-Headers", "location"),
+                ("Access-Control-Expose-Headers", "location, link"),
                 ("Vary", "Origin"),
             ]
         if self.is_closing:

@@ -29,11 +29,12 @@ from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
-from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import trace_meta
 from fibaction_transports.web.http.exchange import Exchange, bearer_of
 from fibaction_transports.web.rest.event_stream import tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
+from fibaction_transports.web.rest.goal_list import listed, members_of, page_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import Resource, Route, route_of
 
@@ -52,6 +53,7 @@ class RestInterface:
         self._endpoints = server.endpoints
         self._settings = server.settings
         self._memory = server.memory
+        self._turn = server.turn
         self._codecs: dict[str, tuple[ActionInfo, JsonCodec]] = {}
         self._has_tokens = server.settings.access.asks_for_tokens
         self._handlers = {
@@ -133,9 +135,11 @@ class RestInterface:
 
     async def _list_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
+        page = page_of(exchange.parameter("limit"), exchange.parameter("after"))
         with await endpoint.status() as statuses:
-            infos = await statuses.listed()
-        await exchange.answer(200, msgspec.json.encode([_info_members(info) for info in infos]))
+            body, cursor = await listed(statuses, page, self._turn)
+        next_page = f'<?limit={page.limit}&after={cursor}>; rel="next"'
+        await exchange.answer(200, body, *([("Link", next_page)] if cursor else ()))
 
     async def _post_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         goal_id = GoalID.random()
@@ -260,7 +264,7 @@ class RestInterface:
             raise CancelRejected("the goal has ended")
         members = {
             "code": answer.return_code.name,
-            "goals_canceling": [_info_members(info) for info in answer.goals_canceling],
+            "goals_canceling": [members_of(info) for info in answer.goals_canceling],
             "reason": answer.reason,
         }
         await exchange.answer(202, msgspec.json.encode(members))
@@ -269,19 +273,6 @@ class RestInterface:
 def _events_of(endpoint: Endpoint) -> GoalEvents:
     info = endpoint.info
     return GoalEvents(JsonCodec({}, "feedback"), JsonCodec({}, f"result of {info.name!r}"))
-
-
-def _info_members(info: GoalInfo) -> dict[str, object]:
-    return {
-        "goal_id": str(info.goal_id),
-        "stamp": str(info.stamp),
-        "status": info.status.name,
-        "attempt": info.attempt,
-        "feedback_count": info.feedback_count,
-        "client": info.client,
-        "place": info.place,
-        "queue_length": info.queue_length,
-    }
 
 
 def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:

@@ -66,6 +66,24 @@ _BEFORE = {
     "description": "Only goals that were accepted at or before this stamp.",
     "schema": {"type": "string"},
 }
+_LIMIT = {
+    "name": "limit",
+    "in": "query",
+    "description": "Goals of a page, in the order of acceptance; without it all are listed.",
+    "schema": {"type": "integer", "minimum": 1},
+}
+_AFTER_PAGE = {
+    "name": "after",
+    "in": "query",
+    "description": "The cursor in the header Link of the page before.",
+    "schema": {"type": "string"},
+}
+_NEXT = {
+    "Link": {
+        "description": "The address of the next page, with rel=next; absent on the last one.",
+        "schema": {"type": "string"},
+    }
+}
 _AFTER = {
     "name": "after",
     "in": "query",
@@ -116,12 +134,13 @@ def _add(info: ActionInfo, paths: Json, schemas: Json) -> None:
     events = {"description": f"Events; feedback is of {name}.feedback.", "content": stream}
     cancel = _answer("The cancel was accepted.", "Cancel")
     goals = {"type": "array", "items": _ref("Goal")}
-    listed = {"description": "Goals.", "content": {"application/json": {"schema": goals}}}
+    content = {"application/json": {"schema": goals}}
+    listed = {"description": "Goals.", "content": content, "headers": _NEXT}
     base = f"/actions/{info.name.replace('/', '%2F') if info.name[0] in '/~' else info.name}"
     described = _operation("Describe the action.", f"describe.{name}", _anything("The action."))
     paths.setdefault(base, {"get": described})  # a list of goals at this address comes before it
     paths[f"{base}/goals"] = {
-        "get": _operation("List the goals.", f"list.{name}", {"200": listed}),
+        "get": _operation("List the goals.", f"list.{name}", {"200": listed}, _LIMIT, _AFTER_PAGE),
         "post": _operation("Send a goal.", f"send.{name}", {"201": sent}, _WAIT)
         | {"requestBody": body},
         "delete": _operation("Cancel goals.", f"cancel_all.{name}", {"202": cancel}, _BEFORE),

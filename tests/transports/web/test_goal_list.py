@@ -1,0 +1,101 @@
+"""`fibaction_transports.web.rest.goal_list`: pages of goals, and the turns of lists."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from fibaction.border.http_access import Refused
+from fibaction.feeds.status_broadcast import StatusBroadcast
+from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.web.rest import goal_list
+from fibaction_transports.web.rest.goal_list import Page, listed, page_of
+
+pytestmark = pytest.mark.anyio
+
+
+class Listed:
+    """A goal of a list."""
+
+    changed = 0
+
+    def __init__(self, number: int) -> None:
+        self.goal_id = GoalID(number.to_bytes(16, "big"))
+        self.info = GoalInfo(self.goal_id, number // 2, GoalStatus.EXECUTING)
+
+
+def goals(*numbers: int) -> Any:
+    """A stream that begins with these goals, of which two each have the same stamp."""
+    return StatusBroadcast().follow([Listed(number) for number in numbers])
+
+
+async def numbers_in(page: Page, *numbers: int) -> tuple[list[int], str]:
+    body, cursor = await listed(goals(*numbers), page, anyio.Lock())
+    return [int(one["goal_id"], 16) for one in json.loads(body)], cursor
+
+
+async def test_without_a_limit_all_goals_come_in_the_order_of_the_server() -> None:
+    assert await numbers_in(Page(), 3, 1, 2) == ([3, 1, 2], "")
+    assert await numbers_in(Page()) == ([], "")
+
+
+async def test_pages_follow_each_other_without_a_goal_twice_or_left_out() -> None:
+    found: list[int] = []
+    page = Page(2)
+    while True:
+        more, cursor = await numbers_in(page, 7, 2, 5, 3, 1)
+        found += more
+        if not cursor:
+            break
+        page = page_of("2", cursor)
+    assert found == [1, 2, 3, 5, 7]
+
+
+async def test_a_cursor_holds_when_its_goal_is_forgotten() -> None:
+    _, cursor = await numbers_in(Page(2), 1, 2, 3)
+    assert await numbers_in(page_of("2", cursor), 1, 3) == ([3], "")
+
+
+async def test_a_stream_that_ends_ends_the_list() -> None:
+    stream = goals(1, 2)
+    await stream.receive()
+    stream.close()
+    assert (await listed(stream, Page(), anyio.Lock()))[0].count(b"goal_id") <= 1
+
+
+@pytest.mark.parametrize(
+    ("limit", "after"),
+    [("0", None), ("-1", None), ("x", None), ("", None), ("2", "7"), (None, "1.zz")],
+)
+def test_wrong_parameters_are_refused(limit: str | None, after: str | None) -> None:
+    with pytest.raises(Refused, match=r"between 1 and 10000|a cursor of the header Link"):
+        page_of(limit, after)
+
+
+def test_a_page_has_a_size_that_the_server_bounds() -> None:
+    assert page_of("5", None) == Page(5)
+    assert page_of("9" * 30, None).limit == 10_000
+
+
+async def test_lists_have_one_slice_of_each_turn_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(goal_list, "SLICE", -1.0)  # each goal is a slice
+    turn, done = anyio.Lock(), 0
+
+    async def read() -> None:
+        nonlocal done
+        await listed(goals(*range(1, 6)), Page(), turn)
+        done += 1
+
+    async with anyio.create_task_group() as tasks:
+        for _ in range(3):
+            tasks.start_soon(read)
+        turns = 0
+        while done < 3:
+            await anyio.lowlevel.checkpoint()
+            turns += 1
+    assert turns >= 3 * 2 * 5 - 5

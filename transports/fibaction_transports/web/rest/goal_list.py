@@ -1,0 +1,113 @@
+"""The list of an action's goals as JSON: all of them, or pages.
+
+A list may be long, and many clients may ask for it at once. It is made in slices, and in a turn of
+the event loop one slice of one list, whoever asks.
+
+The pages are in the order of acceptance. A cursor is the stamp and the ID of the last goal of a
+page, so it holds also when that goal is forgotten meanwhile.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Awaitable, Callable
+from heapq import nsmallest
+from time import perf_counter
+from typing import NamedTuple
+
+import anyio
+import msgspec
+
+from fibaction.border.abc import StatusStream
+from fibaction.border.event_loop import SLICE
+from fibaction.border.http_access import Refused
+from fibaction.words.goals import GoalInfo
+
+LARGEST_PAGE = 10_000
+"""Goals of the largest page."""
+
+_PAGE_CURSOR = re.compile(r"(\d{1,19})\.([0-9a-f]{32})", re.ASCII)
+
+
+class Page(NamedTuple):
+    """The part of a list that a client asks for."""
+
+    limit: int | None = None
+    """The number of goals; None for all."""
+    after: tuple[int, bytes] = (-1, b"")
+    """The stamp and the ID of the goal before the first one."""
+
+
+def page_of(limit: str | None, after: str | None) -> Page:
+    """Return the page that the parameters of a request name.
+
+    Raises:
+        Refused: One of them is wrong.
+    """
+    if limit is not None and not (limit.isascii() and limit.isdecimal() and int(limit[:9]) > 0):
+        raise Refused(400, f"limit is a number of goals between 1 and {LARGEST_PAGE}")
+    size = None if limit is None else min(int(limit[:9]), LARGEST_PAGE)
+    if after is None:
+        return Page(size)
+    found = _PAGE_CURSOR.fullmatch(after)
+    if found is None:
+        raise Refused(400, "after is a cursor of the header Link of the page before")
+    return Page(size, (int(found[1]), bytes.fromhex(found[2])))
+
+
+def members_of(info: GoalInfo) -> dict[str, object]:
+    """Return a goal of a list as members of an object."""
+    return {
+        "goal_id": str(info.goal_id),
+        "stamp": str(info.stamp),
+        "status": info.status.name,
+        "attempt": info.attempt,
+        "feedback_count": info.feedback_count,
+        "client": info.client,
+        "place": info.place,
+        "queue_length": info.queue_length,
+    }
+
+
+async def listed(statuses: StatusStream, page: Page, turn: anyio.Lock) -> tuple[bytes, str]:
+    """Return a page as JSON, and the cursor of the next one; empty if there is none.
+
+    Raises:
+        ActionError: As for `StatusStream.receive`.
+    """
+    pause = _pauses(turn)
+    found: list[GoalInfo] = []
+    for _ in range(statuses.known):
+        info = await statuses.receive()
+        if info is None:
+            break
+        if _place_of(info) > page.after:
+            found.append(info)
+        await pause()
+    has_more = page.limit is not None and len(found) > page.limit
+    if page.limit is not None:
+        found = nsmallest(page.limit, found, key=_place_of)
+    parts: list[bytes] = []
+    for info in found:
+        parts.append(msgspec.json.encode(members_of(info)))
+        await pause()
+    last = f"{found[-1].stamp}.{found[-1].goal_id}" if has_more else ""
+    return b"[" + b",".join(parts) + b"]", last
+
+
+def _place_of(info: GoalInfo) -> tuple[int, bytes]:
+    return info.stamp, info.goal_id
+
+
+def _pauses(turn: anyio.Lock) -> Callable[[], Awaitable[None]]:
+    """Return what waits for the next slice when one is over."""
+    ends = perf_counter() + SLICE
+
+    async def pause() -> None:
+        nonlocal ends
+        if perf_counter() >= ends:
+            async with turn:  # which has one of those that wait in each turn of the event loop
+                pass
+            ends = perf_counter() + SLICE
+
+    return pause
