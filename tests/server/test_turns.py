@@ -3,12 +3,16 @@ loop."""
 
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator
 from typing import Any
 
 import anyio
+import anyio.lowlevel
 import pytest
 
-from fibaction.server.execution.turns import Turns
+from fibaction import ActionServer, GoalHandle, GoalID, Sender
+from fibaction.server.execution.turns import FEW, Turns
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -71,3 +75,52 @@ async def test_those_that_are_canceled_keep_no_other_waiting() -> None:
         assert went_on == ["b", "d"]
         await turns.pause("a")
     assert not turns._gone
+
+
+async def test_the_more_wait_the_shorter_is_a_slice() -> None:
+    turns = Turns()
+    async with anyio.create_task_group() as tasks:
+        for number in range(1 + 4 * FEW):
+            tasks.start_soon(turns.pause, number)
+        most = 0.0
+        while turns.cut == 0.0:
+            await anyio.lowlevel.checkpoint()
+        while turns.cut > 0.0:
+            most = max(most, turns.cut)
+            await anyio.lowlevel.checkpoint()
+    assert 0.7 < most <= 0.75
+    assert turns.cut == 0.0
+
+
+async def test_executors_that_are_woken_at_once_go_on_one_after_another() -> None:
+    turn, waiting = 0, 0
+    went_on: list[int] = []
+
+    async def executor(_: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        nonlocal waiting
+        waiting += 1
+        yield Feedback([])  # which nothing reads
+        went_on.append(turn)
+        yield Result([])
+
+    server = ActionServer(FIBONACCI, executor, feedback_window=1, stall_timeout=60.0)
+    with anyio.fail_after(20):
+        async with server:
+            payload = FIBONACCI.goal.encode(Goal(1))
+            senders = [Sender(owner=bytes([number] * 16)) for number in range(20)]
+            streams = [
+                await server.send_goal(GoalID.random(), payload, feedback=True, sender=sender)
+                for sender in senders
+            ]
+            while waiting < 20:
+                await anyio.lowlevel.checkpoint()
+            await anyio.wait_all_tasks_blocked()
+            assert went_on == []
+            for stream in streams:
+                stream.hold(False)
+            while len(went_on) < 20:
+                turn += 1
+                await anyio.lowlevel.checkpoint()
+            for stream in streams:
+                stream.close()
+    assert max(map(went_on.count, went_on)) <= 2  # as above

@@ -260,7 +260,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             if feedback.holds(item):
                 log = self._log
                 log.append(feedback.encode(item))
-                if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
+                if steps.pending or log.is_full or perf_counter() >= steps.pause_at:
                     try:
                         await self._pause()
                     except get_cancelled_exc_class() as exc:
@@ -284,6 +284,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             await self._scopes.turns.pause(self._owner)
         if self._log.is_full:
             await self._log.wait_for_room(self._stall_timeout)
+            await self._scopes.turns.pause(self._owner)  # very many may be woken at once
 
     def _part(self, kind: EndKind, exc: GoalCanceled | GoalAborted) -> Ending:
         result = self._action.result

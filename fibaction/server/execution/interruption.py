@@ -171,6 +171,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         "_on_spared",
         "_scopes",
         "fence",
+        "pause_at",
         "pending",
         "slice_end",
     )
@@ -203,8 +204,9 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         """The function that interrupts the coroutine, and returns True, if it may not go on."""
         self._detour: Coroutine[Any, Any, None] | None = None
         self._delayed: Any = None  # the value of the step that is not taken
-        self.slice_end = 0.0
-        """The time by which the coroutine should have waited, by `perf_counter`."""
+        self.slice_end = self.pause_at = 0.0
+        """The time by which the coroutine should have waited, by `perf_counter`. It lets others run
+        from `pause_at` on, which is earlier if many wait for their slices."""
         scopes.steps = self
 
     def interrupt(self) -> None:
@@ -243,6 +245,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         current = self._current
         outer = current.steps  # an eager task begins in the step of another one
         self.slice_end = perf_counter() + EXECUTOR_SLICE  # before the watchdog can see this step
+        self.pause_at = self.slice_end - self._scopes.turns.cut * EXECUTOR_SLICE
         current.steps = self
         try:
             return self._suspend(self._context.run(self._coroutine.send, value))
@@ -261,7 +264,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._note_arrival(typ)
         current = self._current
         outer = current.steps
-        self.slice_end = perf_counter() + EXECUTOR_SLICE
+        self.pause_at = self.slice_end = perf_counter() + EXECUTOR_SLICE
         current.steps = self
         # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
         error = type(typ)() if self._arrived else typ

@@ -13,18 +13,24 @@ from anyio.lowlevel import checkpoint
 
 from fibaction.server.execution.fair_queue import FairQueue
 
+FEW = 20
+"""Executors that may wait with whole slices: 0.1 s until each has had its turn."""
+
 
 class Turns:
     """The executors of a server that have used their slice up, and wait for the next one.
 
     In each turn of the event loop one of them goes on: the one that was woken wakes the next, which
-    runs in the next turn. Keys take turns.
+    runs in the next turn. Keys take turns. The more executors wait, the shorter are their slices,
+    so that none waits for long, whoever the others belong to.
     """
 
     def __init__(self) -> None:
         self._waiting: FairQueue[Event] = FairQueue()
         self._gone: set[Event] = set()  # those that were canceled, and are still in the queue
         self._is_passing = False
+        self.cut = 0.0
+        """The part of a slice that executors may not use now, since many wait."""
 
     async def pause(self, key: Hashable) -> None:
         """Let other tasks run, and wait for the next slice."""
@@ -37,6 +43,7 @@ class Turns:
             return
         event = Event()
         self._waiting.append(event, key)
+        self._cut()
         try:
             await event.wait()
         finally:
@@ -45,9 +52,14 @@ class Turns:
             else:
                 self._gone.add(event)
 
+    def _cut(self) -> None:
+        count = self._waiting.count
+        self.cut = 0.0 if count <= FEW else 1.0 - FEW / count
+
     def _pass_on(self) -> None:
         while self._waiting.count:
             event = self._waiting.popleft()
+            self._cut()
             if event not in self._gone:
                 event.set()
                 return
