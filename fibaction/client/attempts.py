@@ -71,6 +71,12 @@ def check_timeout(timeout: float | None) -> None:
         raise ValueError(f"timeout is more than 0 seconds, or None for no limit, not {timeout}")
 
 
+def check_is_retry(retry: object) -> None:
+    """Raise TypeError for what is neither a rule for retries nor None."""
+    if not isinstance(retry, Retry | None):
+        raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")
+
+
 class Attempts:
     """The attempts at one goal, within its timeout."""
 

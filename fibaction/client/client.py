@@ -23,14 +23,16 @@ from anyio import get_cancelled_exc_class
 
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
-from fibaction.client.attempts import Attempts, cancel_left, check_timeout
+from fibaction.client.attempts import Attempts, cancel_left, check_is_retry, check_timeout
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
 from fibaction.client.goal_span import NO_SPAN, GoalTracer
+from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.retry import Retry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ServerNotFound
+from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
 
 
@@ -65,7 +67,12 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         self._tracing = tracing
 
     def send_goal(
-        self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None
+        self,
+        goal: GoalT,
+        *,
+        goal_id: GoalID | None = None,
+        timeout: float | None = None,
+        step: GoalStep | None = None,
     ) -> SendingGoal[FeedbackT, ResultT]:
         """Send a goal: `async with` the returned object, or `await` it.
 
@@ -80,6 +87,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         waits some seconds at most for the answer to that, and raises `GoalTimeout`. A goal that no
         task waits for is not canceled. The executor finds the time in `GoalHandle.deadline`.
 
+        `step` makes it the child of the goal of an executor, which has the ID: see
+        `GoalHandle.step`. It is for blocks of `async with`.
+
         Raises:
             GoalTimeout: The server did not accept the goal within `timeout` seconds.
             GoalRejected: The server did not accept the goal; `reason` says why.
@@ -90,15 +100,20 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ProtocolError: The server sent an invalid message, which ended the connection.
             TypeError, ValueError, OverflowError, RecursionError: The goal cannot be encoded: see
                 `Codec.encode`.
-            TypeError: `goal_id` is not a `GoalID`.
-            ValueError: `timeout` is not more than 0.
+            TypeError: `goal_id` is not a `GoalID`, or is given together with a `step`.
+            ValueError: `timeout` is not more than 0; or, from the block, the step was taken before.
         """
-        if goal_id is None:
-            goal_id = GoalID.random()
-        else:
+        if goal_id is not None:
             _check_is_id(goal_id)
-        attempts = None if timeout is None else self._attempts(goal_id, timeout, None)
-        sending = self._send(goal, goal_id, attempts)
+            if step is not None:
+                raise TypeError("a step has the ID of its goal: give goal_id or step, not both")
+        if step is not None:
+            return self._sending_step(goal, step, timeout, None)
+        goal_id = goal_id or GoalID.random()
+        attempts = (
+            None if timeout is None else self._attempts(self.endpoint, goal_id, timeout, None)
+        )
+        sending = self._send(self.endpoint, goal, goal_id, attempts)
         return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
 
     async def call(
@@ -108,6 +123,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
         timeout: float | None = None,
         retry: Retry | None = None,
+        step: GoalStep | None = None,
     ) -> ResultT:
         """Send a goal, and return its result.
 
@@ -124,18 +140,26 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         keeps its ID, and runs once, as long as the server remembers it. Each attempt after the
         first is logged as information of `fibaction.client`.
 
+        `step` makes it the child of the goal of an executor: see `GoalHandle.step`.
+
         Raises:
             GoalTimeout: It took longer than `timeout` seconds.
             GoalRejected, ServerNotFound, ConnectionLost, AuthenticationFailed, ProtocolError,
                 TypeError, ValueError, OverflowError, RecursionError: As for `send_goal`.
             GoalAborted, GoalCanceled, UnknownGoal, TransportError: As for `ClientGoal.result`.
-            ValueError: `timeout` is not more than 0.
+            ValueError: `timeout` is not more than 0, or the step was taken before.
             TypeError: `retry` is not a `Retry`.
         """
-        goal_id = GoalID.random()
-        attempts = self._attempts(goal_id, timeout, retry)
-        sending = self._send(goal, goal_id, attempts, feedback=on_feedback is not None)
-        async with SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts) as sent:
+        follow = on_feedback is not None
+        block: SendingGoal[FeedbackT, ResultT]
+        if step is not None:
+            block = self._sending_step(goal, step, timeout, retry, feedback=follow)
+        else:
+            goal_id = GoalID.random()
+            attempts = self._attempts(self.endpoint, goal_id, timeout, retry)
+            sending = self._send(self.endpoint, goal, goal_id, attempts, feedback=follow)
+            block = SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
+        async with block as sent:
             if on_feedback is not None:
                 async for feedback in sent.feedback:
                     answer = on_feedback(feedback)
@@ -254,18 +278,40 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             )
         await self.endpoint.connection.aclose()
 
+    def _sending_step(
+        self,
+        goal: GoalT,
+        step: GoalStep,
+        timeout: float | None,
+        retry: Retry | None,
+        *,
+        feedback: bool = True,
+    ) -> SendingStep[FeedbackT, ResultT]:
+        """Return the child to be sent as a step."""
+        goal_id = step.child_id(self.action.name)
+        endpoint = StepEndpoint(self.endpoint, step, goal_id)
+        attempts = self._attempts(endpoint, goal_id, timeout, retry)
+        sending = self._send(endpoint, goal, goal_id, attempts, feedback=feedback)
+        return SendingStep(endpoint, goal_id, sending, self._blocks, attempts)
+
     def _attempts(
-        self, goal_id: GoalID, timeout: float | None, retry: Retry | None
+        self, endpoint: Endpoint, goal_id: GoalID, timeout: float | None, retry: Retry | None
     ) -> Attempts | None:
         """Return what limits and repeats the waits for a goal; None if nothing does."""
         if timeout is None and retry is None:
             return None
         check_timeout(timeout)
-        _check_is_retry(retry)
-        return Attempts(self.endpoint, goal_id, timeout, retry)
+        check_is_retry(retry)
+        return Attempts(endpoint, goal_id, timeout, retry)
 
     async def _send(
-        self, goal: GoalT, goal_id: GoalID, attempts: Attempts | None, *, feedback: bool = True
+        self,
+        endpoint: Endpoint,
+        goal: GoalT,
+        goal_id: GoalID,
+        attempts: Attempts | None,
+        *,
+        feedback: bool = True,
     ) -> ClientGoal[FeedbackT, ResultT]:
         self._thread.check()
         payload = self.action.goal.encode(goal)
@@ -277,13 +323,13 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             if attempts is not None:
                 stream = await attempts.send(request)
             else:
-                offered = self.endpoint.offer_goal(request)
+                offered = endpoint.offer_goal(request)
                 stream = offered if isinstance(offered, GoalStream) else await offered
         except BaseException as exc:
             span.failed(exc)
             if attempts is None and isinstance(exc, get_cancelled_exc_class()):
                 # The server may have accepted the goal, and it would run without a client.
-                await cancel_left(self.endpoint, goal_id)
+                await cancel_left(endpoint, goal_id)
             raise
         span.accepted(stream)
         return ClientGoal(self.endpoint, self.action, stream, self._thread, attempts, span)
@@ -299,8 +345,3 @@ def _check_is_id(goal_id: object) -> None:
     """Raise TypeError here; a server closes the connection of a client that sends other bytes."""
     if not isinstance(goal_id, GoalID):
         raise TypeError(f"goal_id is a GoalID, as from GoalID.parse(), not {goal_id!r}")
-
-
-def _check_is_retry(retry: object) -> None:
-    if not isinstance(retry, Retry | None):
-        raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")

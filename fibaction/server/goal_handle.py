@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn
 
 from fibaction._runtime.notify import Notifier
 from fibaction.types.action import GoalT
+from fibaction.words.goal_steps import GoalStep, GoalSteps
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class GoalHandle(Generic[GoalT]):
             yield "arrived"
     """
 
-    __slots__ = ("_checkpoints", "_goal", "_succession", "request", "restored")
+    __slots__ = ("_checkpoints", "_goal", "_succession", "request", "restored", "steps")
 
     def __init__(
         self,
@@ -79,6 +80,8 @@ class GoalHandle(Generic[GoalT]):
         self._goal = goal
         self._checkpoints = checkpoints
         self._succession = succession
+        self.steps: GoalSteps | None = None
+        """The steps of this attempt; None before the first."""
 
     @property
     def goal_id(self) -> GoalID:
@@ -114,6 +117,43 @@ class GoalHandle(Generic[GoalT]):
     def cancel_requested(self) -> bool:
         """True if the goal is to stop: its cancel was accepted, or the server ends it."""
         return self._goal.status is GoalStatus.CANCELING or bool(self._goal.stop_reason)
+
+    @property
+    def is_kept(self) -> bool:
+        """True if the goal is to stop here and goes on in another attempt.
+
+        The server stops and keeps its goals (`at_stop="keep"`), or another worker of the fleet has
+        the goal by now. So this tells a planned stop from a cancel:
+
+            except anyio.get_cancelled_exc_class():
+                if not goal.is_kept:
+                    open_gripper()
+                raise
+        """
+        return self._goal.is_kept
+
+    # Children
+
+    def step(self, name: str, *, wait_for_end: bool = False) -> GoalStep:
+        """Return a step of this goal, as which its executor sends another goal, its child.
+
+            await pick.call(Pick("cup"), step=goal.step("pick"))
+
+            async with drive.send_goal(Drive(3), step=goal.step("drive")) as driving:
+                async for feedback in driving.feedback:
+                    yield Feedback(feedback.meters)
+
+        The ID of the child follows from this goal, the child's action and the `name`, and is the
+        same in each attempt. An attempt after the first follows a child that the server of the
+        child knows, also one that has ended, and sends it otherwise.
+
+        A child that has not ended when its block or call ends is canceled, so a cancel of this goal
+        reaches it. It is left alone if this goal `is_kept`. With `wait_for_end`, a block or call
+        whose child is canceled ends after the child has.
+        """
+        if self.steps is None:
+            self.steps = GoalSteps(self._goal)
+        return GoalStep(self.steps, name, wait_for_end=wait_for_end)
 
     # Beyond the life of the process
 

@@ -80,6 +80,17 @@ NO_GOAL = GoalID(bytes(16))
 """The reserved ID of all zeros; in a cancel it means "any goal"."""
 
 
+def child_id(parent: GoalID, action: str, step: str) -> GoalID:
+    """Return the ID of the goal of an action that the executor of a parent sends as a step.
+
+    It is the UUID of version 5 in the namespace of the parent, of the action and the step with a
+    line feed between them; so it is the same in every attempt at the parent, and in every process.
+    """
+    from uuid import UUID, uuid5  # here, since most programs send no children
+
+    return GoalID(uuid5(UUID(bytes=bytes(parent)), f"{action}\n{step}").bytes)
+
+
 def digest_of(payload: bytes) -> bytes:
     """Return a digest of a goal, which tells a retry from another goal with the same ID.
 

@@ -13,6 +13,7 @@ import pytest
 MODULES = [
     "tests.contract.test_accepting",
     "tests.contract.test_canceling",
+    "tests.contract.test_children",
     "tests.contract.test_deadlines",
     "tests.contract.test_ending",
     "tests.contract.test_errors",
@@ -91,6 +92,7 @@ EXCLUSIONS: dict[str, str] = {
     "test_a_server_that_has_stopped_is_not_found": STOPPED,
     "test_the_executor_sees_the_deadline": TIMEOUT,
     "test_the_meta_of_a_goal_reaches_the_watchers": META,
+    "test_the_meta_of_a_child_names_its_parent": META,
     "test_a_meta_over_the_limits_is_an_error_and_nothing_is_sent": META,
     "test_a_trace_leads_from_the_client_to_the_spans_of_the_executor": META,
     "test_spans_that_are_held_across_a_yield_are_closed_in_their_context": META,

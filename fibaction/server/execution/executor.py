@@ -135,12 +135,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._scopes = scopes
         watch = self._watch
         self._steps = Steps(
-            self._run(),
-            scopes,
-            self._context,
-            self._given_up,
-            self._spared,
-            watch.current,
+            self._run(), scopes, self._context, self._given_up, self._spared, watch.current
         )
         watch.begin(self._steps, self)
         if self.phase is INTERRUPTED:
@@ -182,22 +177,27 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         if self.fence is not None:
             self._steps.fence = partial(self.fence, self)
         try:
-            items = self._start()
             try:
-                await self._consume(items)
-            finally:
-                await items.aclose()
-        except BaseException as exc:
-            return self._ended_by(exc)
+                items = self._start()
+                try:
+                    await self._consume(items)
+                finally:
+                    await items.aclose()
+            except BaseException as exc:
+                ending = self._ended_by(exc)
+            else:
+                ending = Ending(EndKind.RESULT, self._result)
+                if self._result is None:
+                    ending = self._failed(_Misuse("it ended without yielding a result"))
+            if self.handle.steps is not None:
+                await self.handle.steps.settle(is_over=ending.kind is not EndKind.CANCELED)
+            return ending
         finally:
             assert self._scopes is not None
             self._scopes.steps = None
             self._scopes = None
             self._watch.end(self._steps)
             del self._steps  # it and this object reference each other
-        if self._result is None:
-            return self._failed(_Misuse("it ended without yielding a result"))
-        return Ending(EndKind.RESULT, self._result)
 
     def _given_up(self) -> Ending:
         """Tell in the log that the executor runs no further, and return the ending for its goal."""

@@ -56,6 +56,7 @@ class LostExecutors:
 
     def interrupt(self, execution: AnyExecution) -> None:
         """Interrupt an executor, and kill it if it does not end in time."""
+        execution.goal.goes_on = True
         execution.interrupt()
         self._due.append((current_time() + self._kill_after, execution))
         self._news.notify()

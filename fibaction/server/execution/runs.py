@@ -23,8 +23,7 @@ goal for a reason of its own (`interrupt`). Each interrupts it once. They differ
 reason, which `_finish` takes from the goal's record. An executor whose clean-up takes too long
 is killed: its goal is finished first, so `_run` does not find it among the active ones any more.
 
-An executor may go on as another goal (`take_over`). The first goal is finished then, and the run of
-the other one gets the execution.
+An executor may go on as another goal (`take_over`), whose run gets it. The first one is finished.
 
 The dispatcher is told of each goal whose executor is gone (`_leave`), also after a killed one has
 ended at last, and for goals that end without one. From then on, the goal takes no place.
@@ -261,6 +260,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run = self._runs.get(goal_id)
         if run is not None and run.goal.phase.is_open:  # else it has ended since it was chosen
             run.goal.stop_reason = run.goal.stop_reason or reason
+            run.goal.goes_on = run.goal.stop_reason in self._kept_for
             self._step(run, Event.STOP)
 
     def end(self, goal_id: GoalID, ending: Ending) -> None:

@@ -38,6 +38,7 @@ class GoalRecord:
         "ended_at",
         "feedback_count",
         "goal_id",
+        "goes_on",
         "held",
         "outcome",
         "phase",
@@ -95,6 +96,13 @@ class GoalRecord:
         ACCEPTED, and is brought up to date before a list of goals is made."""
         self.stop_reason = ""
         """The reason for which the server ends the goal by itself; empty if it does not."""
+        self.goes_on = False
+        """True if the server interrupts this attempt, and the goal is to go on in another one."""
+
+    @property
+    def is_kept(self) -> bool:
+        """True if this attempt is interrupted and the goal goes on: see `GoalHandle.is_kept`."""
+        return self.goes_on and self.status is not GoalStatus.CANCELING
 
     def happen(self, event: Event) -> None:
         """Note an event after which the server has nothing more to do for the goal.

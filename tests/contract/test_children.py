@@ -1,0 +1,162 @@
+"""Goals that an executor sends as steps of its own: their IDs, their cancels, and planned stops."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from typing import TypeAlias
+
+import anyio
+import pytest
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+    Outcome,
+    Sender,
+    Watcher,
+)
+from fibaction.border.abc import Meta
+from fibaction.words.goals import child_id
+from tests.contract.conftest import Reach
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.memory_store import MemoryStore
+
+pytestmark = pytest.mark.anyio
+
+MISSION = Action("mission", goal=int, feedback=int, result=list[int])
+Steps: TypeAlias = AsyncGenerator[int | list[int], None]
+Arm: TypeAlias = ActionClient[Goal, Feedback, Result]
+
+
+class Held:
+    """The executor of a child: it says that it has begun, and waits until it is let go."""
+
+    def __init__(self) -> None:
+        self.began, self.go, self.clean = anyio.Event(), anyio.Event(), anyio.Event()
+        self.ids: list[GoalID] = []
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        self.ids.append(goal.goal_id)
+        self.began.set()
+        try:
+            yield Feedback([goal.request.order])
+            await self.go.wait()
+        except anyio.get_cancelled_exc_class():
+            await self.clean.wait()
+            raise
+        yield Result([goal.request.order])
+
+
+class Parents(Watcher):
+    """A watcher that notes which goals have sent the goals of its server."""
+
+    def __init__(self) -> None:
+        self.ids: list[str] = []
+
+    def offered(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        self.ids.append(meta["parent"])
+
+
+class Mission:
+    """The executor of a parent with one step."""
+
+    def __init__(self, arm: Arm, *, wait_for_end: bool = False) -> None:
+        self._arm, self._wait_for_end = arm, wait_for_end
+        self.kept: list[bool] = []
+        """Whether the goal was kept, for each interruption."""
+
+    async def __call__(self, goal: GoalHandle[int]) -> Steps:
+        step = goal.step("pick", wait_for_end=self._wait_for_end)
+        try:
+            async with self._arm.send_goal(Goal(goal.request), step=step) as picking:
+                async for _ in picking.feedback:
+                    yield goal.attempt
+                result = await picking.result()
+        except anyio.get_cancelled_exc_class():
+            self.kept.append(goal.is_kept)
+            raise
+        yield result.sequence
+
+
+@pytest.mark.promise("CHILD-1", "CHILD-2")
+async def test_a_cancel_of_a_parent_reaches_its_child_and_waits_for_its_end(reach: Reach) -> None:
+    child = Held()
+    async with reach(ActionServer(FIBONACCI, child)) as arm:
+        mission = Mission(arm, wait_for_end=True)
+        async with ActionServer(MISSION, mission) as server:
+            goal = await ActionClient(server, MISSION).send_goal(7)
+            await child.began.wait()
+            expected = child_id(goal.goal_id, "fibonacci", "pick")
+            follower = await arm.attach(expected)
+            assert (await goal.cancel()).accepted
+            while follower.status is not GoalStatus.CANCELING:
+                await follower.feedback.stream.news.wait()
+                follower.feedback.stream.take()
+            assert goal.status is not GoalStatus.CANCELED
+            child.clean.set()
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+            assert (await follower.outcome()).status is GoalStatus.CANCELED
+
+    assert child.ids == [expected]
+    assert mission.kept == [False]
+
+
+@pytest.mark.promise("CHILD-1", "CHILD-3")
+async def test_a_planned_stop_leaves_a_child_and_the_next_attempt_follows_it(reach: Reach) -> None:
+    child, store = Held(), MemoryStore()
+    async with reach(ActionServer(FIBONACCI, child)) as arm:
+        mission = Mission(arm)
+        async with ActionServer(MISSION, mission, store=store, at_stop="keep") as server:
+            goal = await ActionClient(server, MISSION).send_goal(7)
+            await child.began.wait()
+            await anext(goal.feedback)  # the child is accepted
+        assert mission.kept == [True]
+        async with ActionServer(MISSION, mission, store=store, at_stop="keep") as server:
+            again = await ActionClient(server, MISSION).attach(goal.goal_id)
+            child.go.set()
+            assert await again.outcome() == Outcome(GoalStatus.SUCCEEDED, [7])
+            assert again.attempt == 2
+
+    assert child.ids == [child_id(goal.goal_id, "fibonacci", "pick")]
+
+
+@pytest.mark.promise("CHILD-1")
+async def test_a_child_that_ended_before_the_next_attempt_is_not_sent_again(reach: Reach) -> None:
+    child, store = Held(), MemoryStore()
+    child.go.set()
+    between = anyio.Event()
+
+    async def mission(goal: GoalHandle[int]) -> Steps:
+        result = await arm.call(Goal(goal.request), step=goal.step("pick"))
+        yield goal.attempt
+        await between.wait()
+        yield result.sequence
+
+    async with reach(ActionServer(FIBONACCI, child)) as arm:
+        async with ActionServer(MISSION, mission, store=store, at_stop="keep") as server:
+            goal = await ActionClient(server, MISSION).send_goal(7)
+            await anext(goal.feedback)
+        between.set()
+        async with ActionServer(MISSION, mission, store=store, at_stop="keep") as server:
+            again = await ActionClient(server, MISSION).attach(goal.goal_id)
+            assert await again.result() == [7]
+
+    assert len(child.ids) == 1
+
+
+@pytest.mark.promise("ACCEPT-16")
+async def test_the_meta_of_a_child_names_its_parent(reach: Reach) -> None:
+    child, parents = Held(), Parents()
+    child.go.set()
+    async with reach(ActionServer(FIBONACCI, child, watchers=[parents])) as arm:
+        async with ActionServer(MISSION, Mission(arm)) as server:
+            goal = await ActionClient(server, MISSION).send_goal(7)
+            assert await goal.result() == [7]
+
+    assert parents.ids == [str(goal.goal_id)]
