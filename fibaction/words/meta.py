@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from fibaction.words.errors import InvalidMessage
-from fibaction.words.goals import GoalID
 
 Meta: TypeAlias = Mapping[str, str]
 """A small text map that goes with a goal: the keys `traceparent`, `tracestate` and `baggage` of the
@@ -30,19 +29,6 @@ TRACE_KEYS = ("traceparent", "tracestate", "baggage")
 """Keys of the W3C: headers in HTTP, and environment variables in upper case."""
 
 NO_META: Meta = MappingProxyType({})
-
-
-def parent_of(meta: Meta | None) -> GoalID | None:
-    """Return the ID of the goal whose executor has sent the goal of this meta; None if its client
-    does not name one.
-    """
-    text = meta.get(PARENT) if meta else None
-    if text is None:
-        return None
-    try:
-        return GoalID.parse(text)
-    except ValueError:
-        return None
 
 
 def size_of(meta: Meta | None) -> int:
