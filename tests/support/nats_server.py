@@ -59,6 +59,8 @@ class NatsServer:
         self._folder.mkdir(parents=True, exist_ok=True)
         config = self._folder / "config"
         jetstream = f'store_dir: "{self._folder / "data"}"'
+        if "max_file_store" not in self._config:
+            jetstream += ", max_file_store: 1TB"  # each test has a fleet, which reserves some of it
         config.write_text(self._config.replace("jetstream: {", f"jetstream: {{{jetstream}, "))
         for old in self._folder.glob("*.ports"):
             old.unlink()
