@@ -28,7 +28,7 @@ from fibaction import (
     ServerNotFound,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
-from fibaction.client.attempts import check_timeout
+from fibaction.client.attempts import check_is_retry, check_timeout
 from fibaction.feeds.feedback_log import FeedbackCursor
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.virtual_time import in_virtual_time
@@ -519,3 +519,10 @@ async def test_errors_that_are_retried_are_freed_without_the_garbage_collector()
             assert [error() for error in errors] == [None, None]
         finally:
             gc.enable()
+
+
+async def test_a_retry_that_is_none_is_an_error() -> None:
+    check_is_retry(None)
+    check_is_retry(Retry())
+    with pytest.raises(TypeError, match=r"retry is a Retry, such as Retry\(attempts=3\), not 3"):
+        check_is_retry(3)

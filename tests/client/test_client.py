@@ -41,7 +41,8 @@ from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpda
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.words.goal_steps import GoalStep, GoalSteps
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.spans import Spans
 
 pytestmark = pytest.mark.asyncio
@@ -686,3 +687,27 @@ async def test_a_client_with_tracing_makes_a_span_for_each_goal() -> None:
             await client.call(Goal(2))
 
     assert [span.status.status_code.name for span in spans.ended] == ["UNSET", "ERROR"]
+
+
+class Parent:
+    """A goal whose executor sends others."""
+
+    goal_id = GoalID.random()
+    attempt = 1
+    is_kept = False
+
+
+@pytest.mark.anyio
+async def test_a_goal_is_sent_as_a_step_of_another() -> None:
+    step = GoalStep(GoalSteps(Parent()), "pick", wait_for_end=False)
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        client = ActionClient(server, FIBONACCI)
+        with pytest.raises(TypeError, match="give goal_id or step, not both"):
+            client.send_goal(Goal(1), goal_id=GoalID.random(), step=step)
+        assert await client.call(Goal(1), step=step) == Result([0, 1])
+        [info] = await client.goals()
+        assert info.goal_id == step.child_id("fibonacci")
+        other = GoalStep(GoalSteps(Parent()), "place", wait_for_end=False)
+        async with client.send_goal(Goal(1), step=other) as child:
+            assert child.goal_id == other.child_id("fibonacci")
+            assert await child.result() == Result([0, 1])

@@ -12,12 +12,14 @@ from fibaction import (
     ActionServer,
     ConnectionLost,
     Endpoint,
+    GoalCanceled,
     GoalHandle,
     GoalID,
     GoalStatus,
     Outcome,
 )
-from fibaction.border.abc import ForwardingEndpoint
+from fibaction.border.abc import ForwardingEndpoint, GoalStream
+from fibaction.words.goal_steps import GoalStep, GoalSteps
 from tests.contract.test_children import MISSION, Held, Mission, Steps
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.memory_store import MemoryStore
@@ -157,3 +159,42 @@ async def test_a_mission_without_a_connection_to_its_child_still_ends() -> None:
             await sending.wait()
             await goal.cancel()
             assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+class SecondAttempt:
+    """A goal whose executor runs again."""
+
+    goal_id = GoalID.random()
+    attempt = 2
+    is_kept = False
+
+
+class Away(ForwardingEndpoint):
+    """An endpoint whose server is away when a client follows a goal."""
+
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
+    ) -> GoalStream:
+        raise ConnectionLost("the line broke")
+
+
+async def test_a_later_attempt_sends_a_child_that_was_never_sent_and_no_other() -> None:
+    step = GoalStep(GoalSteps(SecondAttempt()), "pick", wait_for_end=False)
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        with pytest.raises(ConnectionLost):
+            await ActionClient(Away(server), FIBONACCI).call(Goal(1), step=step)
+        client = ActionClient(server, FIBONACCI)
+        assert await client.goals() == []
+        await client.call(Goal(1), step=step)
+        assert [info.goal_id for info in await client.goals()] == [step.child_id("fibonacci")]
+
+
+async def test_a_step_whose_connection_is_lost_in_its_block_may_be_taken_again() -> None:
+    step = GoalStep(GoalSteps(SecondAttempt()), "pick", wait_for_end=False)
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        client = ActionClient(server, FIBONACCI)
+        with pytest.raises(ConnectionLost):
+            async with client.send_goal(Goal(1), step=step):
+                raise ConnectionLost("the line broke")
+        with pytest.raises(GoalCanceled):  # the block has canceled it, and it is the same goal
+            await client.call(Goal(1), step=step)

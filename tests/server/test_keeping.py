@@ -631,10 +631,11 @@ async def test_a_server_that_stops_ends_a_goal_whose_fate_is_undecided() -> None
     ("answer", "reason"),
     [
         (True, "recovery failed: TypeError: it returned True: return None, or raise GoalAborted"),
+        (GoalAborted("dry"), "dry"),
         (GoalAborted("dry", result=7), "recovery failed: TypeError: 7 is not of the result's type"),
         (GoalAborted("dry", result="\ud800"), "recovery failed: UnicodeEncodeError: "),
     ],
-    ids=["a value", "a result of another type", "a result that cannot be sent"],
+    ids=["a value", "no result", "a result of another type", "a result that cannot be sent"],
 )
 async def test_a_function_that_answers_something_else_ends_the_goal(
     answer: object, reason: str

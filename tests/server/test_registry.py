@@ -1291,3 +1291,12 @@ def test_a_goal_that_is_lost_while_it_is_canceled_is_not_in_the_answer() -> None
     cancellation.forget(goal)
     answer = cancellation.answer()
     assert (answer.return_code, answer.goals_canceling) == (CancelCode.UNKNOWN_GOAL_ID, ())
+
+
+def test_a_goal_that_goes_on_in_another_attempt_is_kept_unless_it_is_canceled() -> None:
+    goal = GoalRecord(GoalID(bytes(15) + b"1"), b"", 1, UNKNOWN_SENDER)
+    assert not goal.is_kept
+    goal.goes_on = True
+    assert goal.is_kept
+    goal.status = GoalStatus.CANCELING
+    assert not goal.is_kept

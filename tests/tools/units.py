@@ -21,6 +21,10 @@ UNITS = {
         "tests/types/test_pydantic_codec.py",
     ],
     "fibaction/client/goal_span.py": ["tests/observe/test_otel.py"],
+    "fibaction/client/goal_step.py": [
+        "tests/client/test_goal_step.py",
+        "tests/contract/test_children.py",
+    ],
     "fibaction/observe/monitor_records.py": ["tests/observe/test_monitor.py"],
     "fibaction/client/feedback_reader.py": [
         "tests/client/test_client.py",

@@ -19,6 +19,7 @@ from fibaction.words.goals import (
     GoalInfo,
     Outcome,
     Sender,
+    child_id,
     digest_of,
 )
 from fibaction.words.statuses import GoalStatus
@@ -193,3 +194,11 @@ def test_a_digest_is_the_same_in_every_process_and_has_sixteen_bytes() -> None:
     # By `printf goal | b2sum -l 128`.
     assert digest_of(b"goal").hex() == "c3d1adee19a9bf84e992ef006f4b2153"
     assert digest_of(b"goal") != digest_of(b"goa")
+
+
+def test_the_id_of_a_child_follows_from_its_parent_its_action_and_its_step() -> None:
+    child = child_id(GOAL_ID, "pick", "cup")
+    name = "pick" + chr(10) + "cup"
+    assert child == GoalID(uuid.uuid5(uuid.UUID(bytes=bytes(GOAL_ID)), name).bytes)
+    others = child_id(child, "pick", "cup"), child_id(GOAL_ID, "pickc", "up")
+    assert child not in others

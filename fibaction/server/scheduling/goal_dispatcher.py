@@ -201,8 +201,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
 
     def lost(self, goal_id: GoalID) -> None:
         self._overdue.discard(goal_id)
-        if self._shared.owns(self, goal_id):
-            self._shared.scheduler.lose(goal_id)
+        self._shared.scheduler.lose(goal_id)
 
     def _now(self) -> float:
         """Return the time; 0 if no rule of the schedule needs it, because anyio takes a while to

@@ -384,23 +384,25 @@ async def test_what_is_too_large_concerns_its_goal_alone() -> None:
 async def test_a_full_stream_takes_no_new_goals_and_all_of_the_others_when_there_is_room() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         robot.write("accept", goal(1))
-        await robot.answered(1)
-        shared.goals_are_full = True
         robot.write("accept", goal(2))
         await robot.answered(2)
-        assert isinstance(robot.answers[1][1], StoreFull)
-        assert "of fleet 'test' keep no more goals: maximum bytes" in str(robot.answers[1][1])
+        shared.goals_are_full = True
+        robot.write("accept", goal(3))
+        await robot.answered(3)
+        assert isinstance(robot.answers[2][1], StoreFull)
+        assert "of fleet 'test' keep no more goals: maximum bytes" in str(robot.answers[2][1])
         robot.write("begin", goal(1))
+        robot.write("end", ended(goal(2)))
         await sleep(5)
         shared.goals_are_full = False
         robot.write("accept", goal(3))  # the room is for those that wait
-        await robot.answered(4)
-        assert robot.errors == [None, StoreFull, None, StoreFull]
-        assert "accepted goals wait for room" in str(robot.answers[3][1])
+        await robot.answered(6)
+        assert robot.errors == [None, None, StoreFull, None, None, StoreFull]
+        assert "accepted goals wait for room" in str(robot.answers[5][1])
         robot.write("accept", goal(3))
         robot.write("end", ended(goal(1)))
-        await robot.answered(6)
-        assert robot.errors[4:] == [None, None]
+        await robot.answered(8)
+        assert robot.errors[6:] == [None, None]
 
 
 async def test_a_worker_stops_though_the_stream_is_full() -> None:

@@ -37,6 +37,19 @@ async def test_a_large_answer_goes_in_pieces() -> None:
     assert sum(map(len, sent)) == 200_000
 
 
+async def test_a_large_answer_counts_while_it_is_written() -> None:
+    budget = ByteBudget(300_000)
+    counted: list[int] = []
+
+    async def send(message: Any) -> None:
+        if message["type"] == "http.response.body":
+            counted.append(budget.used)
+
+    await Exchange(SCOPE, receive, send, 60.0, FrameMemory(budget)).answer(200, bytes(200_000))
+    assert min(counted) > 0
+    assert budget.used == 0
+
+
 async def test_the_largest_answer_is_given_up_when_all_together_are_too_large() -> None:
     budget = ByteBudget(300_000)
     memory = FrameMemory(budget)
