@@ -34,7 +34,8 @@ from fibaction_transports.rtps.sockets import ParticipantSockets, default_interf
 from tests.support.ros_domain import claim_domain
 from tests.transports.rtps.world import TOPIC, TYPE, payload
 
-PATIENCE = 30.0
+PATIENCE = 15.0
+"""Seconds for an exchange; fewer than a lease, because a participant that leaves says so."""
 MANY = MOST_AT_ONCE + 10
 """More datagrams than are taken in one turn."""
 OFF, SUBNET = DiscoveryRange.OFF, DiscoveryRange.SUBNET

@@ -29,6 +29,8 @@ from fibaction_transports.rtps.sockets import ParticipantSockets, default_interf
 
 MOST_AT_ONCE = 64
 """Datagrams that are taken from a socket before other tasks get their turn."""
+CLOSING_TIME = 1.0
+"""Seconds for which a participant that leaves waits for room to say so."""
 _LARGEST_DATAGRAM = 2**16
 
 
@@ -97,10 +99,14 @@ class ParticipantNetwork:
         if self.participant.next_deadline() < self._wake_at:
             self._woken.set()
 
-    def close(self) -> None:
-        """Tell others that this participant is gone."""
+    async def close(self) -> None:
+        """Tell others that this participant is gone, when its tasks have ended."""
         self.participant.close(anyio.current_time())
         self._send()
+        # Without that, others would miss it only when its lease is over.
+        with anyio.move_on_after(CLOSING_TIME, shield=True):
+            while self._is_blocked.is_set():
+                await self._send_rest()
 
     async def receive_from(self, source: socket.socket) -> None:
         """Take the datagrams that arrive at a socket, until it is canceled."""
@@ -131,9 +137,12 @@ class ParticipantNetwork:
         """Go on sending when the system has room again, until it is canceled."""
         while True:
             await self._is_blocked.wait()
-            await anyio.wait_writable(self._sockets.sender)
-            self._is_blocked = anyio.Event()
-            self._send()
+            await self._send_rest()
+
+    async def _send_rest(self) -> None:
+        await anyio.wait_writable(self._sockets.sender)
+        self._is_blocked = anyio.Event()
+        self._send()
 
     def _send(self) -> None:
         while not self._is_blocked.is_set():
@@ -191,18 +200,20 @@ async def open_network(
             anyio.current_time(),
         )
         network = ParticipantNetwork(participant, sockets, on_event)
-        async with anyio.create_task_group() as tasks:
-            if reach is not DiscoveryRange.OFF:
-                for source in sockets.received:
-                    tasks.start_soon(network.receive_from, source)
-            tasks.start_soon(network.keep_deadlines)
-            tasks.start_soon(network.send_later)
-            network.settle()
-            try:
-                yield network
-            finally:
-                network.close()
-                tasks.cancel_scope.cancel()
+        try:
+            async with anyio.create_task_group() as tasks:
+                if reach is not DiscoveryRange.OFF:
+                    for source in sockets.received:
+                        tasks.start_soon(network.receive_from, source)
+                tasks.start_soon(network.keep_deadlines)
+                tasks.start_soon(network.send_later)
+                network.settle()
+                try:
+                    yield network
+                finally:
+                    tasks.cancel_scope.cancel()
+        finally:
+            await network.close()
 
 
 async def _addresses(hosts: Sequence[str]) -> tuple[str, ...]:
