@@ -186,6 +186,42 @@ async def test_the_same_id_is_in_use_for_the_other_action_of_a_schedule() -> Non
         assert (await again.outcome()).status is GoalStatus.SUCCEEDED
 
 
+async def take_over(goal: GoalHandle[float]) -> AsyncGenerator[int | str, None]:
+    """Go on as the first goal that preempts this one, and end."""
+    if goal.request > 1:
+        await goal.wait_for_successor()
+        goal = goal.take_over()
+    yield "done"
+
+
+@pytest.mark.parametrize(
+    ("rules", "executor"),
+    [
+        ({"queue": 1, "when_full": "replace"}, work),
+        ({"queue": 5, "queue_timeout": 1}, work),
+        ({"when_full": "preempt", "handover": 60}, take_over),
+    ],
+    ids=["replaced", "too late", "taken over"],
+)
+async def test_the_id_of_a_goal_that_has_lost_its_place_is_free_for_the_other_action(
+    rules: dict[str, Any], executor: Any
+) -> None:
+    schedule = Schedule(concurrency=1, **rules)
+    async with server(MOVE, schedule, executor) as move, server(GRASP, schedule) as grasp:
+        goals = []
+        for seconds in (50, 40, 1):
+            goals.append(await client(move).send_goal(seconds))
+            await anyio.sleep(2)
+        aborted = [goal for goal in goals if goal.status is GoalStatus.ABORTED]
+        assert aborted
+        for goal in goals:
+            await goal.cancel()
+            await goal.outcome()
+        for goal in aborted:
+            other = await client(grasp).send_goal(0.1, goal_id=goal.goal_id)
+            assert await other.result() == "done"
+
+
 async def test_a_stored_goal_whose_id_another_action_has_ends_and_harms_it_not() -> None:
     payload, goal_id = GRASP.goal.encode(1.0), GoalID.random()
     store = MemoryStore()

@@ -182,7 +182,9 @@ class GoalDispatcher(Dispatcher[GoalT]):
                 self._overdue.add(goal_id)
         else:
             self._goals.interrupt(goal_id, reason)
-            if self._overdue and goal_id in self._overdue:
+            if act is Act.END:
+                self._shared.forget(goal_id)
+            elif self._overdue and goal_id in self._overdue:
                 self._kill(goal_id)
 
     def _kill(self, goal_id: GoalID) -> None:
@@ -271,6 +273,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
             raise RuntimeError(f"goal {goal_id} has no successor that it may take over")
         self._goals.take_over(goal_id, successor.goal_id)
         self._shared.scheduler.take_over(goal_id, current_time())
+        self._shared.forget(goal_id)
         self._tell(goal_id)
         self._shared.carry_out(())
         return successor

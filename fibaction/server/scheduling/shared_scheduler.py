@@ -5,8 +5,8 @@ Theory of operation
 
 Servers that have the same `Schedule` object share its places, as long as they run: two actions of
 one arm, for example. Mostly it is one server. Each has a dispatcher, which `join`s and `quit`s, and
-which owns its goals here, from `offer` or `restore` to `leave`. The orders of the scheduler may
-concern goals of any of them, so `carry_out` gives each order to the owner of its goal.
+which owns its goals here, from `offer` or `restore` to `leave` or `forget`. The orders of the
+scheduler may concern goals of any of them, so `carry_out` gives each to the owner of its goal.
 
 Any of the dispatchers may keep the time. All of them wait for the same `news`, so those that are
 left still do when one quits.
@@ -119,6 +119,12 @@ class SharedScheduler:
             self.carry_out(orders)
         for one in tuple(self._members):
             one.note_change()
+
+    def forget(self, goal_id: GoalID) -> None:
+        """Forget the owner of a goal that has no place any more: it was ended before its turn, or
+        its successor has taken its place. Such a goal does not `leave`.
+        """
+        self._owners.pop(goal_id, None)
 
     def carry_out(self, orders: Iterable[Order]) -> None:
         """Let the owners of the goals carry out orders."""
