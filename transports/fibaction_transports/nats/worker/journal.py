@@ -105,9 +105,9 @@ class FleetJournal(GoalJournal):
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.accept`."""
-        error = self._shortage.error() if self._shortage else taken(goal.goal_id)
         if self._shortage or goal.goal_id in self._held:
             # In the second case, it is being taken over, and the server will be given it.
+            error = self._shortage.error() if self._shortage else taken(goal.goal_id)
             self._answers.answer(self._new_write("accept", goal, then), error)
             return
         held = self._held[goal.goal_id] = HeldGoal(goal.goal_id, 0, goal)
