@@ -22,7 +22,7 @@ class Turns:
 
     In each turn of the event loop one of them goes on: the one that was woken wakes the next, which
     runs in the next turn. Keys take turns. The more executors wait, the shorter are their slices,
-    so that none waits for long, whoever the others belong to.
+    so that none waits for long, also for executors of other keys.
     """
 
     def __init__(self) -> None:

@@ -34,7 +34,7 @@ class GoalEntry(msgspec.Struct, array_like=True, gc=False):
     incarnation: bytes
     """The worker that has the goal, which `goal.worker` names; empty if no worker has it."""
     nonce: bytes
-    """Random bytes of this write."""
+    """Random bytes of this write; behind them zeros, the room by which later records may grow."""
 
     @property
     def waits(self) -> bool:

@@ -1,7 +1,7 @@
 """The list of an action's goals as JSON: all of them, or pages.
 
-A list may be long, and many clients may ask for it at once. It is made in slices, and in a turn of
-the event loop one slice of one list, whoever asks.
+A list may be long, and many clients may ask for it at once. It is made in slices: one slice of one
+list, for any client, in each turn of the event loop.
 
 The pages are in the order of acceptance. A cursor is the stamp and the ID of the last goal of a
 page, so it holds also when that goal is forgotten meanwhile.
