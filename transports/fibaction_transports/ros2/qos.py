@@ -7,89 +7,97 @@ only the length of the queue of one reader or writer.
 
 from __future__ import annotations
 
-from typing import Any
+import math
 
-from fibaction_transports.ros2.rcl import Duration, rclpy_qos
+from msgspec import Struct
 
 REQUEST_DEPTH = 1000
 """Requests, or answers, that may wait to be taken. rcl_action's 10 overflow when 11 arrive at once,
 and a lost request is noticed only by its missing answer."""
 STATUS_DEPTH = 100
 """Status lists that may wait to be taken. rcl_action's 1 hides all but the last."""
-
 COUNT_DEPTH = 100
 """Numbers of feedback messages that are kept for a client that is connected later."""
 
-_RELIABILITY, _DURABILITY = rclpy_qos.ReliabilityPolicy, rclpy_qos.DurabilityPolicy
-_POLICIES: dict[str, tuple[str, Any]] = {
-    "reliable": ("reliability", _RELIABILITY.RELIABLE),
-    "best_effort": ("reliability", _RELIABILITY.BEST_EFFORT),
-    "volatile": ("durability", _DURABILITY.VOLATILE),
-    "transient_local": ("durability", _DURABILITY.TRANSIENT_LOCAL),
+_POLICIES = {
+    "reliable": "reliability",
+    "best_effort": "reliability",
+    "volatile": "durability",
+    "transient_local": "durability",
 }
 
 
-def policies(text: str) -> dict[str, Any]:
+class EndQos(Struct, frozen=True, kw_only=True):
+    """The quality of service of an end of a topic or a service, in the words of ROS."""
+
+    reliability: str = "reliable"
+    """`reliable` or `best_effort`."""
+    durability: str = "volatile"
+    """`volatile` or `transient_local`."""
+    depth: int = 10
+    """The newest messages that are kept."""
+    lease: float = math.inf
+    """Seconds within which a publisher gives a sign of life; infinity for none."""
+
+
+def policies(text: str) -> dict[str, str]:
     """Return the policies in a setting: words of ROS with commas, for example
     `best_effort,volatile`. An empty text changes nothing.
 
     Raises:
         ValueError: A word is not a policy, or two of them contradict each other.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, str] = {}
     for word in filter(None, (part.strip() for part in text.split(","))):
         if word not in _POLICIES:
             raise ValueError(f"{word!r} is not one of {', '.join(_POLICIES)}")
-        name, value = _POLICIES[word]
-        if found.setdefault(name, value) != value:
-            raise ValueError(f"{text!r} has two words for {name}")
+        if found.setdefault(_POLICIES[word], word) != word:
+            raise ValueError(f"{text!r} has two words for {_POLICIES[word]}")
     return found
 
 
 def are_reliable(words: str) -> bool:
     """Return whether the middleware sends lost messages again, which is the default."""
-    best_effort: bool = policies(words).get("reliability") == _RELIABILITY.BEST_EFFORT
-    return not best_effort
+    return policies(words).get("reliability") != "best_effort"
 
 
-def services(words: str = "") -> Any:
+def services(words: str = "") -> EndQos:
     """Return the quality of service of the three services."""
-    return _profile(words, depth=REQUEST_DEPTH)
+    return _qos(words, EndQos(depth=REQUEST_DEPTH))
 
 
-def feedback(depth: int, words: str = "") -> Any:
+def feedback(depth: int, words: str = "") -> EndQos:
     """Return the quality of service of the feedback topic."""
-    return _profile(words, depth=depth)
+    return _qos(words, EndQos(depth=depth))
 
 
-def published_status(lease: float, words: str = "") -> Any:
+def published_status(lease: float, words: str = "") -> EndQos:
     """Return that of the status topic's publisher. Its finite lease suits every subscriber."""
-    return _profile(words, depth=1, durability=_DURABILITY.TRANSIENT_LOCAL, **_alive_for(lease))
+    return _qos(words, EndQos(depth=1, durability="transient_local", lease=lease))
 
 
-def subscribed_status(words: str = "") -> Any:
+def subscribed_status(words: str = "") -> EndQos:
     """Return that of the subscription to the status topic."""
-    return _profile(words, depth=STATUS_DEPTH, durability=_DURABILITY.TRANSIENT_LOCAL)
+    return _qos(words, EndQos(depth=STATUS_DEPTH, durability="transient_local"))
 
 
-def counts() -> Any:
+def counts() -> EndQos:
     """Return the quality of service of the topic with the numbers of feedback messages."""
-    return _profile("", depth=COUNT_DEPTH, durability=_DURABILITY.TRANSIENT_LOCAL)
+    return EndQos(depth=COUNT_DEPTH, durability="transient_local")
 
 
-def liveliness(lease: float) -> Any:
+def liveliness(lease: float) -> EndQos:
     """Return that of a second subscription to the status topic, which matches only servers whose
     lease is not longer than this one.
     """
-    return _profile("best_effort", depth=1, **_alive_for(lease))
+    return EndQos(reliability="best_effort", depth=1, lease=lease)
 
 
-def _alive_for(lease: float) -> dict[str, Any]:
-    return {
-        "liveliness": rclpy_qos.LivelinessPolicy.AUTOMATIC,
-        "liveliness_lease_duration": Duration(seconds=lease),
-    }
-
-
-def _profile(words: str, **defaults: Any) -> Any:
-    return rclpy_qos.QoSProfile(**{**defaults, **policies(words)})
+def _qos(words: str, usual: EndQos) -> EndQos:
+    given = policies(words)
+    return EndQos(
+        reliability=given.get("reliability", usual.reliability),
+        durability=given.get("durability", usual.durability),
+        depth=usual.depth,
+        lease=usual.lease,
+    )

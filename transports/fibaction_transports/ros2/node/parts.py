@@ -1,0 +1,96 @@
+"""What a node is made of: the ends of topics and services, and what the graph says of others.
+
+An adapter of a middleware implements these classes beside `RosNode`. None of their methods waits,
+and none raises because ROS has been shut down, unless it says so: a call has no effect then, and
+nothing is found.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
+
+from fibaction_transports.ros2.qos import EndQos
+
+MessageSink: TypeAlias = Callable[[bytes, bytes], None]
+"""Takes a serialized message, and the ID (GID) of its publisher, which is empty if not known."""
+RequestSink: TypeAlias = Callable[[Any, Any], None]
+"""Takes the header of a request, and the request."""
+AnswerSink: TypeAlias = Callable[[int, Any], None]
+"""Takes the number of a request, and the answer to it."""
+ErrorSink: TypeAlias = Callable[[Exception], None]
+"""Takes the reason why something that has arrived cannot be read."""
+
+
+class EndInfo(NamedTuple):
+    """A publisher or a subscription of any node, as the graph describes it."""
+
+    gid: bytes
+    """Its ID. An end that is made anew has another one."""
+    node: str
+    """The full name of its node, for example `/robot/arm`; empty if it is not known yet."""
+    qos: EndQos
+
+
+class LifeSigns(NamedTuple):
+    """The number of servers that have given a sign of life in time, and of those that have not."""
+
+    alive: int
+    not_alive: int
+
+
+class TopicPublisher(ABC):
+    """A publisher of a topic."""
+
+    @abstractmethod
+    def publish(self, message: Any) -> None:
+        """Publish a message."""
+
+    @abstractmethod
+    def publish_bytes(self, message: bytes) -> None:
+        """Publish a serialized message."""
+
+    @abstractmethod
+    def reader_count(self) -> int:
+        """Return the number of subscriptions that are connected."""
+
+
+class TopicSubscription(ABC):
+    """A subscription to a topic."""
+
+    @abstractmethod
+    def publisher_count(self) -> int:
+        """Return the number of publishers that are connected."""
+
+
+class ServiceCaller(ABC):
+    """A client of a service."""
+
+    @abstractmethod
+    def send(self, request: Any) -> int:
+        """Send a request, and return its number.
+
+        Raises:
+            ConnectionLost: Nothing can be sent any more.
+        """
+
+    @abstractmethod
+    def is_available(self) -> bool:
+        """Return whether a server of the service is connected."""
+
+
+class ServiceProvider(ABC):
+    """A server of a service."""
+
+    @abstractmethod
+    def answer(self, header: Any, response: Any) -> bool:
+        """Answer a request; return False if the answer cannot reach its client yet."""
+
+
+class LifeWatch(ABC):
+    """A look-out for signs of life of the publishers of a topic."""
+
+    @abstractmethod
+    def news(self) -> LifeSigns | None:
+        """Return how many are alive; None if that has not changed since the last call."""

@@ -1,0 +1,204 @@
+"""A node of ROS, as the two halves of the transport use it; a middleware's adapter implements it.
+
+Everything is called on the event loop, and the sinks are called there, too.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fibaction.words.errors import ConnectionLost
+from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.node.parts import (
+    AnswerSink,
+    EndInfo,
+    ErrorSink,
+    LifeWatch,
+    MessageSink,
+    RequestSink,
+    ServiceCaller,
+    ServiceProvider,
+    TopicPublisher,
+    TopicSubscription,
+)
+from fibaction_transports.ros2.qos import EndQos
+
+
+class RosClock(ABC):
+    """The clock of a node: the machine's, or that of a simulation (`use_sim_time`)."""
+
+    era: int
+    """Grows when the clock jumps back, and when it is exchanged for another one. Times of
+    different eras cannot be compared."""
+
+    @property
+    @abstractmethod
+    def is_the_machines(self) -> bool:
+        """True if it is, and has always been, the clock of the machine."""
+
+    @abstractmethod
+    def now(self) -> int:
+        """Return the time, in nanoseconds; 0 if the clock of a simulation has not said any yet."""
+
+
+class RosTypes(ABC):
+    """The types of messages that a middleware knows.
+
+    Messages are objects with the fields of ROS, and types are called without arguments to make one
+    with its defaults. The type of a service has its two messages as `Request` and `Response`.
+    """
+
+    GoalInfo: Callable[[], Any]
+    """`action_msgs/msg/GoalInfo`."""
+    Parameter: Callable[[], Any]
+    """`rcl_interfaces/msg/Parameter`."""
+
+    @abstractmethod
+    def find(self, type_name: str, action: str = "") -> RosAction:
+        """Find the type of an action by its name, for example
+        `example_interfaces/action/Fibonacci`.
+
+        `action` is the name of an action of this type, for errors.
+
+        Raises:
+            TransportError: There is no such type that can be used; the text says what to do.
+        """
+
+    @abstractmethod
+    def uuid(self, goal_id: bytes) -> Any:
+        """Return a goal ID as the field `uuid` of messages has it."""
+
+    @abstractmethod
+    def decode(self, message: bytes, message_type: Any) -> Any:
+        """Return a serialized message as an object.
+
+        Raises:
+            ProtocolError: It is not a message of this type.
+        """
+
+
+class RosNode(ABC):
+    """A node in a graph of ROS.
+
+    Methods that make a part raise `TransportError` if ROS does not allow it. All parts are removed
+    when the node is closed.
+    """
+
+    types: RosTypes
+    clock: RosClock
+    error: ConnectionLost | None
+    """The reason for which nothing more will arrive, if so."""
+    namespace: str
+    """The namespace, for example `/robot`; `/` without one."""
+    tells_signs: bool
+    """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
+
+    @property
+    @abstractmethod
+    def is_up(self) -> bool:
+        """True if ROS can still be used."""
+
+    @abstractmethod
+    def resolve(self, name: str) -> str:
+        """Return the full name of a topic or a service, as the node expands and remaps it.
+
+        Raises:
+            TransportError: ROS does not allow this name.
+        """
+
+    @abstractmethod
+    def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
+        """Call this if nothing more will arrive."""
+
+    @abstractmethod
+    def fail(self, error: ConnectionLost) -> None:
+        """End everything that is pending, and everything that is tried later, with an error."""
+
+    @abstractmethod
+    def warn(self, text: str) -> None:
+        """Log a warning as one line in ROS's own log, which other nodes can read."""
+
+    @abstractmethod
+    def complain(self, text: str) -> None:
+        """Log an error as one line in ROS's own log."""
+
+    # Parts
+
+    @abstractmethod
+    def publisher(self, topic: str, message_type: Any, qos: EndQos) -> TopicPublisher:
+        """Make a publisher of a topic, by its full name."""
+
+    @abstractmethod
+    def subscription(
+        self,
+        topic: str,
+        message_type: Any,
+        qos: EndQos,
+        take: MessageSink,
+        *,
+        is_first: bool = False,
+    ) -> TopicSubscription:
+        """Make a subscription to a topic.
+
+        Of messages that arrive together, those of the parts that were made first are taken first;
+        with `is_first`, those of this one before all others.
+        """
+
+    @abstractmethod
+    def caller(
+        self,
+        service: str,
+        service_type: Any,
+        qos: EndQos,
+        take: AnswerSink,
+        take_unreadable: ErrorSink | None = None,
+    ) -> ServiceCaller:
+        """Make a client of a service."""
+
+    @abstractmethod
+    def provider(
+        self, service: str, service_type: Any, qos: EndQos, take: RequestSink
+    ) -> ServiceProvider:
+        """Make a server of a service."""
+
+    @abstractmethod
+    def life_watch(self, topic: str, message_type: Any, qos: EndQos) -> LifeWatch:
+        """Watch for signs of life of the publishers of a topic whose lease is not longer than that
+        of the QoS.
+        """
+
+    @abstractmethod
+    def introspect(self, level: str, *services: ServiceCaller | ServiceProvider) -> None:
+        """Publish events of services: `off`, `metadata` or `contents`.
+
+        Raises:
+            TransportError: The middleware's adapter cannot do it.
+        """
+
+    # The graph
+
+    @abstractmethod
+    def topics(self) -> list[tuple[str, str]]:
+        """Return the topics that have a publisher, each with the name of its type."""
+
+    @abstractmethod
+    def publishers(self, topic: str) -> Sequence[EndInfo]:
+        """Return the publishers of a topic, connected or not."""
+
+    @abstractmethod
+    def subscriptions(self, topic: str) -> Sequence[EndInfo]:
+        """Return the subscriptions to a topic, connected or not."""
+
+    @abstractmethod
+    def request_readers(self, service: str) -> Sequence[EndInfo]:
+        """Return the ends at which servers of a service take requests; none if it is not known."""
+
+    @abstractmethod
+    def answer_writers(self, service: str) -> Sequence[EndInfo]:
+        """Return the ends at which servers of a service answer; none if it is not known."""
+
+    @abstractmethod
+    def count_callers(self, service: str) -> int:
+        """Return the number of clients of a service, connected or not."""
