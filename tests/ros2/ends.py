@@ -15,7 +15,8 @@ from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, s
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
-from fibaction_transports.ros2.rcl import GoalInfoMessage, uuid_of
+from fibaction_transports.ros2.on_rclpy.profiles import profile_of
+from fibaction_transports.ros2.on_rclpy.rcl import GoalInfoMessage, uuid_of
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -63,7 +64,8 @@ async def raw_client(
 def tells_publishers() -> bool:
     """Return whether rclpy tells the publisher of a message, as it does since Kilted."""
     infos: Queue[Any] = Queue()
-    profile = qos.subscribed_status()  # a message that is sent before the subscription arrives, too
+    # A message that is sent before the subscription arrives, too.
+    profile = profile_of(qos.subscribed_status())
 
     def take(message: Any, info: Any) -> None:
         infos.put(info)
@@ -78,6 +80,12 @@ def client_of(endpoint: Any) -> RosActionClient:
     """Return the part of an endpoint that sends raw requests."""
     client: RosActionClient = endpoint._client
     return client
+
+
+def node_of(client: Any) -> Any:
+    """Return rclpy's node of a client."""
+    ros: Any = client_of(client.endpoint).presence._ros
+    return ros.node
 
 
 class Undecoded(GoalDecoder):

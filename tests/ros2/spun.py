@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.executors import ExternalShutdownException
 
-from fibaction_transports.ros2.rcl import Context, SingleThreadedExecutor, rclpy
+from fibaction_transports.ros2.on_rclpy.rcl import Context, SingleThreadedExecutor, rclpy
 
 
 @contextmanager

@@ -26,7 +26,6 @@ from fibaction import (
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError
 from fibaction.words.goals import ActionPeers
-from fibaction_transports.ros2 import rcl
 from fibaction_transports.ros2.client import (
     action_client,
     endpoint,
@@ -35,9 +34,12 @@ from fibaction_transports.ros2.client import (
     service_client,
 )
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
-from fibaction_transports.ros2.client.service_client import ServiceCall, ServiceClient, send_request
+from fibaction_transports.ros2.client.service_client import ServiceCall, ServiceClient
 from fibaction_transports.ros2.node.feedback_counts import ReceivedCounts
-from fibaction_transports.ros2.node.waitable import Responses
+from fibaction_transports.ros2.on_rclpy import rcl, rclpy_node
+from fibaction_transports.ros2.on_rclpy.ends import RclpyCaller
+from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
+from fibaction_transports.ros2.on_rclpy.waitable import Responses
 from fibaction_transports.ros2.server.action_server import RosActionServer
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import (
@@ -48,6 +50,7 @@ from tests.ros2.ends import (
     client_of,
     forever,
     new_url,
+    node_of,
 )
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
@@ -221,7 +224,7 @@ async def test_the_result_of_a_running_goal_is_requested_again_if_a_server_does_
                     break
         raw = client_of(client.endpoint)
         (number,) = raw._followed._requested
-        raw._followed._take_result((number, raw.impl.GetResultService.Response()))
+        raw._followed._take_result(number, raw.impl.GetResultService.Response())
         if early:  # at once, and once, though the goal may run for hours
             assert len(raw._followed._requested) == 1
             assert not raw._followed._overdue
@@ -265,8 +268,8 @@ async def test_the_result_of_a_goal_that_the_server_did_not_know_yet_is_requeste
     async def does_not_know(self: RosActionServer, request: Any) -> Any:
         return await answer(self, request) if told.is_set() else client_impl().Response()
 
-    def takes(self: followed_goals.FollowedGoals, item: Any) -> None:
-        take(self, item)
+    def takes(self: followed_goals.FollowedGoals, number: int, response: Any) -> None:
+        take(self, number, response)
         told.set()
 
     def client_impl() -> Any:
@@ -347,7 +350,7 @@ async def test_a_request_fails_after_ros_was_shut_down(url: str) -> None:
     with anyio.fail_after(PATIENCE):
         async with connect(url) as connection:
             client = connection.client(FIBONACCI)
-            client_of(client.endpoint).presence._ros.node.context.shutdown()
+            node_of(client).context.shutdown()
             for ask in (
                 client.wait_for_server,
                 client.cancel_goals,
@@ -364,7 +367,7 @@ def test_a_request_that_cannot_be_sent_is_a_lost_connection() -> None:
             raise RuntimeError("the context is not valid")
 
     with pytest.raises(ConnectionLost, match="ROS cannot send any more: the context"):
-        send_request(Gone(), None)
+        RclpyCaller(Gone(), Gone).send(None)
 
 
 async def test_a_server_that_is_killed_before_any_sign_of_life_is_missed(
@@ -386,7 +389,7 @@ async def test_a_middleware_without_signs_of_life_does_without(
         raise rcl.UnsupportedEventType("the middleware has no such event")
 
     monkeypatch.setattr(rcl.raw, "EventHandle", unsupported)
-    monkeypatch.setattr(presence, "middleware", lambda: "rmw_zenoh_cpp")
+    monkeypatch.setattr(rclpy_node, "middleware", lambda: "rmw_zenoh_cpp")
     await works_for_longer_than_a_first_sign(url, monkeypatch)
 
 
@@ -394,7 +397,7 @@ async def test_a_middleware_that_never_tells_of_signs_of_life_kills_no_server(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(presence.Presence, "_poll_liveliness", lambda self: None)
-    monkeypatch.setattr(presence, "middleware", lambda: "rmw_zenoh_cpp")
+    monkeypatch.setattr(rclpy_node, "middleware", lambda: "rmw_zenoh_cpp")
     await works_for_longer_than_a_first_sign(url, monkeypatch)
 
 
@@ -410,7 +413,7 @@ async def works_for_longer_than_a_first_sign(url: str, monkeypatch: pytest.Monke
 async def test_a_middleware_that_has_told_of_a_sign_of_life_is_trusted(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(presence, "middleware", lambda: "rmw_zenoh_cpp")
+    monkeypatch.setattr(rclpy_node, "middleware", lambda: "rmw_zenoh_cpp")
     async with both_ends(url, fibonacci) as client:
         seen = client_of(client.endpoint).presence
         with anyio.fail_after(PATIENCE):
@@ -482,7 +485,7 @@ async def test_an_answer_that_is_not_the_end_of_a_goal_is_a_protocol_error(
         raw = client_of(client.endpoint)
         (number,) = raw._followed._requested
         response = raw.impl.GetResultService.Response(status=status)
-        raw._followed._take_result((number, response))
+        raw._followed._take_result(number, response)
         with pytest.raises(ProtocolError, match=f"its status is {int(status)}"):
             await goal.result()
 
@@ -532,7 +535,7 @@ async def test_feedback_after_the_result_is_logged_once_for_its_goal(
         goal = await client.send_goal(Goal(1))
         await goal.result()
         for goal_id in (goal.goal_id, GoalID.random(), goal.goal_id):
-            client_of(client.endpoint)._followed.take_feedback((b"\0\1\0\0" + bytes(goal_id), b""))
+            client_of(client.endpoint)._followed.take_feedback(b"\0\1\0\0" + bytes(goal_id), b"")
     late = f"feedback of goal {goal.goal_id} arrived after its result, and is lost"
     assert [record.getMessage() for record in caplog.records] == [f"fibonacci: {late}"]
 
@@ -586,4 +589,4 @@ async def test_a_new_client_sees_the_goals_that_there_are(url: str) -> None:
 
 def test_an_action_whose_type_is_not_installed_has_no_schemas() -> None:
     unknown = ActionInfo("arm", "no_such_msgs/action/Arm")
-    assert endpoint._described("arm", "no_such_msgs/action/Arm") == unknown
+    assert endpoint._described(RclpyTypes(), "arm", "no_such_msgs/action/Arm") == unknown

@@ -19,8 +19,8 @@ from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageD
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.parser import parse_action, parse_message
 from fibaction.interfaces.structs import make_structs
-from fibaction_transports.ros2.convert.conversion import RosAction
-from fibaction_transports.ros2.convert.message_types import message_kind
+from fibaction_transports.ros2.on_rclpy.message_kinds import message_kind
+from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 
 _parser: Any = import_module("rosidl_adapter.parser")
 
@@ -70,7 +70,7 @@ def test_there_are_files_of_many_packages() -> None:
 @every_action
 def test_a_loaded_action_is_the_one_that_ros_has(path: Path) -> None:
     action = load_action(path)
-    ros = RosAction.find(action.type_name)
+    ros = RclpyTypes().find(action.type_name)
 
     assert action.type_name == f"{path.parent.parent.name}/action/{path.stem}"
     for part, theirs in zip(PARTS, (ros.types[0], ros.types[1], ros.types[2]), strict=True):

@@ -25,18 +25,19 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.ros2 import rcl
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
-from fibaction_transports.ros2.convert.conversion import RosAction
 from fibaction_transports.ros2.convert.status_bytes import info_of, lines_in, unpack_lines
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import rivals
-from fibaction_transports.ros2.node.node import NodeSettings, own_node
-from fibaction_transports.ros2.node.waitable import Requests
-from fibaction_transports.ros2.rcl import raw, rclpy_qos, uuid_of
+from fibaction_transports.ros2.on_rclpy import ends, rcl
+from fibaction_transports.ros2.on_rclpy.opening import own_node
+from fibaction_transports.ros2.on_rclpy.rcl import uuid_of
+from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
+from fibaction_transports.ros2.on_rclpy.waitable import Requests
+from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.server import action_server, feedback_topic, service_server
 from fibaction_transports.ros2.server.action_server import RosActionServer, ServedEndpoint
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import EndSettings, NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import (
     PATIENCE,
@@ -53,6 +54,8 @@ from tests.ros2.ends import (
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
+
+TRANSIENT_LOCAL = EndQos(depth=1, durability="transient_local")
 
 
 @pytest.fixture
@@ -118,7 +121,7 @@ async def test_an_answer_that_cannot_reach_its_client_yet_is_sent_again_and_feed
     async def keep_pace(topic: feedback_topic.FeedbackTopic) -> None:
         happened.append("feedback")
 
-    monkeypatch.setattr(service_server, "has_answered", has_answered)
+    monkeypatch.setattr(ends, "has_answered", has_answered)
     monkeypatch.setattr(feedback_topic.FeedbackTopic, "_keep_pace", keep_pace)
     with anyio.fail_after(PATIENCE):
         async with (
@@ -148,18 +151,15 @@ async def test_answers_to_a_client_that_cannot_be_reached_are_dropped_and_others
             connect(url, FIBONACCI) as other,
             own_node(NodeSettings(namespace=url.partition("=")[2])) as deaf,
         ):
-            service = RosAction.find(FIBONACCI.info.type_name).ros_type.Impl.SendGoalService
+            service = RclpyTypes().find(FIBONACCI.type_name).impl.SendGoalService
             # Every server gets its requests. No server can answer: none is transient local.
-            profile = rclpy_qos.QoSProfile(
-                depth=1, durability=rclpy_qos.DurabilityPolicy.TRANSIENT_LOCAL
-            )
-            name = action_names(deaf.node, "fibonacci").send_goal
-            client = deaf.make(raw.Client, service, name, profile)
+            name = action_names(deaf.resolve, "fibonacci").send_goal
+            client = deaf.caller(name, service, TRANSIENT_LOCAL, lambda *_: None)
             request = service.Request()
             request.goal_id.uuid = uuid_of(GoalID.random())
             request.goal.order = 7
             while not heard.is_set():  # nothing tells that the server is connected
-                client.send_request(request)
+                client.send(request)
                 with anyio.move_on_after(0.1):
                     await heard.wait()
             assert (await (await other.send_goal(Goal(5))).result()).sequence == [0, 1, 1, 2, 3, 5]
@@ -169,7 +169,7 @@ async def test_answers_to_a_client_that_cannot_be_reached_are_dropped_and_others
 def test_a_warning_of_rclpy_is_an_error_only_for_answers_of_fibaction() -> None:
     program = """
 import warnings
-from fibaction_transports.ros2.rcl import has_answered
+from fibaction_transports.ros2.on_rclpy.rcl import has_answered
 
 class Service:
     def service_send_response(self, response, header):
@@ -364,7 +364,7 @@ async def test_a_request_that_arrives_after_the_tasks_have_ended_is_dropped(
             own_node(NodeSettings(namespace=place)) as ros,
             anyio.create_task_group() as tasks,
         ):
-            served = RosActionServer(ros, ServedEndpoint(server), EndSettings(), tasks)
+            served = RosActionServer(ros, ServedEndpoint(server, ros.types), EndSettings(), tasks)
             tasks.cancel_scope.cancel()  # as if trio had raised a Ctrl-C in one of them
             goals = next(one for one in ros.sources._sources if isinstance(one, Requests))
             goals._sink((None, None))
@@ -401,13 +401,10 @@ async def test_a_subscriber_that_never_matches_delays_only_one_goal(
 ) -> None:
     monkeypatch.setattr(feedback_topic, "MATCH_TIMEOUT", 0.1)
     place = url.partition("=")[2]
-    impl = RosAction.find(FIBONACCI.type_name).ros_type.Impl
+    impl = RclpyTypes().find(FIBONACCI.type_name).impl
     async with own_node(NodeSettings(namespace=place)) as ros:
-        name = action_names(ros.node, "fibonacci").feedback
-        wants_more = rclpy_qos.QoSProfile(
-            depth=1, durability=rclpy_qos.DurabilityPolicy.TRANSIENT_LOCAL
-        )
-        ros.make(raw.Subscription, impl.FeedbackMessage, name, wants_more)
+        name = action_names(ros.resolve, "fibonacci").feedback
+        ros.subscription(name, impl.FeedbackMessage, TRANSIENT_LOCAL, lambda *_: None)
         async with both_ends(url) as client:
             for _ in range(3):
                 assert await client.call(Goal(3)) == Result([0, 1, 1, 2])

@@ -12,8 +12,7 @@ import anyio
 import pytest
 
 from fibaction import GoalID, GoalStatus, Schedule, serve
-from fibaction_transports.ros2 import rcl
-from fibaction_transports.ros2.server import service_server
+from fibaction_transports.ros2.on_rclpy import ends, rcl
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import Peer, peer
@@ -209,7 +208,7 @@ async def test_a_client_that_is_told_of_the_acceptance_after_the_statuses_gets_t
                 return answer
         return rcl.has_answered(service, response, header)
 
-    monkeypatch.setattr(service_server, "has_answered", has_answered)
+    monkeypatch.setattr(ends, "has_answered", has_answered)
     goal = await accepted(stock, orders.WAITS)
 
     await eventually(lambda: stock.ask("handle_status", goal=goal), lambda s: s == EXECUTING)

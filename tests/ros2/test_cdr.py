@@ -20,7 +20,7 @@ from fibaction_transports.cdr.action_messages import CANCEL_GOAL, ActionCodecs, 
 from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_hash
-from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from tests.transports.cdr.definitions import Goal, action_of
 from tests.transports.cdr.generated import values_of
 from tests.transports.cdr.recorded import RECORDED, recorded
@@ -53,8 +53,9 @@ class Both:
         self.structs: dict[str, Any] = {**make_structs(file)}
         self.ours = CdrCodec(self.message, self.structs)
         self._decode = msgspec.msgpack.Decoder(self.structs[self.message.class_name]).decode
-        ros = RosAction.find(type_name)
-        self._ros_class = getattr(ros.ros_type, part.title())
+        ros = RclpyTypes().find(type_name)
+        package, _, name = type_name.split("/")
+        self._ros_class = getattr(getattr(import_module(f"{package}.action"), name), part.title())
         self._values = getattr(ros.codecs(ros.info("any")), part)
 
     def ros_bytes(self, value: Any) -> bytes:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fibaction_transports.ros2.rcl import middleware
+from fibaction_transports.ros2.on_rclpy.rcl import middleware
 from tests.ros2.conftest import DOMAIN
 from tests.support.ros_domain import DOMAINS, claim_domain
 

@@ -27,21 +27,19 @@ from fibaction import Action
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction_transports.ros2.convert.arrays import LARGE, pack, unpack
-from fibaction_transports.ros2.convert.conversion import (
-    RosAction,
-    RosCodec,
-    RosCodecs,
-    message_types,
-)
-from fibaction_transports.ros2.convert.message_types import message_kind
+from fibaction_transports.ros2.convert.conversion import RosCodec, RosCodecs
 from fibaction_transports.ros2.convert.schemas import UserSchema
+from fibaction_transports.ros2.on_rclpy import RclpyTypes, message_types
+from fibaction_transports.ros2.on_rclpy.message_kinds import message_kind
 
 definition: Any = import_module("rosidl_parser.definition")
 numpy: Any = import_module("numpy")
 serialization: Any = import_module("rclpy.serialization")
 
-EVERYTHING = RosAction.find("fibaction_test_msgs/action/Everything")
-NOTHING = RosAction.find("fibaction_test_msgs/action/Nothing")
+find = RclpyTypes().find
+ROS_CLASS: Any = import_module("fibaction_test_msgs.action").Everything
+EVERYTHING = find("fibaction_test_msgs/action/Everything")
+NOTHING = find("fibaction_test_msgs/action/Nothing")
 PARTS = ("goal", "feedback", "result")
 UNTYPED = EVERYTHING.codecs(ActionInfo("everything"))
 """The codecs for an end without schemas."""
@@ -175,7 +173,7 @@ def check_round_trip(part: str, value: dict[str, Any]) -> None:
 def test_single_values_nested_messages_and_arrays_come_back_as_they_were(
     part: str, data: strategies.DataObject
 ) -> None:
-    check_round_trip(part, data.draw(structs(getattr(EVERYTHING.ros_type, part.title()))))
+    check_round_trip(part, data.draw(structs(getattr(ROS_CLASS, part.title()))))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, GREATEST])
@@ -233,7 +231,7 @@ def test_a_message_can_be_filled_again() -> None:
 def test_nothing_at_all_gives_what_ros_has_by_default() -> None:
     for part in PARTS:
         codec: RosCodec = getattr(UNTYPED, part)
-        plain = getattr(EVERYTHING.ros_type, part.title())()
+        plain = getattr(ROS_CLASS, part.title())()
         assert repr(codec.to_ros(None)) == repr(plain)
         assert repr(codec.to_ros(b"\x80")) == repr(plain)
 
@@ -489,7 +487,7 @@ def looking_closely(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("looking_closely")
 def test_ros_finds_nothing_wrong_with_what_it_is_given() -> None:
     @settings(max_examples=20)  # ROS takes its time to look
-    @given(strategies.tuples(*(structs(getattr(EVERYTHING.ros_type, p.title())) for p in PARTS)))
+    @given(strategies.tuples(*(structs(getattr(ROS_CLASS, p.title())) for p in PARTS)))
     def convert(parts: tuple[dict[str, Any], ...]) -> None:
         for name, value in zip(PARTS, parts, strict=True):
             codec: RosCodec = getattr(UNTYPED, name)
@@ -651,8 +649,8 @@ def large(draw: strategies.DrawFn) -> tuple[str, list[Any]]:
     (slot,) = (
         slot.value_type
         for field, slot in zip(
-            EVERYTHING.ros_type.Result.get_fields_and_field_types(),
-            EVERYTHING.ros_type.Result.SLOT_TYPES,
+            ROS_CLASS.Result.get_fields_and_field_types(),
+            ROS_CLASS.Result.SLOT_TYPES,
             strict=True,
         )
         if field == name
@@ -995,9 +993,7 @@ json = strategies.recursive(
 def test_any_schema_matches_or_is_reported(schema: Any, one: Any, other: Any) -> None:
     root = {**(schema if isinstance(schema, dict) else {}), "$defs": {"A": one, "B": other}}
     problems: list[str] = []
-    part: Any = message_kind(EVERYTHING.ros_type.Feedback).bind(
-        UserSchema(root), "feedback", problems
-    )
+    part: Any = message_kind(ROS_CLASS.Feedback).bind(UserSchema(root), "feedback", problems)
     if problems:
         assert all(line.startswith("feedback") for line in problems)
     else:
@@ -1030,10 +1026,10 @@ def test_only_so_many_codecs_are_kept() -> None:
 
 
 def test_a_type_is_found_once() -> None:
-    found = RosAction.find("arduinobot_msgs/action/Fibonacci")
-    assert found is RosAction.find("arduinobot_msgs/action/Fibonacci")
+    found = find("arduinobot_msgs/action/Fibonacci")
+    assert found is find("arduinobot_msgs/action/Fibonacci")
     assert found.type_name == "arduinobot_msgs/action/Fibonacci"
-    assert found.ros_type is import_module("arduinobot_msgs.action").Fibonacci
+    assert found.impl is import_module("arduinobot_msgs.action").Fibonacci.Impl
 
 
 @pytest.fixture
@@ -1050,7 +1046,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def error_of(type_name: str) -> str:
     with pytest.raises(TransportError) as caught:
-        RosAction.find(type_name)
+        find(type_name)
     return str(caught.value)
 
 
@@ -1066,7 +1062,7 @@ def test_an_invalid_type_name_is_an_error(name: str) -> None:
 
 def test_the_action_that_has_no_type_is_named() -> None:
     with pytest.raises(TransportError) as caught:
-        RosAction.find("", "arm/dock")
+        find("", "arm/dock")
     assert str(caught.value) == (
         "give the Action 'arm/dock' a type_name such as 'example_interfaces/action/Fibonacci',"
         " which ROS needs: '' is not a ROS action type"
@@ -1136,7 +1132,7 @@ def test_a_type_that_is_found_later_is_found(
     error_of("broken_msgs/action/Fibonacci")
     module = SimpleNamespace(Fibonacci=import_module("test_msgs.action").Fibonacci)
     monkeypatch.setitem(sys.modules, "broken_msgs.action", module)
-    assert RosAction.find("broken_msgs/action/Fibonacci").ros_type is module.Fibonacci
+    assert find("broken_msgs/action/Fibonacci").impl is module.Fibonacci.Impl
 
 
 def test_a_field_that_ros_cannot_handle_is_named() -> None:
@@ -1151,7 +1147,7 @@ def test_a_field_that_ros_cannot_handle_is_named() -> None:
 
 
 def test_a_description_has_the_schemas_of_the_ros_type() -> None:
-    info = RosAction.find("arduinobot_msgs/action/Fibonacci").info("fibonacci")
+    info = find("arduinobot_msgs/action/Fibonacci").info("fibonacci")
     assert (info.name, info.type_name) == ("fibonacci", "arduinobot_msgs/action/Fibonacci")
     goal = info.goal["$defs"]["Fibonacci_Goal"]
     assert goal["properties"] == {

@@ -22,8 +22,7 @@ from fibaction import (
 from fibaction_transports.ros2.client import action_client, followed_goals
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import count_topic
-from fibaction_transports.ros2.node.node import RosNode
-from fibaction_transports.ros2.rcl import raw
+from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import PATIENCE, Undecoded, both_ends, client_of, new_url
@@ -204,13 +203,13 @@ async def test_few_ended_goals_are_remembered(
         ended = client_of(client.endpoint)._followed
         assert len(ended._ended) == 1
         for goal in goals:
-            ended.take_feedback((b"\0\1\0\0" + bytes(goal.goal_id), b""))
+            ended.take_feedback(b"\0\1\0\0" + bytes(goal.goal_id), b"")
     assert len(caplog.records) == 1
 
 
 async def topics_at(client: Any) -> list[str]:
-    node = client_of(client.endpoint).presence._ros.node
-    return [name for name, _ in node.get_topic_names_and_types()]
+    ros = client_of(client.endpoint).presence._ros
+    return [name for name, _ in ros.topics()]
 
 
 async def test_a_server_of_rclpy_is_not_asked_for_what_it_does_not_have() -> None:
@@ -221,9 +220,9 @@ async def test_a_server_of_rclpy_is_not_asked_for_what_it_does_not_have() -> Non
                 await orders_of(goal)  # rclpy may publish it before this client is connected
                 assert await goal.result() == Result([0, 1, 1, 2, 3, 5])
             raw = client_of(client.endpoint)
-            topic = count_topic(raw.presence._ros.node, "stock")
+            topic = count_topic(raw.presence._ros.resolve, "stock")
             assert topic not in await topics_at(client)
-            assert raw.presence._ros.node.count_subscribers(topic) == 0
+            assert raw.presence._ros.count_subscriptions(topic) == 0
 
 
 async def test_the_topic_is_hidden_and_is_not_found_as_a_part_of_an_action(url: str) -> None:
@@ -252,8 +251,9 @@ async def test_a_goal_that_is_sent_while_ros_is_shut_down_is_lost_like_any_other
         come_from = raw._counts.come_from
 
         def shut_down_then(servers: frozenset[bytes]) -> bool:
-            monkeypatch.setattr(raw.presence._ros.node, "count_publishers", lambda topic: 1)
-            raw.presence._ros.node.context.shutdown()
+            ros: Any = raw.presence._ros
+            monkeypatch.setattr(ros, "count_publishers", lambda topic: 1)
+            ros.node.context.shutdown()
             return come_from(servers)
 
         monkeypatch.setattr(raw._counts, "come_from", shut_down_then)
@@ -288,19 +288,19 @@ def test_more_feedback_than_announced_is_none_that_is_missing() -> None:
     assert stream.missing == 0
 
 
-@pytest.mark.parametrize("denied", [raw.Publisher, raw.Subscription])
+@pytest.mark.parametrize("denied", ["publisher", "subscription"])
 async def test_without_the_permission_for_the_topic_goals_run_as_with_any_server(
-    url: str, monkeypatch: pytest.MonkeyPatch, denied: Any
+    url: str, monkeypatch: pytest.MonkeyPatch, denied: str
 ) -> None:
-    make, warned = RosNode.make, list[str]()
+    make, warned = getattr(RclpyNode, denied), list[str]()
 
-    def make_if_allowed(ros: RosNode, kind: Any, ros_type: Any, name: str, profile: Any) -> Any:
-        if kind is denied and name.endswith("_fibaction_count"):
+    def make_if_allowed(ros: RclpyNode, name: str, *arguments: Any, **others: Any) -> Any:
+        if name.endswith("_fibaction_count"):
             raise TransportError(f"{name}: not allowed")
-        return make(ros, kind, ros_type, name, profile)
+        return make(ros, name, *arguments, **others)
 
-    monkeypatch.setattr(RosNode, "make", make_if_allowed)
-    monkeypatch.setattr(RosNode, "warn", lambda ros, text: warned.append(text))
+    monkeypatch.setattr(RclpyNode, denied, make_if_allowed)
+    monkeypatch.setattr(RclpyNode, "warn", lambda ros, text: warned.append(text))
     async with both_ends(url) as client:
         for _ in range(2):
             async with client.send_goal(Goal(5)) as goal:

@@ -9,6 +9,8 @@ import anyio
 import pytest
 
 from fibaction import GoalID
+from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.server import feedback_topic
 from fibaction_transports.ros2.server.feedback_topic import FIRST_PACE, LOOK_PAUSE, FeedbackTopic
 from fibaction_transports.ros2.settings import EndSettings
@@ -18,11 +20,6 @@ pytestmark = pytest.mark.anyio
 
 MANY = 600
 """More than half a queue."""
-
-
-class Reader:
-    def __init__(self, gid: bytes) -> None:
-        self.endpoint_gid = gid
 
 
 class Message:
@@ -36,27 +33,27 @@ class Ros:
     """A node, its graph and a publisher, with the readers that a test gives it."""
 
     def __init__(self) -> None:
-        self.node = self
+        self.types = self
         self.readers: list[bytes] = []
         self.looks = 0
 
-    def make(self, *_: object) -> Ros:
+    def uuid(self, goal_id: bytes) -> bytes:
+        return goal_id
+
+    def publisher(self, *_: object) -> Ros:
         return self
 
-    def attempt(self, call: Callable[..., Any], *arguments: Any, otherwise: Any = None) -> Any:
-        return call(*arguments)
-
-    def count_subscribers(self, topic: str) -> int:
+    def count_subscriptions(self, topic: str) -> int:
         return len(self.readers)
 
-    count_clients = count_subscribers
+    count_callers = count_subscriptions
 
-    def get_subscription_count(self) -> int:
+    def reader_count(self) -> int:
         return len(self.readers)
 
-    def get_subscriptions_info_by_topic(self, topic: str) -> list[Reader]:
+    def subscriptions(self, topic: str) -> list[EndInfo]:
         self.looks += 1
-        return [Reader(gid) for gid in self.readers]
+        return [EndInfo(gid, "/reader", EndQos()) for gid in self.readers]
 
     def publish(self, message: Message) -> None:
         """Do nothing."""

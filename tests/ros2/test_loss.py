@@ -23,8 +23,8 @@ from fibaction import (
     UnknownGoal,
     connect,
 )
-from fibaction_transports.ros2.rcl import middleware
-from tests.ros2.ends import client_of
+from fibaction_transports.ros2.on_rclpy.rcl import middleware
+from tests.ros2.ends import client_of, node_of
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import Peer, peer
@@ -208,10 +208,9 @@ async def goes_on_after_it_was_dropped(folder: Path, caplog: pytest.LogCaptureFi
         waiting_for(server, "loss_gap", url="ros2://") as (client, goal),
     ):
         presence = client_of(client.endpoint).presence
-        node = presence._ros.node
 
         async def servers() -> int:
-            return int(node.count_publishers("/loss_gap/_action/status"))
+            return presence._ros.count_publishers("/loss_gap/_action/status")
 
         server.signal(signal.SIGSTOP)
         await eventually(servers, lambda number: number == 0)
@@ -219,7 +218,7 @@ async def goes_on_after_it_was_dropped(folder: Path, caplog: pytest.LogCaptureFi
         try:
             await noted(caplog, "its server is there again")
         except TimeoutError:
-            if all(one.service_server_is_available() for one in presence._clients):
+            if all(one.is_available() for one in presence._clients):
                 raise
             return False
         assert (await goal.cancel()).accepted
@@ -324,14 +323,15 @@ async def test_a_stock_server_that_was_killed_is_missed_although_another_has_tak
     async with server_with_lease(tmp_path) as first:
         async with waiting_for(first, "stock") as (client, goal):
             presence = client_of(client.endpoint).presence
+            node = node_of(client)
             parts = [
                 f"/stock/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result")
             ]
 
             async def servers() -> int:
                 """The servers that the client has found with all their parts."""
-                topics = [one.get_publisher_count() for one in presence._subscriptions]
-                return int(min(*topics, *map(presence._ros.node.count_services, parts)))
+                topics = [one.publisher_count() for one in presence._subscriptions]
+                return int(min(*topics, *map(node.count_services, parts)))
 
             with await client.endpoint.status() as statuses:
                 async with peer("server"):  # it is there before the graph misses the other

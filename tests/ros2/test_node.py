@@ -15,26 +15,23 @@ import pytest
 from fibaction._runtime.tasks import Background
 from fibaction.words.errors import ConnectionLost, TransportError
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node.mailbox import Mailbox
-from fibaction_transports.ros2.node.node import (
-    NodeSettings,
-    RosNode,
-    own_node,
-    users_node,
-)
-from fibaction_transports.ros2.node.spinner import Spinner
-from fibaction_transports.ros2.node.waitable import Messages, RosWaitable
-from fibaction_transports.ros2.rcl import (
+from fibaction_transports.ros2.on_rclpy.mailbox import Mailbox
+from fibaction_transports.ros2.on_rclpy.opening import own_node, users_node
+from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
     InvalidHandle,
     SingleThreadedExecutor,
     check_for_type_support,
-    raw,
     rclpy,
     rclpy_qos,
     uuid_of,
     waitable,
 )
+from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
+from fibaction_transports.ros2.on_rclpy.spinner import Spinner
+from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.stock.process import PATIENCE
 from tests.ros2.stock.telling import spin
@@ -50,7 +47,7 @@ def threads() -> set[threading.Thread]:
 
 
 @pytest.fixture
-async def ros() -> AsyncGenerator[RosNode, None]:
+async def ros() -> AsyncGenerator[RclpyNode, None]:
     async with own_node(NodeSettings()) as made:
         yield made
 
@@ -141,12 +138,12 @@ def shut_down_before_the_next_wait(monkeypatch: pytest.MonkeyPatch, context: Any
     monkeypatch.setattr(RosWaitable, "get_num_entities", shut_down_and_count)
 
 
-async def test_a_handle_that_ros_does_not_allow_is_a_transport_error(ros: RosNode) -> None:
+async def test_a_handle_that_ros_does_not_allow_is_a_transport_error(ros: RclpyNode) -> None:
     with pytest.raises(TransportError, match="1 a"):
-        ros.make(raw.Publisher, GoalStatusArray, "1 a", rclpy_qos.QoSProfile(depth=1))
+        ros.publisher("1 a", GoalStatusArray, EndQos())
 
 
-async def test_a_call_that_fails_while_ros_is_up_is_an_error(ros: RosNode) -> None:
+async def test_a_call_that_fails_while_ros_is_up_is_an_error(ros: RclpyNode) -> None:
     def fail() -> None:
         raise KeyError("mine")
 
@@ -156,7 +153,7 @@ async def test_a_call_that_fails_while_ros_is_up_is_an_error(ros: RosNode) -> No
 
 
 async def test_a_call_that_fails_because_ros_was_shut_down_is_none(
-    ros: RosNode, caplog: pytest.LogCaptureFixture
+    ros: RclpyNode, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "fibaction.ros2")
 
@@ -171,14 +168,14 @@ async def test_a_call_that_fails_because_ros_was_shut_down_is_none(
     assert caplog.messages[-2:] == ["a goal\\x0aended", "it is bad"]
 
 
-async def test_a_node_that_is_not_spun_can_be_used_and_left(ros: RosNode) -> None:
+async def test_a_node_that_is_not_spun_can_be_used_and_left(ros: RclpyNode) -> None:
     mine = rclpy.create_node("mine", context=ros.node.context)
     async with users_node(mine) as made:
         assert made.is_up
     mine.destroy_node()
 
 
-async def test_a_spinner_may_be_stopped_twice(ros: RosNode) -> None:
+async def test_a_spinner_may_be_stopped_twice(ros: RclpyNode) -> None:
     mine = rclpy.create_node("mine", context=ros.node.context)
     spinner = Spinner(mine, RosWaitable(Mailbox(ros.wake)), ros.node.context, ros.lose_later)
     spinner.start()
@@ -189,7 +186,7 @@ async def test_a_spinner_may_be_stopped_twice(ros: RosNode) -> None:
 
 
 async def test_what_rclpy_makes_at_the_node_is_served_too_and_can_be_destroyed(
-    ros: RosNode,
+    ros: RclpyNode,
 ) -> None:
     seen: dict[str, threading.Thread] = {}
     news = Mailbox(lambda: None)
@@ -228,7 +225,7 @@ async def test_what_rclpy_makes_at_the_node_is_served_too_and_can_be_destroyed(
 
 
 async def test_a_handle_that_is_being_destroyed_is_not_waited_for(
-    ros: RosNode, monkeypatch: pytest.MonkeyPatch
+    ros: RclpyNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked = threading.Event()
 
@@ -252,7 +249,7 @@ async def test_a_handle_that_is_being_destroyed_is_not_waited_for(
 
 
 async def test_the_thread_takes_nothing_while_the_mailbox_is_full_and_then_goes_on(
-    ros: RosNode, monkeypatch: pytest.MonkeyPatch
+    ros: RclpyNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paused = threading.Event()
 
@@ -264,16 +261,15 @@ async def test_the_thread_takes_nothing_while_the_mailbox_is_full_and_then_goes_
     taken: list[Any] = []
     told = anyio.Event()
 
-    def take(item: Any) -> None:
-        taken.append(item)
+    def take(message: bytes, publisher: bytes) -> None:
+        taken.append(message)
         if len(taken) == 4:
             told.set()
 
+    ros.subscription("mine", GoalStatusArray, EndQos(depth=10), take)
     profile = rclpy_qos.QoSProfile(depth=10)
-    handle = ros.make(raw.Subscription, GoalStatusArray, "mine", profile)
-    ros.listen(Messages(handle, GoalStatusArray, take))
     publisher = ros.node.create_publisher(GoalStatusArray, "mine", profile)
-    monkeypatch.setattr("fibaction_transports.ros2.node.mailbox.MAILBOX", 2)
+    monkeypatch.setattr("fibaction_transports.ros2.on_rclpy.mailbox.MAILBOX", 2)
     monkeypatch.setattr(RosWaitable, "is_paused", property(is_paused))
 
     async def readers() -> int:
@@ -289,9 +285,9 @@ async def test_the_thread_takes_nothing_while_the_mailbox_is_full_and_then_goes_
         await told.wait()
 
 
-async def test_an_invalid_name_is_a_transport_error(ros: RosNode) -> None:
+async def test_an_invalid_name_is_a_transport_error(ros: RclpyNode) -> None:
     with pytest.raises(TransportError, match="'1 a' is not a valid name in ROS"):
-        action_names(ros.node, "1 a")
+        action_names(ros.resolve, "1 a")
 
 
 class Kept(list[str]):
@@ -302,7 +298,7 @@ class Kept(list[str]):
 
 @pytest.mark.promise("ERROR-5")
 async def test_a_text_becomes_one_line_of_the_log_of_ros(
-    ros: RosNode, monkeypatch: pytest.MonkeyPatch
+    ros: RclpyNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ros, "_logger", kept := Kept())
     ros.warn("a\nb\x1b\ud800")

@@ -123,5 +123,5 @@ async def test_nothing_is_said_of_a_server_that_matches(url: str) -> None:
         ):
             await client.wait_for_server()
             presence = client_of(client.endpoint).presence
-            said = explain_mismatch(presence._ros.node, presence._names, EndSettings())
+            said = explain_mismatch(presence._ros, presence._names, EndSettings())
     assert said == ""

@@ -14,7 +14,9 @@ from fibaction_transports.ros2.client import followed_goals
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses
+from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.rivals import Rivals
+from fibaction_transports.ros2.qos import EndQos
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import PATIENCE, Items, Undecoded, client_of, new_url, tells_publishers
 from tests.ros2.stock.waiting import eventually
@@ -84,7 +86,7 @@ async def test_feedback_waits_a_while_for_status_lists_that_come_after_the_resul
         monkeypatch.setattr(followed_goals, "LATE", PATIENCE)
     held: list[Any] = []
     take = RosActionClient._take_statuses
-    monkeypatch.setattr(RosActionClient, "_take_statuses", lambda _, item: held.append(item))
+    monkeypatch.setattr(RosActionClient, "_take_statuses", lambda _, *item: held.append(item))
     url = new_url()
     tags: dict[int, int] = {}
 
@@ -101,7 +103,7 @@ async def test_feedback_waits_a_while_for_status_lists_that_come_after_the_resul
                 while len({of for message, of in held if goal.goal_id in message}) < 1 + tells:
                     await anyio.lowlevel.checkpoint()
                 for item in held:
-                    take(client_of(client.endpoint), item)
+                    take(client_of(client.endpoint), *item)
             seen = {one.partial_sequence[0] async for one in goal.feedback}
     assert tags[goal.stamp] in seen
     assert len(seen) == 1 or not tells or lists == "lost"
@@ -132,23 +134,17 @@ class Node:
     """The ends of the topics of two servers in one context, which have one name."""
 
     def __init__(self, *ends: Any) -> None:
-        self.node = self
         self.looks = 0
         self._ends = ends
 
-    def attempt(self, call: Any, *arguments: Any, otherwise: Any) -> Any:
-        return call(*arguments)
-
-    def get_publishers_info_by_topic(self, topic: str) -> Any:
+    def publishers(self, topic: str) -> list[EndInfo]:
         self.looks += 1
-        return [end for end in self._ends if end.topic == topic]
+        return [EndInfo(end.gid, end.node, EndQos()) for end in self._ends if end.topic == topic]
 
 
 class End:
-    node_namespace = "/"
-
     def __init__(self, topic: str, gid: bytes, node: str = "robot") -> None:
-        self.topic, self.endpoint_gid, self.node_name = topic, gid, node
+        self.topic, self.gid, self.node = topic, gid, f"/{node}"
 
 
 class Names:

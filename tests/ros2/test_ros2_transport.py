@@ -13,7 +13,6 @@ from typing import Any
 import anyio
 import pytest
 
-import fibaction_transports.ros2
 from fibaction import (
     Action,
     ActionServer,
@@ -27,7 +26,7 @@ from fibaction import (
 )
 from fibaction.border.urls import transport_for
 from fibaction.types.action import ActionInfo
-from fibaction_transports.ros2 import Ros2Transport
+from fibaction_transports.ros2 import Ros2Transport, on_rclpy
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -340,8 +339,8 @@ def test_a_package_without_rclpy_cannot_be_imported(monkeypatch: pytest.MonkeyPa
     with monkeypatch.context() as without:
         without.setattr(importlib.util, "find_spec", lambda name: None)
         with pytest.raises(TransportError, match=r"ros2:// needs rclpy.*setup\.bash"):
-            importlib.reload(fibaction_transports.ros2)
-    importlib.reload(fibaction_transports.ros2)
+            importlib.reload(on_rclpy)
+    importlib.reload(on_rclpy)
 
 
 def test_without_rclpy_the_error_says_how_to_get_it() -> None:

@@ -13,7 +13,7 @@ from signal import SIGINT, SIGKILL, SIGTERM
 
 import pytest
 
-from fibaction_transports.ros2.rcl import middleware
+from fibaction_transports.ros2.on_rclpy.rcl import middleware
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
 

@@ -16,13 +16,13 @@ from rosgraph_msgs.msg import Clock
 from fibaction import ActionClient, ActionServer, ClientGoal, GoalID, connect, serve
 from fibaction_transports.ros2 import Ros2Transport
 from fibaction_transports.ros2.node import stamps
-from fibaction_transports.ros2.node.clock import NodeClock
 from fibaction_transports.ros2.node.stamps import (
     FIRST_STAMP,
     LAST_STAMP,
     FollowedStamps,
     ServedStamps,
 )
+from fibaction_transports.ros2.on_rclpy.clock import NodeClock
 from tests.ros2.ends import PATIENCE, forever, new_url
 from tests.ros2.spun import spun_node
 from tests.ros2.stock.waiting import eventually

@@ -8,6 +8,7 @@ from pathlib import Path
 
 SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
+NOT_ELSEWHERE = f"{ELSEWHERE}/on_dds"
 UNITS = {
     "fibaction/words/action_error.py": ["tests/words/test_errors.py"],
     "fibaction/_runtime/connection_counts.py": ["tests/observe/test_metrics.py"],
@@ -104,5 +105,6 @@ def modules(root: Path) -> Iterator[tuple[Path, list[Path]]]:
     """Yield each module that has code of its own, and the tests that cover it."""
     for source in SOURCES:
         for module in sorted((root / source).rglob("*.py")):
-            if has_code(module) and not module.is_relative_to(root / ELSEWHERE):
+            is_here = not module.is_relative_to(root / ELSEWHERE)
+            if has_code(module) and (is_here or module.is_relative_to(root / NOT_ELSEWHERE)):
                 yield module, tests_of(root, module)

@@ -4,9 +4,8 @@ one of fibaction.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-from fibaction.words.errors import TransportError
+from collections.abc import Callable
+from typing import NamedTuple
 
 
 class ActionNames(NamedTuple):
@@ -19,17 +18,17 @@ class ActionNames(NamedTuple):
     status: str
 
 
-def action_names(node: Any, action: str) -> ActionNames:
-    """Expand and remap the name of an action, as the node does with the names of topics.
+def action_names(resolve: Callable[[str], str], action: str) -> ActionNames:
+    """Expand and remap the name of an action by `RosNode.resolve`, as the names of topics are.
 
     Raises:
         TransportError: ROS does not allow this name.
     """
-    full = _resolved(node, action)
+    full = resolve(action)
     return ActionNames(*(f"{full}/_action/{part}" for part in ActionNames._fields))
 
 
-def count_topic(node: Any, action: str) -> str:
+def count_topic(resolve: Callable[[str], str], action: str) -> str:
     """Return the full name of the topic on which a server of fibaction tells the numbers of
     feedback messages. It does not contain `/_action/feedback`, by which the tools of ROS find an
     action.
@@ -37,12 +36,4 @@ def count_topic(node: Any, action: str) -> str:
     Raises:
         TransportError: ROS does not allow this name.
     """
-    return f"{_resolved(node, action)}/_action/_fibaction_count"
-
-
-def _resolved(node: Any, action: str) -> str:
-    try:
-        full: str = node.resolve_topic_name(action)
-    except Exception as exc:  # rclpy raises whatever rcl says
-        raise TransportError(f"{action!r} is not a valid name in ROS: {exc}") from exc
-    return full
+    return f"{resolve(action)}/_action/_fibaction_count"

@@ -14,15 +14,14 @@ from fibaction.border.urls import check_settings, unknown_setting, without_setti
 from fibaction.words.errors import InvalidURL, TransportError
 from fibaction_transports.ros2.client.endpoint import connect_actions
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node.node import (
-    LAST_DOMAIN,
-    NodeSettings,
-    RosNode,
-    own_node,
-    users_node,
-)
+from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
 from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
-from fibaction_transports.ros2.settings import EndSettings, check_range
+from fibaction_transports.ros2.settings import (
+    LAST_DOMAIN,
+    EndSettings,
+    NodeSettings,
+    check_range,
+)
 
 _YES_OR_NO = {"true": True, "false": False}
 
@@ -106,7 +105,11 @@ class Ros2Transport(Transport):
         Raises:
             ValueError: A number is out of range, a word is not valid, or both a node and its
                 description are given.
+            TransportError: This Python has no rclpy.
         """
+        from fibaction_transports.ros2 import on_rclpy  # not before it is known to be wanted
+
+        self._adapter = on_rclpy
         check_range("domain_id", domain_id or 0, 0, LAST_DOMAIN)
         self._ends = EndSettings(
             feedback_depth=feedback_depth,
@@ -156,12 +159,11 @@ class Ros2Transport(Transport):
         settings.
         """
         if self._node is not None:
-            return self._url_of(self._node)
+            return self._url_in(self._node.get_namespace())
         return self._url(self._settings.namespace)
 
-    def _url_of(self, node: Any) -> str:
+    def _url_in(self, space: str) -> str:
         """Return the URL with which a client gets the namespace of a node, remapped or not."""
-        space = node.get_namespace()
         is_named = space != "/" or self._settings.namespace or self._node is not None
         return self._url(space if is_named else "")
 
@@ -174,13 +176,13 @@ class Ros2Transport(Transport):
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
         """See `Transport.serve`. First, the types of all actions are compared with those of ROS."""
-        served = _served(endpoints)
+        served = _served(endpoints, self._adapter.RclpyTypes())
         async with self._open() as ros:
-            full = [action_names(ros.node, endpoint.info.name) for endpoint in endpoints]
+            full = [action_names(ros.resolve, endpoint.info.name) for endpoint in endpoints]
             if len(set(full)) < len(full):
                 raise TransportError("two of the endpoints serve actions of the same name")
             async with serve_actions(ros, served, self._ends):
-                yield self._url_of(ros.node)
+                yield self._url_in(ros.namespace)
 
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
@@ -192,15 +194,17 @@ class Ros2Transport(Transport):
             yield connection
 
     def _open(self) -> AbstractAsyncContextManager[RosNode]:
-        return own_node(self._settings) if self._node is None else users_node(self._node)
+        if self._node is None:
+            return self._adapter.own_node(self._settings)
+        return self._adapter.users_node(self._node)
 
 
-def _served(endpoints: Sequence[Endpoint]) -> list[ServedEndpoint]:
+def _served(endpoints: Sequence[Endpoint], types: RosTypes) -> list[ServedEndpoint]:
     served: list[ServedEndpoint] = []
     errors: list[str] = []
     for endpoint in endpoints:
         try:
-            served.append(ServedEndpoint(endpoint))
+            served.append(ServedEndpoint(endpoint, types))
         except TransportError as exc:
             errors.append(str(exc))
     if errors:

@@ -1,8 +1,9 @@
-"""The settings of the ends of an action in ROS: of a server, of a client, or of both."""
+"""The settings of a node, and those of the ends of an action: a server, a client, or both."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import msgspec
 
@@ -10,6 +11,21 @@ from fibaction_transports.ros2 import qos
 
 INTROSPECTIONS = ("off", "metadata", "contents")
 """The settings of the introspection of services, as `rclpy.service_introspection` names them."""
+
+LAST_DOMAIN = 232
+"""The highest domain ID. Higher ones would have ports above 65535."""
+
+
+class NodeSettings(msgspec.Struct, frozen=True):
+    """Settings of a node that fibaction makes."""
+
+    name: str = ""
+    """The name; without one, a unique name is made."""
+    namespace: str = ""
+    domain_id: int | None = None
+    """The domain; None takes it from ROS_DOMAIN_ID in the environment."""
+    arguments: Sequence[str] | None = None
+    """ROS's arguments, for example `["--ros-args", "-r", "a:=b"]`; None is the command line."""
 
 
 class EndSettings(msgspec.Struct, frozen=True, kw_only=True):

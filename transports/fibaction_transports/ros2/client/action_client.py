@@ -1,14 +1,13 @@
-"""The action client over rcl: one for each action and node, shared by all endpoints of the action.
+"""The action client: one for each action and node, shared by all endpoints of the action.
 
 Theory of operation
 -------------------
 
-An action of ROS is three services and two topics. The client uses raw handles of rclpy for them,
-and knows nothing of the types of the payloads: `endpoint` converts them.
+An action of ROS is three services and two topics. The client gets the ends of them from a
+`RosNode`, and knows nothing of the types of the payloads: `endpoint` converts them.
 
-*Messages arrive* in the thread that rclpy spins. A `RosWaitable` takes them, and a `Mailbox` brings
-them to the event loop, where the `_take_...` methods handle them without waiting. So no state here
-needs a lock.
+*Messages arrive* on the event loop, wherever the node takes them. The `_take_...` methods handle
+them without waiting. So no state here needs a lock.
 
 *A goal* is sent by a `ServiceClient`, which retries. A retry may be rejected because the first
 request was accepted and only its answer was lost: so a rejection counts only if the goal is not in
@@ -59,12 +58,10 @@ from fibaction_transports.ros2.client.service_client import ServiceCall, Service
 from fibaction_transports.ros2.convert.conversion import stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.feedback_counts import ReceivedCounts
-from fibaction_transports.ros2.node.node import RosNode
 from fibaction_transports.ros2.node.rivals import Rivals
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.node.stamps import FollowedStamps
 from fibaction_transports.ros2.node.status_list import ReceivedStatuses
-from fibaction_transports.ros2.node.waitable import Messages
-from fibaction_transports.ros2.rcl import raw, uuid_of
 from fibaction_transports.ros2.settings import EndSettings
 
 QUEUE = 10
@@ -85,38 +82,38 @@ class RosActionClient:
     """A client of the servers of one action."""
 
     def __init__(self, ros: RosNode, action: str, impl: Any, settings: EndSettings) -> None:
-        """Make the handles.
+        """Make the ends of the action at this node.
 
         Raises:
             TransportError: ROS does not allow them.
         """
         self.impl = impl
+        self.types = ros.types
         self.depth = settings.feedback_depth
         """Feedback messages of a goal that are kept for a late reader."""
         self.stamps = FollowedStamps(ros.clock)
         self.known = ReceivedStatuses(self.stamps.from_ros)
         self._action = action
-        full = action_names(ros.node, action)
-        make, services = ros.make, qos.services(settings.services_qos)
+        full, services = action_names(ros.resolve, action), qos.services(settings.services_qos)
         # Subscriptions first. A server that knows the clients then knows these, too, so that its
         # messages arrive once it answers.
         queue = qos.feedback(QUEUE * self.depth, settings.feedback_qos)
-        feedback = make(raw.Subscription, impl.FeedbackMessage, full.feedback, queue)
+        feedback = ros.subscription(full.feedback, impl.FeedbackMessage, queue, self._take_feedback)
         lists = qos.subscribed_status(settings.status_qos)
-        status = make(raw.Subscription, impl.GoalStatusMessage, full.status, lists)
-        goals = make(raw.Client, impl.SendGoalService, full.send_goal, services)
-        cancels = make(raw.Client, impl.CancelGoalService, full.cancel_goal, services)
-        results = make(raw.Client, impl.GetResultService, full.get_result, services)
-        ros.introspect(settings.introspection, goals, cancels, results)
-        self._goals = ServiceClient(goals, impl.SendGoalService)
-        self._cancels = ServiceClient(cancels, impl.CancelGoalService)
+        status = ros.subscription(full.status, impl.GoalStatusMessage, lists, self._take_statuses)
+        self._goals = ServiceClient(ros, full.send_goal, impl.SendGoalService, services)
+        self._cancels = ServiceClient(ros, full.cancel_goal, impl.CancelGoalService, services)
         self._followed = FollowedGoals(
+            ros,
             action,
-            results,
+            full.get_result,
             impl.GetResultService,
+            services,
             self.known,
             is_reliable=qos.are_reliable(settings.feedback_qos),
         )
+        callers = (self._goals.caller, self._cancels.caller, self._followed.results)
+        ros.introspect(settings.introspection, *callers)
         self._counts = ReceivedCounts(ros, action, self._followed.take_count)
         self._undecided: list[RosGoalStream] = []
         self._subscriptions: list[StatusSubscription] = []
@@ -131,18 +128,11 @@ class RosActionClient:
             action,
             impl.GoalStatusMessage,
             full,
-            (goals, cancels, results),
+            callers,
             (feedback, status),
             settings,
         )
         ros.on_loss(self._fail)
-        ros.listen(
-            Messages(feedback, impl.FeedbackMessage, self._followed.take_feedback),
-            Messages(status, impl.GoalStatusMessage, self._take_statuses),
-            self._goals.source,
-            self._cancels.source,
-            self._followed.source,
-        )
 
     # Requests
 
@@ -157,7 +147,7 @@ class RosActionClient:
         self._rivals.note(servers, self.presence.count())
         stream.is_counted = self._counts.come_from(servers)
         request = self.impl.SendGoalService.Request()
-        request.goal_id.uuid = uuid_of(stream.goal_id)
+        request.goal_id.uuid = self.types.uuid(stream.goal_id)
         request.goal = goal
         self._follow(stream)
         try:
@@ -283,8 +273,10 @@ class RosActionClient:
 
     # Messages
 
-    def _take_statuses(self, item: tuple[bytes, bytes]) -> None:
-        message, publisher = item
+    def _take_feedback(self, message: bytes, publisher: bytes) -> None:
+        self._followed.take_feedback(message, publisher)
+
+    def _take_statuses(self, message: bytes, publisher: bytes) -> None:
         self._listed_by = self.presence.servers()
         self._rivals.note_list(publisher, message)
         for info in self.known.update(message):

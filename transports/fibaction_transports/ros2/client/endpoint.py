@@ -19,7 +19,6 @@ from fibaction.words.errors import (
     GoalRejected,
     ProtocolError,
     TransportError,
-    text_of,
 )
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
@@ -33,11 +32,11 @@ from fibaction.words.goals import (
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
-from fibaction_transports.ros2.convert.conversion import RosAction, RosCodecs, goal_id_of, stamp_of
+from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import FIRST_STAMP, LAST_STAMP
-from fibaction_transports.ros2.rcl import deserialize, uuid_of
 from fibaction_transports.ros2.settings import EndSettings
 
 SETTLED = 0.2
@@ -50,7 +49,6 @@ FoundT = TypeVar("FoundT")
 _ENDS = frozenset(status for status in GoalStatus if status.is_terminal)
 _FEEDBACK = "/_action/feedback"
 _SUFFIX = "_FeedbackMessage"
-_UNNAMED = "_NODE_NAME_UNKNOWN_"
 
 
 class RosEndpoint(Endpoint):
@@ -60,7 +58,7 @@ class RosEndpoint(Endpoint):
         self._client = client
         self._info = info
         self._codecs = codecs
-        self._decoder = _Decoder(client.impl, codecs)
+        self._decoder = _Decoder(client.types, client.impl, codecs)
 
     @property
     def info(self) -> ActionInfo:
@@ -97,7 +95,7 @@ class RosEndpoint(Endpoint):
     ) -> CancelAnswer:
         request = self._client.impl.CancelGoalService.Request()
         info = request.goal_info
-        info.goal_id.uuid = uuid_of(goal_id or bytes(16))
+        info.goal_id.uuid = self._client.types.uuid(goal_id or bytes(16))
         # A stamp beyond these would silently become another one, or none, which means all goals.
         known = self._client.stamps
         within = min(max(known.to_ros(stamp) if stamp else 0, FIRST_STAMP), LAST_STAMP)
@@ -129,18 +127,17 @@ class RosEndpoint(Endpoint):
 class _Decoder(GoalDecoder):
     """Decodes with the codecs of an endpoint."""
 
-    def __init__(self, impl: Any, codecs: RosCodecs) -> None:
+    def __init__(self, types: RosTypes, impl: Any, codecs: RosCodecs) -> None:
+        self._types = types
         self._impl = impl
         self._codecs = codecs
         self._empty = codecs.result.from_ros(codecs.result.to_ros(None))
 
     def feedback(self, message: bytes) -> bytes:
         try:
-            found = deserialize(message, self._impl.FeedbackMessage)
-        except Exception as exc:  # rclpy raises whatever rcl says
-            raise ProtocolError(
-                f"invalid feedback of {len(message)} bytes: {text_of(exc)}"
-            ) from exc
+            found = self._types.decode(message, self._impl.FeedbackMessage)
+        except ProtocolError as exc:
+            raise ProtocolError(f"invalid feedback of {len(message)} bytes: {exc}") from exc
         return self._codecs.feedback.from_ros(found.feedback)
 
     def outcome(self, response: Any) -> Outcome[bytes]:
@@ -172,18 +169,13 @@ class RosConnection(Connection):
             TransportError: The type of the action is not known in ROS, or does not match.
         """
         info = action.info if isinstance(action, Action) else action
-        full = action_names(self._ros.node, info.name)
+        full = action_names(self._ros.resolve, info.name)
         type_name = info.type_name or dict(self._looked(self._found)).get(full.feedback, "")
-        found = RosAction.find(type_name, info.name)
+        found = self._ros.types.find(type_name, info.name)
         codecs = found.codecs(info)
         client = self._clients.get((full.feedback, type_name))
         if client is None:
-            client = RosActionClient(
-                self._ros,
-                info.name,
-                found.ros_type.Impl,
-                self._settings,
-            )
+            client = RosActionClient(self._ros, info.name, found.impl, self._settings)
             self._clients[full.feedback, type_name] = client
             self._tasks.start_soon(client.run, name=f"client of {info.name}")
         return RosEndpoint(client, info, codecs)
@@ -191,18 +183,19 @@ class RosConnection(Connection):
     async def actions(self) -> list[ActionInfo]:
         """See `Connection.actions`. Actions whose types are not installed here have no schemas."""
         found = await self._settled(self._found)
-        return [_described(self._relative(topic), type_name) for topic, type_name in found]
+        types = self._ros.types
+        return [_described(types, self._relative(topic), type_name) for topic, type_name in found]
 
     async def peers(self, action: str) -> ActionPeers:
         """See `Connection.peers`. Peers are named by their nodes. The clients are the nodes that
         subscribe to the feedback, as every client of an action does.
         """
-        node = self._ros.node
+        ros = self._ros
 
         def look() -> ActionPeers | None:
-            full = action_names(node, action)
-            servers = _nodes(node.get_publishers_info_by_topic(full.status))
-            clients = _nodes(node.get_subscriptions_info_by_topic(full.feedback))
+            full = action_names(ros.resolve, action)
+            servers = _nodes(ros.publishers(full.status))
+            clients = _nodes(ros.subscriptions(full.feedback))
             return ActionPeers(servers, clients) if servers or clients else None
 
         return await self._settled(look) or ActionPeers()
@@ -224,27 +217,30 @@ class RosConnection(Connection):
         return found
 
     def _looked(self, look: Callable[[], FoundT]) -> FoundT:
-        found: FoundT = self._ros.attempt(look)
+        self._check_ros()
+        found = look()
+        self._check_ros()
+        return found
+
+    def _check_ros(self) -> None:
         if not self._ros.is_up:
             raise ConnectionLost(str(self._ros.error))
-        return found
 
     def _found(self) -> list[tuple[str, str]]:
         """Return the feedback topics of all actions with a server, each with the action's type."""
-        node = self._ros.node
         return sorted(
-            (topic, types[0].removesuffix(_SUFFIX))
-            for topic, types in node.get_topic_names_and_types()
+            (topic, type_name.removesuffix(_SUFFIX))
+            for topic, type_name in self._ros.topics()
             if topic.endswith(_FEEDBACK)
-            and types[0].endswith(_SUFFIX)
-            and node.count_publishers(topic)
+            and type_name.endswith(_SUFFIX)
+            and self._ros.count_publishers(topic)
         )
 
     def _relative(self, topic: str) -> str:
         """Return the shortest name of the action in the node's namespace."""
         name = topic.removesuffix(_FEEDBACK)
-        short = name.removeprefix(self._ros.node.get_namespace().rstrip("/") + "/")
-        same = action_names(self._ros.node, short).feedback == topic
+        short = name.removeprefix(self._ros.namespace.rstrip("/") + "/")
+        same = action_names(self._ros.resolve, short).feedback == topic
         return short if same else name
 
     def close(self) -> None:
@@ -252,19 +248,18 @@ class RosConnection(Connection):
         self._ros.fail(ConnectionLost("the connection was closed here"))
 
 
-def _described(name: str, type_name: str) -> ActionInfo:
+def _described(types: RosTypes, name: str, type_name: str) -> ActionInfo:
     try:
-        return RosAction.find(type_name).info(name)
+        return types.find(type_name).info(name)
     except TransportError:
         return ActionInfo(name, type_name)
 
 
-def _nodes(ends: Iterable[Any]) -> tuple[str, ...]:
+def _nodes(ends: Iterable[EndInfo]) -> tuple[str, ...]:
     """Return the full names of the nodes of these ends of a topic. Ends whose nodes are not yet
     discovered are left out.
     """
-    named = [one for one in ends if one.node_name != _UNNAMED]
-    return tuple(sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named}))
+    return tuple(sorted({one.node for one in ends if one.node}))
 
 
 @asynccontextmanager

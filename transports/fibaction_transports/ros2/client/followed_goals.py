@@ -27,11 +27,10 @@ from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
-from fibaction_transports.ros2.client.service_client import send_request
 from fibaction_transports.ros2.convert.status_bytes import goal_of_feedback
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.node.status_list import ReceivedStatuses
-from fibaction_transports.ros2.node.waitable import Responses
-from fibaction_transports.ros2.rcl import uuid_of
+from fibaction_transports.ros2.qos import EndQos
 
 LATE = 0.5
 """Seconds after which a result that should be there is requested again."""
@@ -52,16 +51,24 @@ class FollowedGoals:
 
     def __init__(
         self,
+        ros: RosNode,
         action: str,
-        handle: Any,
+        service: str,
         service_type: Any,
+        qos: EndQos,
         known: ReceivedStatuses,
         *,
         is_reliable: bool,
     ) -> None:
-        """`is_reliable` says that the middleware sends lost feedback again."""
+        """Make the client of the service for results.
+
+        `is_reliable` says that the middleware sends lost feedback again.
+
+        Raises:
+            TransportError: ROS does not allow it.
+        """
+        self._types = ros.types
         self._action = action
-        self._handle = handle
         self._request_type = service_type.Request
         self._known = known
         self._patience = LATE_FEEDBACK if is_reliable else 0.0
@@ -72,8 +79,10 @@ class FollowedGoals:
         """The streams that have their outcome and wait for feedback, each with the time until which
         they wait."""
         self._ended: dict[bytes, None] = {}
-        self.source = Responses(handle, service_type, self._take_result, self._take_unreadable)
-        """The source of the results."""
+        self.results = ros.caller(
+            service, service_type, qos, self._take_result, self._take_unreadable
+        )
+        """The client of the service for results."""
 
     def __bool__(self) -> bool:
         return bool(self._streams)
@@ -101,9 +110,8 @@ class FollowedGoals:
             self._streams.pop(stream.goal_id, None)
             self._overdue.pop(stream.goal_id, None)
 
-    def take_feedback(self, item: tuple[bytes, bytes]) -> None:
+    def take_feedback(self, message: bytes, publisher: bytes) -> None:
         """Take a feedback message, and the GID of its publisher."""
-        message, publisher = item
         goal_id = goal_of_feedback(message)
         streams = self.of(goal_id)
         if not streams:
@@ -167,8 +175,8 @@ class FollowedGoals:
             ConnectionLost: ROS cannot send any more.
         """
         request = self._request_type()
-        request.goal_id.uuid = uuid_of(stream.goal_id)
-        number = send_request(self._handle, request)
+        request.goal_id.uuid = self._types.uuid(stream.goal_id)
+        number = self.results.send(request)
         stream.requests.append(number)
         self._requested[number] = stream
         return number
@@ -211,8 +219,7 @@ class FollowedGoals:
             stream.fail(error)
             self.remove(stream)
 
-    def _take_result(self, item: Any) -> None:
-        number, response = item
+    def _take_result(self, number: int, response: Any) -> None:
         stream = self._requested.pop(number, None)
         if stream is None:
             return

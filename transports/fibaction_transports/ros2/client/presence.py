@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
+from collections.abc import Sequence
 from typing import Any
 
 import anyio
@@ -14,13 +14,8 @@ from fibaction.words.errors import ConnectionLost, ServerNotFound
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
 from fibaction_transports.ros2.names import ActionNames
-from fibaction_transports.ros2.node.node import RosNode
-from fibaction_transports.ros2.rcl import (
-    LIVELINESS_CHANGED,
-    UnsupportedEventType,
-    middleware,
-    raw,
-)
+from fibaction_transports.ros2.node.parts import ServiceCaller, TopicSubscription
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.settings import EndSettings
 
 LOOK_PAUSE = 0.05
@@ -32,10 +27,6 @@ FIRST_SIGN = 2.0
 happens on a busy machine, the next one is sent after most of a lease."""
 MATCH_TIME = 1.0
 """Seconds after which a server that is in the graph, and is not yet connected, is looked at."""
-
-SURE = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds")
-"""Middlewares that tell of each sign of life. rmw_zenoh_cpp had no such event, and since
-https://github.com/ros2/rmw_zenoh/pull/934 it has one that does not occur."""
 
 logger = clean_logger("fibaction.ros2")
 
@@ -58,8 +49,8 @@ class Presence:
         action: str,
         status_type: Any,
         full: ActionNames,
-        clients: tuple[Any, ...],
-        subscriptions: tuple[Any, Any],
+        clients: Sequence[ServiceCaller],
+        subscriptions: tuple[TopicSubscription, TopicSubscription],
         settings: EndSettings,
     ) -> None:
         """`subscriptions` are those to the feedback and to the statuses, in this order."""
@@ -79,14 +70,9 @@ class Presence:
         """The time at which a server was found silent; None if there is one that is not."""
         self._servers: frozenset[bytes] = frozenset()
         self._counted: tuple[int, float] = 0, -math.inf
-        subscription = ros.make(
-            raw.Subscription, status_type, full.status, qos.liveliness(settings.lease)
-        )
-        self._event: Any = None
-        """The event of a sign of life; None if the middleware has none."""
-        self._tells_signs = middleware() in SURE
-        with subscription, suppress(UnsupportedEventType):
-            self._event = ros.keep(raw.EventHandle(subscription, LIVELINESS_CHANGED))
+        lease = qos.liveliness(settings.lease)
+        self._watch = ros.life_watch(full.status, status_type, lease)
+        self._tells_signs = ros.tells_signs
 
     @property
     def lease(self) -> float:
@@ -95,13 +81,12 @@ class Presence:
 
     def is_there(self) -> bool:
         """Return whether there is a server, and all its parts are connected."""
-        there: bool = self._ros.is_up and self._ros.attempt(self._look, otherwise=False)
-        return there
+        return self._ros.is_up and self._look()
 
     def _look(self) -> bool:
         self._poll_liveliness()
-        matched = all(one.get_publisher_count() for one in self._subscriptions) and all(
-            client.service_server_is_available() for client in self._clients
+        matched = all(one.publisher_count() for one in self._subscriptions) and all(
+            client.is_available() for client in self._clients
         )
         self._note_look(matched)
         is_silent = matched and self._is_doubted() and self._all_have_leases()
@@ -143,14 +128,11 @@ class Presence:
         of many status lists: a look takes some 0.1 ms.
         """
         now = current_time()
-        count: int = self._ros.attempt(self._status.get_publisher_count, otherwise=0)
+        count = self._status.publisher_count()
         before, then = self._counted
         if count != before or now - then >= WATCH_PAUSE:
             self._counted = count, now
-            known = self._ros.attempt(
-                self._ros.node.get_publishers_info_by_topic, self._names.status, otherwise=()
-            )
-            self._servers = frozenset(bytes(one.endpoint_gid) for one in known)
+            self._servers = frozenset(one.gid for one in self._ros.publishers(self._names.status))
         return self._servers
 
     def count(self) -> int:
@@ -181,10 +163,7 @@ class Presence:
         )
 
     def _mismatch(self) -> str:
-        text: str = self._ros.attempt(
-            explain_mismatch, self._ros.node, self._names, self._settings, otherwise=""
-        )
-        return text
+        return explain_mismatch(self._ros, self._names, self._settings)
 
     async def come(self) -> None:
         """Wait for a server. If there is one that does not match, the log says so once.
@@ -208,18 +187,15 @@ class Presence:
             raise ConnectionLost(str(self._ros.error))
 
     def _poll_liveliness(self) -> None:
-        # The event is polled, because the middleware would also wake those that wait for it at
-        # every status list.
-        event = None if self._event is None else self._event.take_event()
-        alive: int = self._alive if event is None else event.alive_count
-        if event is not None:
-            self._not_alive = event.not_alive_count
-        if alive != self._alive:
-            self._alive, self._dead = alive, alive == 0
+        news = self._watch.news()
+        if news is None:
+            return
+        self._not_alive = news.not_alive
+        if news.alive != self._alive:
+            self._alive, self._dead = news.alive, news.alive == 0
             self._tells_signs = True
 
     def _all_have_leases(self) -> bool:
         """Return whether all servers in the graph give signs of life: those have a short lease."""
-        known = self._ros.node.get_publishers_info_by_topic(self._names.status)
-        longest = int(2 * self.lease * 1e9)
-        return all(one.qos_profile.liveliness_lease_duration.nanoseconds < longest for one in known)
+        known = self._ros.publishers(self._names.status)
+        return all(one.qos.lease < 2 * self.lease for one in known)

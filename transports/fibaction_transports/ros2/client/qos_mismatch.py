@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.names import ActionNames
+from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import EndSettings
 
 _LEVELS = {
@@ -22,25 +25,22 @@ class _Way(NamedTuple):
 
     setting: str
     part: str
-    servers: Sequence[Any]
-    """The ends of servers, as ROS describes the ends of a topic."""
-    ours: Any
+    servers: Sequence[EndInfo]
+    """The ends of servers."""
+    ours: EndQos
     is_to_server: bool = False
 
 
-def explain_mismatch(node: Any, full: ActionNames, settings: EndSettings) -> str:
+def explain_mismatch(ros: RosNode, full: ActionNames, settings: EndSettings) -> str:
     """Return a sentence that says which parts of a server do not match, and what to do; empty if
     there is no server, or if all of it matches.
-
-    ROS tells the quality of service of topics. That of services it tells only as DDS has them, as
-    two topics each, so with other middlewares nothing is said of services.
     """
     wrong: dict[str, None] = {}
     advice: dict[str, dict[str, str]] = {}
-    for way in _ways(node, full, settings):
+    for way in _ways(ros, full, settings):
         for server in way.servers:
-            for policy in _mismatches(way, server.qos_profile):
-                theirs, ours = _word(server.qos_profile, policy), _word(way.ours, policy)
+            for policy in _mismatches(way, server.qos):
+                theirs, ours = _word(server.qos, policy), _word(way.ours, policy)
                 verbs = ("wants", "offers") if way.is_to_server else ("offers", "wants")
                 wrong[f"{way.part}: it {verbs[0]} {theirs}, and this client {verbs[1]} {ours}"] = (
                     None
@@ -55,22 +55,20 @@ def explain_mismatch(node: Any, full: ActionNames, settings: EndSettings) -> str
     )
 
 
-def _ways(node: Any, full: ActionNames, settings: EndSettings) -> Iterator[_Way]:
-    publishers = node.get_publishers_info_by_topic
+def _ways(ros: RosNode, full: ActionNames, settings: EndSettings) -> Iterator[_Way]:
     feedback = qos.feedback(settings.feedback_depth, settings.feedback_qos)
     status = qos.subscribed_status(settings.status_qos)
     services = qos.services(settings.services_qos)
-    yield _Way("feedback_qos", "feedback", publishers(full.feedback), feedback)
-    yield _Way("status_qos", "status", publishers(full.status), status)
+    yield _Way("feedback_qos", "feedback", ros.publishers(full.feedback), feedback)
+    yield _Way("status_qos", "status", ros.publishers(full.status), status)
     for name in (full.send_goal, full.cancel_goal, full.get_result):
         part = f"service {name.rpartition('/')[2]}"
-        requests = node.get_subscriptions_info_by_topic(f"rq{name}Request", no_mangle=True)
-        answers = publishers(f"rr{name}Reply", no_mangle=True)
-        yield _Way("services_qos", part, requests, services, is_to_server=True)
-        yield _Way("services_qos", part, answers, services)
+        readers, writers = ros.request_readers(name), ros.answer_writers(name)
+        yield _Way("services_qos", part, readers, services, is_to_server=True)
+        yield _Way("services_qos", part, writers, services)
 
 
-def _mismatches(way: _Way, theirs: Any) -> list[str]:
+def _mismatches(way: _Way, theirs: EndQos) -> list[str]:
     offered, wanted = (way.ours, theirs) if way.is_to_server else (theirs, way.ours)
     return [
         policy
@@ -79,6 +77,6 @@ def _mismatches(way: _Way, theirs: Any) -> list[str]:
     ]
 
 
-def _word(profile: Any, policy: str) -> str:
-    name: str = getattr(profile, policy).name
-    return name.lower()
+def _word(end: EndQos, policy: str) -> str:
+    word: str = getattr(end, policy)
+    return word

@@ -13,7 +13,8 @@ import anyio
 
 from fibaction.border.abc import Notifier
 from fibaction.words.errors import ConnectionLost
-from fibaction_transports.ros2.node.waitable import Responses, Source
+from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.qos import EndQos
 
 AT_ONCE = 8
 """Calls that may wait for their first answer at a time. The queues of rclpy and rclcpp hold 10."""
@@ -101,10 +102,13 @@ class ServiceCall:
 class ServiceClient:
     """A client of one service."""
 
-    def __init__(self, handle: Any, service_type: Any) -> None:
-        self.handle = handle
-        self.source: Source = Responses(handle, service_type, self._take)
-        """The source of the answers."""
+    def __init__(self, ros: RosNode, service: str, service_type: Any, qos: EndQos) -> None:
+        """Make the client.
+
+        Raises:
+            TransportError: ROS does not allow it.
+        """
+        self.caller = ros.caller(service, service_type, qos, self._take)
         self.turns = anyio.Semaphore(AT_ONCE, fast_acquire=True)
         """Limits the calls that wait for their first answer."""
         self.calls: set[ServiceCall] = set()
@@ -128,7 +132,7 @@ class ServiceClient:
         Raises:
             ConnectionLost: ROS cannot send any more.
         """
-        number = send_request(self.handle, request)
+        number = self.caller.send(request)
         self._open[number] = call
         return number
 
@@ -146,21 +150,7 @@ class ServiceClient:
         for call in self.calls:
             call.fail(error)
 
-    def _take(self, item: Any) -> None:
-        number, response = item
+    def _take(self, number: int, response: Any) -> None:
         call = self._open.get(number)
         if call is not None:
             call.set_response(response)
-
-
-def send_request(handle: Any, request: Any) -> int:
-    """Send a request by a raw client, and return its number.
-
-    Raises:
-        ConnectionLost: ROS cannot send any more.
-    """
-    try:
-        number: int = handle.send_request(request)
-    except Exception as exc:  # rclpy raises whatever rcl says
-        raise ConnectionLost(f"ROS cannot send any more: {exc}") from exc
-    return number

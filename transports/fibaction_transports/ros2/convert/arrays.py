@@ -1,17 +1,19 @@
 """Large arrays of numbers: conversion between msgpack and numpy.
 
 This is an optimisation, which makes no Python object for each number. Arrays that do not fit here
-are left to msgspec. This module does not use ROS.
+are left to msgspec, and without numpy, all of them. This module does not use ROS.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import msgspec
 
-numpy: Any = import_module("numpy")
+numpy: Any = import_module("numpy") if find_spec("numpy") else None
+"""None without numpy: then nothing else here may be used."""
 
 LARGE = 256
 """Numbers from which on it is worth it. With fewer, msgspec is as fast."""
@@ -31,13 +33,15 @@ _TYPES = {
     0xD3: ">i8",
 }
 _CELLS: dict[int, Any] = {
-    tag: numpy.dtype([("tag", "u1"), ("number", kind)]) for tag, kind in _TYPES.items()
+    tag: numpy.dtype([("tag", "u1"), ("number", kind)]) for tag, kind in _TYPES.items() if numpy
 }
-_INLINE = numpy.dtype("i1")
+_INLINE = "i1"
 _LEAST_INLINE, _MOST_INLINE = -32, 127
 _FLOATS = {4: 0xCA, 8: 0xCB}
 _INTEGERS = [
-    (tag, numpy.iinfo(_TYPES[tag])) for tag in (0xD0, 0xCC, 0xD1, 0xCD, 0xD2, 0xCE, 0xD3, 0xCF)
+    (tag, numpy.iinfo(_TYPES[tag]))
+    for tag in (0xD0, 0xCC, 0xD1, 0xCD, 0xD2, 0xCE, 0xD3, 0xCF)
+    if numpy
 ]
 
 _ARRAY_16, _ARRAY_32 = 0xDC, 0xDD
@@ -48,7 +52,7 @@ def pack(numbers: Any) -> msgspec.Raw:
     """Return a numpy array with at least one number as msgpack. Floats keep their width."""
     count: int = len(numbers)
     tag = _tag_for(numbers)
-    cells = _INLINE if tag is None else _CELLS[tag]
+    cells = numpy.dtype(_INLINE) if tag is None else _CELLS[tag]
     packed = bytearray(_HEAD + count * cells.itemsize)
     packed[:_HEAD] = bytes([_ARRAY_32]) + count.to_bytes(4, "big")
     body = numpy.frombuffer(packed, cells, offset=_HEAD)

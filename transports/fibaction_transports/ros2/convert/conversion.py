@@ -1,17 +1,14 @@
 """Conversion between payloads and ROS messages.
 
-`RosAction` finds a ROS action type, and its codecs convert its messages. A payload is msgpack, and
-a struct in it is a map by field name. The JSON Schemas in the description of an action tell what
-the user's end expects. Where they say nothing, ROS's own field names, numbers, strings and lists
-are used, and bytes for arrays of bytes. No node is needed.
+The codecs of a `RosAction` convert its messages. A payload is msgpack, and a struct in it is a map
+by field name. The JSON Schemas in the description of an action tell what the user's end expects.
+Where they say nothing, ROS's own field names, numbers, strings and lists are used, and bytes for
+arrays of bytes. No node is needed.
 """
 
 from __future__ import annotations
 
-import re
-from functools import cache
-from importlib import import_module
-from importlib.util import find_spec
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -19,13 +16,10 @@ import msgspec
 from fibaction.border.peer_text import excerpt
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError, TransportError
-from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.goals import GoalID
 from fibaction_transports.ros2.convert.fields import Unfit
-from fibaction_transports.ros2.convert.message_types import MessagePart, message_kind
+from fibaction_transports.ros2.convert.message_types import MessageKind, MessagePart
 from fibaction_transports.ros2.convert.schemas import UserSchema
-from fibaction_transports.ros2.rcl import GoalInfoMessage, check_for_type_support, uuid_of
-
-_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 _PARTS = ("goal", "feedback", "result")
 _REMEMBERED = 64
@@ -82,31 +76,14 @@ class RosCodecs(NamedTuple):
 class RosAction:
     """One ROS action type."""
 
-    def __init__(self, type_name: str, ros_type: Any) -> None:
-        """Look at the type. `find` does it once for each type."""
+    def __init__(self, type_name: str, impl: Any, kinds: Sequence[MessageKind]) -> None:
+        """Describe the type. `kinds` are those of the goal, the feedback and the result."""
         self.type_name = type_name
-        self.ros_type = ros_type
-        """The generated class: `pkg.action.Type`."""
-        self._kinds = [message_kind(getattr(ros_type, name.title())) for name in _PARTS]
+        self.impl = impl
+        """The types of its messages: `SendGoalService`, `GetResultService` and `CancelGoalService`,
+        which have a `Request` and a `Response`; `FeedbackMessage` and `GoalStatusMessage`."""
+        self._kinds = kinds
         self._codecs: dict[str, RosCodecs] = {}
-
-    @classmethod
-    def find(cls, type_name: str, action: str = "") -> RosAction:
-        """Find a type by its name, for example `example_interfaces/action/Fibonacci`.
-
-        `action` is the name of an action of this type, for errors.
-
-        Raises:
-            TransportError: There is no such type that can be used; the text says what to do.
-        """
-        if not _TYPE_NAME.fullmatch(type_name):
-            which = f" {action!r}" if action else ""
-            raise TransportError(
-                f"give the Action{which} a type_name such as"
-                " 'example_interfaces/action/Fibonacci',"
-                f" which ROS needs: {type_name!r} is not a ROS action type"
-            )
-        return _found(type_name)
 
     @property
     def types(self) -> tuple[type[Any], type[Any], type[Any]]:
@@ -149,55 +126,6 @@ class RosAction:
         return RosCodecs(*codecs)
 
 
-def message_types(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
-    """Return structs for the goal, the feedback and the result of a ROS action type.
-
-    Raises:
-        TransportError: As for `RosAction.find`.
-    """
-    return RosAction.find(type_name).types
-
-
-@cache
-def _found(type_name: str) -> RosAction:
-    package, _, name = type_name.split("/")
-    actions = _actions_of(package, type_name)
-    if not hasattr(actions, name):
-        raise TransportError(
-            f"the ROS package {package!r}, as it is built here, has no action {name!r}:"
-            f" look at its .action files, and build it again"
-        )
-    ros_type = getattr(actions, name)
-    try:
-        check_for_type_support(ros_type)
-    except Exception as exc:  # loading compiled code may raise anything
-        raise TransportError(
-            f"{type_name} cannot be used, because its compiled part cannot be loaded ({exc}):"
-            f" build the ROS package {package!r} again, for this ROS and this Python"
-        ) from exc
-    return RosAction(type_name, ros_type)
-
-
-def _actions_of(package: str, type_name: str) -> Any:
-    """Return the module with the actions of a ROS package."""
-    try:
-        spec = find_spec(package)
-        # To Python, a folder of sources that are not built is a package, too: one without a file.
-        if spec is not None and spec.origin is not None:
-            return import_module(f"{package}.action")
-    except Exception as exc:  # importing a module may raise anything
-        if isinstance(exc, ModuleNotFoundError) and exc.name == f"{package}.action":
-            raise TransportError(f"the ROS package {package!r} has no actions") from exc
-        raise TransportError(
-            f"{type_name} cannot be imported ({exc}): source the setup.bash of ROS and of what it"
-            " needs"
-        ) from exc
-    raise TransportError(
-        f"the ROS package {package!r}, which has {type_name}, is not installed here:"
-        " build it, and source its setup.bash"
-    )
-
-
 # Messages that all actions have in common
 
 
@@ -210,11 +138,3 @@ def stamp_of(message: Any) -> int:
     """Return the nanoseconds since 1970 of a `builtin_interfaces/msg/Time`."""
     stamp: int = message.sec * 10**9 + message.nanosec
     return stamp
-
-
-def goal_info_to_ros(info: GoalInfo) -> Any:
-    """Return the `action_msgs/msg/GoalInfo` of a goal. It has no field for the status."""
-    message = GoalInfoMessage()
-    message.goal_id.uuid = uuid_of(info.goal_id)
-    message.stamp.sec, message.stamp.nanosec = divmod(info.stamp, 10**9)
-    return message

@@ -1,37 +1,23 @@
-"""The types of ROS messages: the fields of the generated classes, and msgspec structs like them.
+"""The types of ROS messages: their fields, and msgspec structs like them.
 
-A message type is analysed once, and bound once to each type of a user that is used with it.
+A message type is described once by the adapter of a middleware, and bound once to each type of a
+user that is used with it.
 """
 
 from __future__ import annotations
 
 import base64
 import datetime
-from functools import cache, partial
-from importlib import import_module
-from typing import Annotated, Any, NamedTuple, cast
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 from msgspec import Meta
 
-from fibaction.interfaces.ros_types import struct
-from fibaction.words.errors import TransportError
-from fibaction_transports.ros2.convert.fields import (
-    SINGLES,
-    ArrayKind,
-    Convert,
-    Kind,
-    Number,
-    Numbers,
-    Octet,
-    Octets,
-    Part,
-    Unfit,
-    text_kind,
-)
+from fibaction.interfaces.ros_types import attribute
+from fibaction_transports.ros2.convert.fields import Convert, Kind, Part, Unfit
 from fibaction_transports.ros2.convert.schemas import MISSING, Option, UserSchema
-
-_definition: Any = import_module("rosidl_parser.definition")
 
 _NIL = 0xC0  # null in msgpack
 _BILLION = 10**9
@@ -45,6 +31,8 @@ class BoundField(NamedTuple):
     """A field of a message, bound to the type that the user's end expects."""
 
     name: str
+    attribute: str
+    """The name of the attribute that holds it: another one if `name` is a keyword of Python."""
     part: Part
     nullable: bool
     """True if null may stand for ROS's default of the field."""
@@ -57,7 +45,7 @@ class MessagePart(Part):
         super().__init__(decoded, self.made, self.values)
         self.cls = cls
         self.fields = fields
-        self._readers = [(field.name, field.part.read) for field in fields]
+        self._readers = [(field.name, field.attribute, field.part.read) for field in fields]
 
     def made(self, value: Any) -> Any:
         """Make a message from a decoded value.
@@ -78,12 +66,12 @@ class MessagePart(Part):
         Raises:
             Unfit: A value does not fit its field.
         """
-        for name, part, nullable in self.fields:
-            new = getattr(value, name)
+        for name, held, part, nullable in self.fields:
+            new = getattr(value, held)
             if new is None or (nullable and _is_nil(new)):
                 continue
             try:
-                part.put(message, name, new)
+                part.put(message, held, new)
             except Unfit as exc:
                 raise exc.under(f".{name}") from None
             except AssertionError as exc:  # with ROS_PYTHON_CHECK_FIELDS=1, ROS checks, too
@@ -92,8 +80,8 @@ class MessagePart(Part):
     def values(self, message: Any) -> dict[str, Any]:
         """Return the fields of a message by name, as msgspec can encode them."""
         return {
-            name: getattr(message, name) if read is None else read(getattr(message, name))
-            for name, read in self._readers
+            name: getattr(message, held) if read is None else read(getattr(message, held))
+            for name, held, read in self._readers
         }
 
 
@@ -142,35 +130,27 @@ class MessageKind(Kind):
 
     words: tuple[str, ...] = ("object",)
 
-    def __init__(self, cls: Any) -> None:
-        """Analyse a generated class.
+    def __init__(
+        self,
+        text: str,
+        cls: Callable[[], Any],
+        fields: Mapping[str, Kind],
+        default: type[msgspec.Struct],
+    ) -> None:
+        """Describe a type.
 
-        Raises:
-            TransportError: It has a field that ROS's own Python code cannot handle.
+        Args:
+            text: Its name, for example `geometry_msgs/Point`.
+            cls: Makes a message with ROS's defaults.
+            fields: Its fields, in order. The attribute of a message that holds a field has a `_`
+                behind the name if that is a keyword of Python.
+            default: A struct with these fields, for users without a type of their own.
         """
+        self.text = text
+        self.noun = f"the struct {text}"
         self.cls = cls
-        package, folder = cls.__module__.split(".")[:2]
-        self.text = f"{package}/{cls.__name__}"
-        self.noun = f"the struct {self.text}"
-        slots = zip(cls.get_fields_and_field_types(), cls.SLOT_TYPES, strict=True)
-        self.fields = {name: _kind_of(slot, f"{self.text}.{name}") for name, slot in slots}
-        self.default = self._struct(f"{package}.{folder}")
-
-    def _struct(self, module: str) -> type[msgspec.Struct]:
-        """Return a struct with the fields, the defaults and the constants of the message."""
-        message = self.cls()
-        fields: list[tuple[str, Any, Any]] = []
-        for name, kind in self.fields.items():
-            read = kind.bind(UserSchema(None), name, []).read
-            value = getattr(message, name)
-            fields.append((name, kind.default, value if read is None else read(value)))
-        return struct(
-            self.cls.__name__,
-            fields,
-            module=module,
-            doc=f"`{self.text}` of ROS 2.",
-            constants=_constants(self.cls),
-        )
+        self.fields = fields
+        self.default = default
 
     def match(self, option: Option, path: str, problems: list[str]) -> Part:
         fields: list[BoundField] = []
@@ -181,17 +161,21 @@ class MessageKind(Kind):
                 problems.append(f"{path}.{name} ({kind.text}): the action has no such field")
                 continue
             part = kind.bind(wanted, f"{path}.{name}", problems)
-            fields.append(BoundField(name, part, wanted.nullable))
+            fields.append(BoundField(name, attribute(name), part, wanted.nullable))
             # A `Raw` may be null already: see `_is_nil`.
             nullable = wanted.nullable and part.decoded is not msgspec.Raw
             type_ = part.decoded | None if nullable else part.decoded
-            decoded.append((name, type_, _left_out(part, wanted)))
+            decoded.append((attribute(name), type_, _left_out(part, wanted)))
         strange = [name for name in option.names if name not in self.fields]
         problems.extend(f"{path}.{name}: the ROS type has no such field" for name in strange)
         if problems:
             return Part(Any)
         struct = msgspec.defstruct(
-            self.cls.__name__, decoded, forbid_unknown_fields=True, kw_only=True
+            self.default.__name__,
+            decoded,
+            rename={field.attribute: field.name for field in fields},
+            forbid_unknown_fields=True,
+            kw_only=True,
         )
         return MessagePart(self.cls, fields, struct)
 
@@ -221,18 +205,6 @@ class DurationKind(MessageKind):
         return TimePart(part, datetime.timedelta, _span if option.word in self.words[1:] else None)
 
 
-def _constants(cls: Any) -> dict[str, Any]:
-    metaclass = cast("type[object]", type(cls))
-    # The metaclass has a property for each constant, and one for each default of a field.
-    constants = {
-        name: getattr(cls, name)
-        for name, member in vars(metaclass).items()
-        if isinstance(member, property) and not name.endswith("__DEFAULT")
-    }
-    # A `byte` is an int for users, as in a field.
-    return {name: ord(one) if isinstance(one, bytes) else one for name, one in constants.items()}
-
-
 def _left_out(part: Part, wanted: UserSchema) -> Any:
     """Return the value of a field that a payload leaves out; None stands for ROS's default.
 
@@ -252,41 +224,3 @@ def _left_out(part: Part, wanted: UserSchema) -> Any:
     except (msgspec.MsgspecError, ValueError, OverflowError, TypeError):
         return msgspec.NODEFAULT  # ROS cannot hold the default, so the field must be given
     return msgspec.field(default_factory=decode)
-
-
-@cache
-def message_kind(cls: Any) -> MessageKind:
-    """Return the kind of a generated class.
-
-    Raises:
-        TransportError: It has a field that ROS's own Python code cannot handle.
-    """
-    special = {"Time": TimeKind, "Duration": DurationKind}
-    if cls.__module__.startswith("builtin_interfaces."):
-        return special.get(cls.__name__, MessageKind)(cls)
-    return MessageKind(cls)
-
-
-def _kind_of(slot: Any, where: str) -> Kind:
-    """Return the kind of a field from ROS's description of its type."""
-    if isinstance(slot, _definition.AbstractNestedType):
-        element = _kind_of(slot.value_type, where)
-        size = slot.size if isinstance(slot, _definition.Array) else None
-        bounded = isinstance(slot, _definition.BoundedSequence)
-        return _many(element, size, slot.maximum_size if bounded else None)
-    if isinstance(slot, _definition.AbstractGenericString):
-        bound = slot.maximum_size if slot.has_maximum_size() else None
-        return text_kind(isinstance(slot, _definition.AbstractWString), bound)
-    if isinstance(slot, _definition.NamespacedType):
-        return message_kind(getattr(import_module(".".join(slot.namespaces)), slot.name))
-    if slot.typename in SINGLES:
-        return SINGLES[slot.typename]
-    raise TransportError(f"{where} is a {slot.typename}, which ROS itself cannot handle in Python")
-
-
-def _many(element: Kind, size: int | None, bound: int | None) -> ArrayKind:
-    if isinstance(element, Number):
-        return Numbers(element, size, bound)
-    if isinstance(element, Octet):
-        return Octets(size, bound)
-    return ArrayKind(element, size, bound)

@@ -1,1 +1,1 @@
-"""A node of ROS: its thread, clock, parameters, mailbox, and what both ends of an action share."""
+"""A node of ROS as both halves of the transport use it, and the rules that both share."""

@@ -16,29 +16,26 @@ run as with servers of rclpy.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from fibaction.words.errors import TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.names import count_topic
-from fibaction_transports.ros2.node.node import RosNode
-from fibaction_transports.ros2.node.waitable import Messages
-from fibaction_transports.ros2.rcl import ParameterMessage, deserialize, raw
+from fibaction_transports.ros2.node.parts import TopicPublisher
+from fibaction_transports.ros2.node.ros_node import RosNode
 
 
 class PublishedCounts:
     """The numbers of feedback messages, as a server publishes them."""
 
     def __init__(self, ros: RosNode, action: str) -> None:
-        self._ros = ros
-        self._publisher: Any = None
-        topic = count_topic(ros.node, action)
+        self._publisher: TopicPublisher | None = None
+        topic = count_topic(ros.resolve, action)
         try:
-            self._publisher = ros.make(raw.Publisher, ParameterMessage, topic, qos.counts())
+            self._publisher = ros.publisher(topic, ros.types.Parameter, qos.counts())
         except TransportError as exc:
             ros.warn(f"{action}: clients are not told how many feedback messages a goal had: {exc}")
-        self._message = ParameterMessage()
+        self._message = ros.types.Parameter()
         self._message.value.type = 2  # PARAMETER_INTEGER
 
     def publish(self, goal_id: GoalID, count: int) -> None:
@@ -47,7 +44,7 @@ class PublishedCounts:
             return
         self._message.name = str(goal_id)
         self._message.value.integer_value = count
-        self._ros.attempt(self._publisher.publish, self._message)
+        self._publisher.publish(self._message)
 
 
 class ReceivedCounts:
@@ -56,7 +53,7 @@ class ReceivedCounts:
     def __init__(self, ros: RosNode, action: str, take: Callable[[GoalID, int], None]) -> None:
         """`take` is called with a goal's ID and its number of feedback messages."""
         self._ros = ros
-        self._topic = count_topic(ros.node, action)
+        self._topic = count_topic(ros.resolve, action)
         self._take = take
         self._servers: frozenset[bytes] = frozenset()
         self._has_subscribed = False
@@ -69,11 +66,10 @@ class ReceivedCounts:
         """
         if servers != self._servers or not self._are_published:
             self._servers = servers
-            look = self._ros.node.count_publishers
-            found: int = self._ros.attempt(look, self._topic, otherwise=0)
+            found = self._ros.count_publishers(self._topic)
             self._are_published = found == len(servers) == 1
             if self._are_published and not self._has_subscribed:
-                self._ros.attempt(self._subscribe)
+                self._subscribe()
         return self._are_published and self._is_allowed
 
     def _subscribe(self) -> None:
@@ -81,16 +77,16 @@ class ReceivedCounts:
         try:
             self._listen()
         except TransportError as exc:
-            if not self._ros.is_up:
-                raise
-            self._is_allowed = False
-            self._ros.warn(f"lost feedback is not counted: {exc}")
+            if self._ros.is_up:
+                self._is_allowed = False
+                self._ros.warn(f"lost feedback is not counted: {exc}")
 
     def _listen(self) -> None:
-        subscription = self._ros.make(raw.Subscription, ParameterMessage, self._topic, qos.counts())
         # First, so that a number that arrives together with the result is known before it.
-        self._ros.listen(Messages(subscription, ParameterMessage, self._take_one), first=True)
+        self._ros.subscription(
+            self._topic, self._ros.types.Parameter, qos.counts(), self._take_one, is_first=True
+        )
 
-    def _take_one(self, item: tuple[bytes, bytes]) -> None:
-        found = deserialize(item[0], ParameterMessage)
+    def _take_one(self, message: bytes, publisher: bytes) -> None:
+        found = self._ros.types.decode(message, self._ros.types.Parameter)
         self._take(GoalID.parse(found.name), found.value.integer_value)

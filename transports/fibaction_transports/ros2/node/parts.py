@@ -1,4 +1,4 @@
-"""What a node is made of: the ends of topics and services, and what the graph says of others.
+"""The parts of a node: the ends of topics and services, and what the graph says of others.
 
 An adapter of a middleware implements these classes beside `RosNode`. None of their methods waits,
 and none raises because ROS has been shut down, unless it says so: a call has no effect then, and

@@ -9,7 +9,6 @@ ID (GID) of their publisher, where the middleware and rclpy tell it: rclpy of Ja
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import anyio
 from anyio import current_time
@@ -17,7 +16,7 @@ from anyio import current_time
 from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.convert.status_bytes import stamps_of
 from fibaction_transports.ros2.names import ActionNames
-from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.node.ros_node import RosNode
 
 RIVALS_PAUSE = 1.0
 """Seconds between two looks of a server for a second one of the same name."""
@@ -34,8 +33,7 @@ async def warn_of_rivals(ros: RosNode, action: str, status_topic: str) -> None:
     warned = False
     while ros.is_up:  # this look is also how a shutdown is noticed
         await anyio.sleep(RIVALS_PAUSE)
-        count = ros.attempt(ros.node.count_publishers, status_topic, otherwise=0)
-        rivals = count > 1
+        rivals = ros.count_publishers(status_topic) > 1
         if rivals and not warned:
             text = f"{action}: another server serves it too, and ROS runs every goal twice"
             logger.warning("%s", text)
@@ -113,21 +111,13 @@ class Rivals:
         if len(distances) == 1 and distances[best]:
             return frozenset()  # another server may soon list the goal, with a nearer stamp
         if not self._feedback.get(best):
-            self._feedback[best] = self._ros.attempt(self._publishers, best, otherwise=frozenset())
+            self._feedback[best] = self._publishers(best)
         return self._feedback[best]
 
     def _publishers(self, server: bytes) -> frozenset[bytes]:
-        look = self._ros.node.get_publishers_info_by_topic
-        names = {
-            _node_of(one) for one in look(self._names.status) if bytes(one.endpoint_gid) == server
-        }
-        found = [
-            bytes(one.endpoint_gid) for one in look(self._names.feedback) if _node_of(one) in names
-        ]
+        look = self._ros.publishers
+        names = {one.node for one in look(self._names.status) if one.gid == server}
+        found = [one.gid for one in look(self._names.feedback) if one.node in names]
         # Two nodes may have the same name, as two robots with the same program.
         same = [gid for gid in found if gid[PARTICIPANT] == server[PARTICIPANT]]
         return frozenset(same or found)
-
-
-def _node_of(end: Any) -> tuple[str, str]:
-    return end.node_namespace, end.node_name

@@ -181,7 +181,7 @@ class RosNode(ABC):
 
     @abstractmethod
     def topics(self) -> list[tuple[str, str]]:
-        """Return the topics that have a publisher, each with the name of its type."""
+        """Return the topics, with or without a publisher, each with the name of its type."""
 
     @abstractmethod
     def publishers(self, topic: str) -> Sequence[EndInfo]:
@@ -191,6 +191,20 @@ class RosNode(ABC):
     def subscriptions(self, topic: str) -> Sequence[EndInfo]:
         """Return the subscriptions to a topic, connected or not."""
 
+    # Counts may be quicker than lists.
+
+    def count_publishers(self, topic: str) -> int:
+        """Return the number of publishers of a topic, connected or not."""
+        return len(self.publishers(topic))
+
+    def count_subscriptions(self, topic: str) -> int:
+        """Return the number of subscriptions to a topic, connected or not."""
+        return len(self.subscriptions(topic))
+
+    @abstractmethod
+    def count_callers(self, service: str) -> int:
+        """Return the number of clients of a service, connected or not."""
+
     @abstractmethod
     def request_readers(self, service: str) -> Sequence[EndInfo]:
         """Return the ends at which servers of a service take requests; none if it is not known."""
@@ -198,7 +212,3 @@ class RosNode(ABC):
     @abstractmethod
     def answer_writers(self, service: str) -> Sequence[EndInfo]:
         """Return the ends at which servers of a service answer; none if it is not known."""
-
-    @abstractmethod
-    def count_callers(self, service: str) -> int:
-        """Return the number of clients of a service, connected or not."""

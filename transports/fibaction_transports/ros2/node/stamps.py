@@ -15,7 +15,7 @@ import time
 from typing import NamedTuple
 
 from fibaction.words.goals import GoalID
-from fibaction_transports.ros2.node.clock import NodeClock
+from fibaction_transports.ros2.node.ros_node import RosClock
 
 FIRST_STAMP, LAST_STAMP = -(2**31) * 10**9, 2**31 * 10**9 - 1
 """The first and the last stamp that a message of ROS can hold."""
@@ -33,7 +33,7 @@ class _Pair(NamedTuple):
 class ServedStamps:
     """The stamps of the goals of a server."""
 
-    def __init__(self, clock: NodeClock) -> None:
+    def __init__(self, clock: RosClock) -> None:
         self._clock = clock
         self._pairs: dict[GoalID, _Pair] = {}
 
@@ -72,7 +72,7 @@ class ServedStamps:
 class FollowedStamps:
     """The stamps of the goals that a client has been told."""
 
-    def __init__(self, clock: NodeClock) -> None:
+    def __init__(self, clock: RosClock) -> None:
         self._clock = clock
         self._pairs: dict[bytes, _Pair] = {}
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from fibaction_transports.ros2.rcl import Duration, InvalidHandle, JumpThreshold
+from fibaction_transports.ros2.node.ros_node import RosClock
+from fibaction_transports.ros2.on_rclpy.rcl import Duration, InvalidHandle, JumpThreshold
 
 
-class NodeClock:
+class NodeClock(RosClock):
     """The clock of a node, and the number of times that it has begun anew."""
 
     def __init__(self, node: Any) -> None:
         self._clock = node.get_clock()
         self.era = 0
-        """Grows when the clock jumps back, and when it is exchanged for another one. Times of
-        different eras cannot be compared."""
         self._jumps = self._clock.create_jump_callback(
             JumpThreshold(
                 min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
@@ -29,11 +28,9 @@ class NodeClock:
 
     @property
     def is_the_machines(self) -> bool:
-        """True if it is, and has always been, the clock of the machine."""
         return self.era == 0 and not self._clock.ros_time_is_active
 
     def now(self) -> int:
-        """Return the time, in nanoseconds; 0 if the clock of a simulation has not said any yet."""
         nanoseconds: int = self._clock.now().nanoseconds
         return nanoseconds
 

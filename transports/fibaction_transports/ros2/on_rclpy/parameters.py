@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fibaction_transports.ros2.node.waitable import Source
-from fibaction_transports.ros2.rcl import ParameterService
+from fibaction_transports.ros2.on_rclpy.rcl import ParameterService
+from fibaction_transports.ros2.on_rclpy.waitable import Source
 
 
 class ParameterRequests(Source):

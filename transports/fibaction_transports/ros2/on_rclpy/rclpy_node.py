@@ -1,4 +1,4 @@
-"""A node of ROS, which makes and destroys everything in ROS that this package uses.
+"""A node of rclpy, which makes and destroys everything in ROS that this package uses.
 
 rclpy needs an order: a handle is made before a thread waits for it, and is destroyed after no
 thread waits for it any more.
@@ -6,58 +6,68 @@ thread waits for it any more.
 
 from __future__ import annotations
 
-import os
-import uuid
-from collections.abc import AsyncGenerator, Callable, Sequence
-from contextlib import asynccontextmanager, suppress
-from typing import Any
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, cast
 
-import msgspec
-
-from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost, TransportError
-from fibaction_transports.ros2.node.clock import NodeClock
-from fibaction_transports.ros2.node.mailbox import Mailbox
-from fibaction_transports.ros2.node.parameters import parameter_services
-from fibaction_transports.ros2.node.spinner import Spinner
-from fibaction_transports.ros2.node.waitable import RosWaitable, Source
-from fibaction_transports.ros2.rcl import (
-    Context,
+from fibaction_transports.ros2.node.parts import (
+    AnswerSink,
+    EndInfo,
+    ErrorSink,
+    MessageSink,
+    RequestSink,
+    ServiceCaller,
+    ServiceProvider,
+)
+from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.on_rclpy.clock import NodeClock
+from fibaction_transports.ros2.on_rclpy.ends import (
+    RclpyCaller,
+    RclpyLifeWatch,
+    RclpyProvider,
+    RclpyPublisher,
+    RclpySubscription,
+)
+from fibaction_transports.ros2.on_rclpy.mailbox import Mailbox, Sink
+from fibaction_transports.ros2.on_rclpy.profiles import end_info, profile_of
+from fibaction_transports.ros2.on_rclpy.rcl import (
+    LIVELINESS_CHANGED,
     IntrospectionState,
     InvalidHandle,
-    SignalHandlerOptions,
+    UnsupportedEventType,
     check_for_type_support,
-    rclpy,
+    middleware,
+    raw,
     rclpy_qos,
-    validate_namespace,
-    validate_node_name,
 )
+from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
+from fibaction_transports.ros2.on_rclpy.waitable import (
+    Messages,
+    Requests,
+    Responses,
+    RosWaitable,
+    Source,
+)
+from fibaction_transports.ros2.qos import EndQos
 
-LAST_DOMAIN = 232
-"""The highest domain ID. Higher ones would have ports above 65535."""
+SURE = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds")
+"""Middlewares that tell of each sign of life. rmw_zenoh_cpp had no such event, and since
+https://github.com/ros2/rmw_zenoh/pull/934 it has one that does not occur."""
 
 logger = clean_logger("fibaction.ros2")
 
 
-class NodeSettings(msgspec.Struct, frozen=True):
-    """Settings of a node that fibaction makes."""
-
-    name: str = ""
-    """The name; without one, a unique name is made."""
-    namespace: str = ""
-    domain_id: int | None = None
-    """The domain; None takes it from ROS_DOMAIN_ID in the environment."""
-    arguments: Sequence[str] | None = None
-    """ROS's arguments, for example `["--ros-args", "-r", "a:=b"]`; None is the command line."""
-
-
-class RosNode:
-    """A node with a `RosWaitable`, for as long as a block lasts."""
+class RclpyNode(RosNode):
+    """A node of rclpy with a `RosWaitable`, for as long as a block lasts."""
 
     def __init__(self, node: Any) -> None:
         self.node = node
-        self.clock = NodeClock(node)
+        self.types = RclpyTypes()
+        self.clock = self._clock = NodeClock(node)
+        self.namespace: str = node.get_namespace()
+        self.tells_signs = middleware() in SURE
         self._logger = node.get_logger()
         self._mailbox = Mailbox(self.wake)
         self.sources = RosWaitable(self._mailbox)
@@ -65,12 +75,11 @@ class RosNode:
         self._handles: list[Any] = []
         self._lost: list[Callable[[ConnectionLost], None]] = []
         self.error: ConnectionLost | None = None
-        """The reason for which nothing more will arrive, if so."""
 
     @property
     def is_up(self) -> bool:
-        """True if ROS can still be used. It is polled, because ROS does not announce that a signal
-        has shut it down, or that the user has destroyed the node.
+        """See `RosNode.is_up`. It is polled, because ROS does not announce that a signal has shut
+        it down, or that the user has destroyed the node.
         """
         if self.error is None:
             if not self.node.context.ok():
@@ -97,13 +106,18 @@ class RosNode:
                 raise
             return otherwise
 
+    def resolve(self, name: str) -> str:
+        try:
+            full: str = self.node.resolve_topic_name(name)
+        except Exception as exc:  # rclpy raises whatever rcl says
+            raise TransportError(f"{name!r} is not a valid name in ROS: {exc}") from exc
+        return full
+
     def warn(self, text: str) -> None:
-        """Log a warning as one line in ROS's own log, which other nodes can read."""
         if self._can_log(text):
             self._logger.warning(excerpt(text, MESSAGE))
 
     def complain(self, text: str) -> None:
-        """Log an error as one line in ROS's own log."""
         if self._can_log(text):
             # Not in one place with `warn`: rclpy allows one severity for each line of code.
             self._logger.error(excerpt(text, MESSAGE))
@@ -113,42 +127,126 @@ class RosNode:
             logger.info("%s", text)
         return self.is_up
 
-    def make(self, kind: Any, ros_type: Any, name: str, profile: Any) -> Any:
-        """Make a raw handle with this quality of service, which is destroyed at the end.
+    # Parts
+
+    def publisher(self, topic: str, message_type: Any, qos: EndQos) -> RclpyPublisher:
+        return RclpyPublisher(self._make(raw.Publisher, message_type, topic, qos), self.attempt)
+
+    def subscription(
+        self,
+        topic: str,
+        message_type: Any,
+        qos: EndQos,
+        take: MessageSink,
+        *,
+        is_first: bool = False,
+    ) -> RclpySubscription:
+        handle = self._make(raw.Subscription, message_type, topic, qos)
+        self.listen(Messages(handle, message_type, _each(take)), first=is_first)
+        return RclpySubscription(handle, self.attempt)
+
+    def caller(
+        self,
+        service: str,
+        service_type: Any,
+        qos: EndQos,
+        take: AnswerSink,
+        take_unreadable: ErrorSink | None = None,
+    ) -> RclpyCaller:
+        handle = self._make(raw.Client, service_type, service, qos)
+        self.listen(Responses(handle, service_type, _each(take), take_unreadable))
+        return RclpyCaller(handle, self.attempt)
+
+    def provider(
+        self, service: str, service_type: Any, qos: EndQos, take: RequestSink
+    ) -> RclpyProvider:
+        handle = self._make(raw.Service, service_type, service, qos)
+        self.listen(Requests(handle, service_type, _each(take)))
+        return RclpyProvider(handle, self.attempt)
+
+    def life_watch(self, topic: str, message_type: Any, qos: EndQos) -> RclpyLifeWatch:
+        subscription = self._make(raw.Subscription, message_type, topic, qos)
+        event: Any = None
+        with subscription, suppress(UnsupportedEventType):
+            event = self.keep(raw.EventHandle(subscription, LIVELINESS_CHANGED))
+        return RclpyLifeWatch(event, self.attempt)
+
+    def _make(self, kind: Any, ros_type: Any, name: str, qos: EndQos) -> Any:
+        """Make a raw handle, which is destroyed at the end.
 
         Raises:
             TransportError: ROS does not allow it.
         """
         try:
             check_for_type_support(ros_type)
+            profile = profile_of(qos).get_c_qos_profile()
             with self.node.handle:
-                handle = kind(self.node.handle, ros_type, name, profile.get_c_qos_profile())
+                handle = kind(self.node.handle, ros_type, name, profile)
         except Exception as exc:  # rclpy raises whatever rcl says
             raise TransportError(f"{name}: {exc}") from exc
-        self._handles.append(handle)
-        return handle
+        return self.keep(handle)
 
     def keep(self, handle: Any) -> Any:
-        """Destroy this raw handle, too, at the end. Returns it."""
+        """Destroy this raw handle at the end. Returns it."""
         self._handles.append(handle)
         return handle
 
-    def introspect(self, level: str, *handles: Any) -> None:
-        """Publish events of raw services or clients: `off`, `metadata` or `contents`."""
+    def introspect(self, level: str, *services: ServiceCaller | ServiceProvider) -> None:
         if level == "off":
             return
         state = IntrospectionState.__members__[level.upper()]
         profile = rclpy_qos.qos_profile_system_default.get_c_qos_profile()
-        for handle in handles:
-            handle.configure_introspection(self.node.get_clock().handle, profile, state)
+        clock = self.node.get_clock().handle
+        for service in services:
+            handle = cast("RclpyCaller | RclpyProvider", service).handle
+            handle.configure_introspection(clock, profile, state)
 
     def listen(self, *sources: Source, first: bool = False) -> None:
         """Take what arrives at these sources: see `RosWaitable.add`."""
         self.sources.add(*sources, first=first)
         self.wake()
 
+    # The graph
+
+    def topics(self) -> list[tuple[str, str]]:
+        found = self.attempt(self.node.get_topic_names_and_types, otherwise=())
+        return [(topic, types[0]) for topic, types in found]
+
+    def publishers(self, topic: str) -> list[EndInfo]:
+        return self._ends(self.node.get_publishers_info_by_topic, topic)
+
+    def subscriptions(self, topic: str) -> list[EndInfo]:
+        return self._ends(self.node.get_subscriptions_info_by_topic, topic)
+
+    def count_publishers(self, topic: str) -> int:
+        return self._count(self.node.count_publishers, topic)
+
+    def count_subscriptions(self, topic: str) -> int:
+        return self._count(self.node.count_subscribers, topic)
+
+    def count_callers(self, service: str) -> int:
+        return self._count(self.node.count_clients, service)
+
+    def _count(self, look: Callable[[str], int], name: str) -> int:
+        count: int = self.attempt(look, name, otherwise=0)
+        return count
+
+    # ROS tells the quality of service of topics. That of services it tells only as DDS has them, as
+    # two topics each, so with other middlewares nothing is said of services.
+
+    def request_readers(self, service: str) -> list[EndInfo]:
+        look = self.node.get_subscriptions_info_by_topic
+        return self._ends(look, f"rq{service}Request", True)
+
+    def answer_writers(self, service: str) -> list[EndInfo]:
+        return self._ends(self.node.get_publishers_info_by_topic, f"rr{service}Reply", True)
+
+    def _ends(self, look: Callable[..., Any], *arguments: Any) -> list[EndInfo]:
+        return [end_info(one) for one in self.attempt(look, *arguments, otherwise=())]
+
+    # Its end
+
     def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
-        """Call this on the event loop if nothing more will arrive."""
         self._lost.append(call)
 
     def wake(self) -> None:
@@ -165,7 +263,6 @@ class RosNode:
             self._destroy()
 
     def fail(self, error: ConnectionLost) -> None:
-        """End everything that is pending, and everything that is tried later, with an error."""
         if self.error is None:
             self.error = error
             for call in self._lost:
@@ -187,7 +284,7 @@ class RosNode:
         """Destroy all handles; those that an executor waits for are destroyed when it wakes."""
         with suppress(ValueError):
             self.node.remove_waitable(self.sources)
-        self.clock.close()
+        self._clock.close()
         self._destroy()
         self._mailbox.close()
 
@@ -199,96 +296,6 @@ class RosNode:
         self.wake()
 
 
-@asynccontextmanager
-async def own_node(settings: NodeSettings) -> AsyncGenerator[RosNode, None]:
-    """Make a node in a context of its own, spun by a thread of its own.
-
-    Raises:
-        TransportError: ROS does not allow such a node.
-    """
-    name = settings.name or f"fibaction_{uuid.uuid4().hex[:8]}"
-    _check(settings, name)
-    context = Context()
-    try:
-        ros = _make(context, settings, name)
-    except Exception as exc:  # rclpy raises whatever rcl says
-        context.try_shutdown()
-        raise TransportError(f"cannot make the ROS node {name!r}: {exc}") from exc
-    spinner = Spinner(ros.node, ros.sources, context, ros.lose_later)
-    try:
-        spinner.start()
-        async with Background() as tasks:
-            tasks.start_soon(ros.run, name="ros2 mailbox")
-            yield ros
-    finally:
-        spinner.stop()
-        ros.close()
-        ros.node.destroy_node()
-        context.try_shutdown()
-        context.destroy()
-
-
-def _check(settings: NodeSettings, name: str) -> None:
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if settings.domain_id is None and not (domain.isdecimal() and int(domain) <= LAST_DOMAIN):
-        # With a higher one, the middleware would end the process.
-        raise TransportError(
-            f"invalid ROS_DOMAIN_ID in the environment: {domain!r} is not a number from 0 to"
-            f" {LAST_DOMAIN}"
-        )
-    # rclpy's error has several lines, and leaves half a node behind.
-    namespace = f"/{settings.namespace.removeprefix('/')}"
-    for setting, value, rule, check in (
-        (
-            "node_name",
-            name,
-            "letters, digits and _, and does not begin with a digit",
-            validate_node_name,
-        ),
-        (
-            "namespace",
-            namespace,
-            "names of letters, digits and _ after slashes",
-            validate_namespace,
-        ),
-    ):
-        try:
-            check(value)
-        except Exception as exc:
-            raise TransportError(f"invalid {setting} {value!r}: it has {rule}") from exc
-
-
-def _make(context: Any, settings: NodeSettings, name: str) -> RosNode:
-    arguments = None if settings.arguments is None else list(settings.arguments)
-    rclpy.init(
-        args=arguments,
-        context=context,
-        domain_id=settings.domain_id,
-        # Signals belong to the event loop. rclpy's handlers would shut ROS down before the goals
-        # are ended.
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
-    node = rclpy.create_node(
-        name,
-        context=context,
-        namespace=settings.namespace,
-        start_parameter_services=False,  # see `parameters`
-    )
-    ros = RosNode(node)
-    for source in parameter_services(node):
-        ros.keep(source.handle)
-        ros.listen(source)
-    return ros
-
-
-@asynccontextmanager
-async def users_node(node: Any) -> AsyncGenerator[RosNode, None]:
-    """Use the node of the user, which an executor of the user spins."""
-    ros = RosNode(node)
-    try:
-        ros.start()
-        async with Background() as tasks:
-            tasks.start_soon(ros.run, name="ros2 mailbox")
-            yield ros
-    finally:
-        ros.close()
+def _each(take: Callable[[Any, Any], None]) -> Sink:
+    """Return the sink for the pairs that a source takes."""
+    return lambda pair: take(*pair)

@@ -23,8 +23,7 @@ from typing import Any
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import text_of
-from fibaction_transports.ros2.node.waitable import RosWaitable
-from fibaction_transports.ros2.rcl import (
+from fibaction_transports.ros2.on_rclpy.rcl import (
     GuardCondition,
     InvalidHandle,
     SignalHandlerGuardCondition,
@@ -32,6 +31,7 @@ from fibaction_transports.ros2.rcl import (
     raw,
     waitable,
 )
+from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable
 
 logger = clean_logger("fibaction.ros2")
 

@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import Any
 
 from fibaction.border.peer_text import clean_logger
-from fibaction_transports.ros2.node.mailbox import MAILBOX, TURN, Mailbox, Sink
-from fibaction_transports.ros2.rcl import InvalidHandle, ReentrantCallbackGroup, waitable
+from fibaction_transports.ros2.on_rclpy.mailbox import MAILBOX, TURN, Mailbox, Sink
+from fibaction_transports.ros2.on_rclpy.rcl import InvalidHandle, ReentrantCallbackGroup, waitable
 
 logger = clean_logger("fibaction.ros2")
 

@@ -1,11 +1,11 @@
-"""The action server over rcl: an endpoint is served as an action of ROS.
+"""The action server: an endpoint is served as an action of ROS.
 
 Theory of operation
 -------------------
 
-An action of ROS is three services and two topics, as `rcl_action` has them. The server uses raw
-handles of rclpy for them. It calls the methods of an `Endpoint`, so it serves an action server of
-this process as well as one that a gateway reaches.
+An action of ROS is three services and two topics, as `rcl_action` has them. The server gets
+the ends of them from a `RosNode`. It calls the methods of an `Endpoint`, so it serves an action
+server of this process as well as one that a gateway reaches.
 
 *Requests* are answered by `ServiceServers`, each in a task of its own. A goal goes to the endpoint,
 which accepts or rejects it. The reason of a rejection has no field in ROS's answer, so it is
@@ -56,20 +56,18 @@ from fibaction.words.goals import (
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.convert.conversion import (
-    RosAction,
     RosCodecs,
     goal_id_of,
-    goal_info_to_ros,
     stamp_of,
 )
 from fibaction_transports.ros2.convert.status_bytes import pack_statuses
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.feedback_counts import PublishedCounts
-from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.node.goal_info import goal_info_to_ros
 from fibaction_transports.ros2.node.rivals import warn_of_rivals
+from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import ServedStamps
 from fibaction_transports.ros2.node.status_list import PublishedStatuses
-from fibaction_transports.ros2.rcl import raw
 from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher, FeedbackTopic
 from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
 from fibaction_transports.ros2.server.service_server import ServiceServers
@@ -92,7 +90,7 @@ logger = clean_logger("fibaction.ros2")
 class ServedEndpoint:
     """An endpoint, and the ROS type of its action, which is looked up before anything is served."""
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: Endpoint, types: RosTypes) -> None:
         """Find the action's type in ROS.
 
         Raises:
@@ -100,8 +98,8 @@ class ServedEndpoint:
         """
         self.endpoint = endpoint
         info = endpoint.info
-        found = RosAction.find(info.type_name, info.name)
-        self.impl: Any = found.ros_type.Impl
+        found = types.find(info.type_name, info.name)
+        self.impl: Any = found.impl
         self.codecs: RosCodecs = found.codecs(info)
 
 
@@ -117,31 +115,17 @@ class RosActionServer:
         self._codecs = served.codecs
         self._tasks = tasks
         self._name = served.endpoint.info.name
-        self._names = action_names(ros.node, self._name)
+        self._names = action_names(ros.resolve, self._name)
         self._deciding: set[GoalID] = set()
         self._forwarders: dict[GoalID, GoalForwarder] = {}
         self._published_at = -math.inf
         self._progress = Notifier()
-        self._services = ServiceServers(self._name, tasks, self._progress)
+        services = qos.services(settings.services_qos)
+        self._services = ServiceServers(ros, self._name, services, tasks, self._progress)
         self._open(settings)
 
     def _open(self, settings: EndSettings) -> None:
-        make, impl, full = self._ros.make, self._impl, self._names
-        profile = qos.services(settings.services_qos)
-        goals = make(raw.Service, impl.SendGoalService, full.send_goal, profile)
-        cancels = make(raw.Service, impl.CancelGoalService, full.cancel_goal, profile)
-        results = make(raw.Service, impl.GetResultService, full.get_result, profile)
-        self._ros.introspect(settings.introspection, goals, cancels, results)
-        # Before the rest: a client that knows the server then knows that it publishes these, too.
-        self._counts = PublishedCounts(self._ros, self._name)
-        self._feedback = FeedbackTopic(
-            self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, settings
-        )
-        profile = qos.published_status(settings.lease, settings.status_qos)
-        self._status = make(raw.Publisher, impl.GoalStatusMessage, full.status, profile)
-        self._statuses = PublishedStatuses(self._publish_status)
-        self._stamps = ServedStamps(self._ros.clock)
-        requests = self._services.requests
+        impl, full, serve = self._impl, self._names, self._services.serve
         rejected = impl.CancelGoalService.Response(return_code=int(CancelCode.REJECTED))
 
         def decided(request: Any) -> None:
@@ -149,11 +133,21 @@ class RosActionServer:
             self._deciding.discard(goal_id)
             self._statuses.repeat_later(goal_id)
 
-        self._ros.listen(
-            requests(goals, impl.SendGoalService, self._answer_goal, done=decided),
-            requests(cancels, impl.CancelGoalService, self._answer_cancel, failure=rejected),
-            requests(results, impl.GetResultService, self._answer_result, is_awaited=False),
+        self._ros.introspect(
+            settings.introspection,
+            serve(full.send_goal, impl.SendGoalService, self._answer_goal, done=decided),
+            serve(full.cancel_goal, impl.CancelGoalService, self._answer_cancel, failure=rejected),
+            serve(full.get_result, impl.GetResultService, self._answer_result, is_awaited=False),
         )
+        # Before the rest: a client that knows the server then knows that it publishes these, too.
+        self._counts = PublishedCounts(self._ros, self._name)
+        self._feedback = FeedbackTopic(
+            self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, settings
+        )
+        profile = qos.published_status(settings.lease, settings.status_qos)
+        self._status = self._ros.publisher(full.status, impl.GoalStatusMessage, profile)
+        self._statuses = PublishedStatuses(self._publish_status)
+        self._stamps = ServedStamps(self._ros.clock)
 
     def start(self) -> None:
         """Serve."""
@@ -239,7 +233,7 @@ class RosActionServer:
         self._statuses.flush()
         response = self._impl.CancelGoalService.Response()
         response.return_code = int(answer.return_code)
-        response.goals_canceling = [goal_info_to_ros(one) for one in canceling]
+        response.goals_canceling = [goal_info_to_ros(self._ros.types, one) for one in canceling]
         return response
 
     async def _answer_result(self, request: Any) -> Any:
@@ -328,7 +322,7 @@ class RosActionServer:
 
     def _publish_status(self, message: bytes) -> None:
         self._published_at = current_time()
-        self._ros.attempt(self._status.publish_raw, message)
+        self._status.publish_bytes(message)
 
     async def _follow_statuses(self) -> None:
         while True:

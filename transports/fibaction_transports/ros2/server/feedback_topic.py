@@ -13,8 +13,7 @@ from fibaction.words.goals import GoalID
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.convert.conversion import RosCodec
 from fibaction_transports.ros2.names import ActionNames
-from fibaction_transports.ros2.node.node import RosNode
-from fibaction_transports.ros2.rcl import raw, uuid_of
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.settings import EndSettings
 
 MATCH_TIMEOUT, MATCH_PAUSE = 0.5, 0.01
@@ -53,7 +52,7 @@ class FeedbackTopic:
         self._codec = codec
         depth = settings.feedback_depth
         profile = qos.feedback(depth, settings.feedback_qos)
-        self._publisher = ros.make(raw.Publisher, message_type, full.feedback, profile)
+        self._publisher = ros.publisher(full.feedback, message_type, profile)
         self._unmatched = 0
         self._half = (depth + 1) // 2
         self._piece = -(-self._half // PIECES)
@@ -67,7 +66,7 @@ class FeedbackTopic:
     def of(self, goal_id: GoalID) -> FeedbackPublisher:
         """Return the feedback of a goal, which has yet to be published."""
         message = self._type()
-        message.goal_id.uuid = uuid_of(goal_id)
+        message.goal_id.uuid = self._ros.types.uuid(goal_id)
         return FeedbackPublisher(self, goal_id, message)
 
     def convert(self, payload: bytes) -> Any:
@@ -90,12 +89,12 @@ class FeedbackTopic:
         if is_first:
             await self._all_matched()
         await self._keep_pace()
-        self._ros.attempt(self._publisher.publish, message)
+        self._publisher.publish(message)
 
     async def _all_matched(self) -> None:
         """Wait for new subscribers to be connected. They never get what is published before."""
         deadline = current_time() + MATCH_TIMEOUT
-        while (missing := self._ros.attempt(self._missing, otherwise=0)) > self._unmatched:
+        while (missing := self._missing()) > self._unmatched:
             if current_time() >= deadline:
                 self._unmatched = missing  # they have another quality of service, and never match
                 break
@@ -107,26 +106,20 @@ class FeedbackTopic:
         left.
         """
         now = current_time()
-        count = self._ros.attempt(self._readers, otherwise=0)
+        count = self._publisher.reader_count()
         if count == self._count_then and now - self._looked < LOOK_PAUSE:
             return
         self._count_then, self._looked = count, now
-        look = self._ros.node.get_subscriptions_info_by_topic
-        found = self._ros.attempt(look, self._names.feedback, otherwise=())
-        before, self._known = self._known, frozenset(bytes(one.endpoint_gid) for one in found)
+        found = self._ros.subscriptions(self._names.feedback)
+        before, self._known = self._known, frozenset(one.gid for one in found)
         if not self._known <= before:
             self._to_new = self._half
 
     def _missing(self) -> int:
-        node = self._ros.node
-        listeners: int = node.count_subscribers(self._names.feedback)
+        listeners = self._ros.count_subscriptions(self._names.feedback)
         # Each client of the goal service has a subscription, too. Either may be discovered first.
-        clients: int = node.count_clients(self._names.send_goal)
-        return max(listeners, clients) - self._readers()
-
-    def _readers(self) -> int:
-        count: int = self._publisher.get_subscription_count()
-        return count
+        clients = self._ros.count_callers(self._names.send_goal)
+        return max(listeners, clients) - self._publisher.reader_count()
 
     async def _keep_pace(self) -> None:
         """Wait until readers have had the time to take what was published.

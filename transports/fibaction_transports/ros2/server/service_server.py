@@ -13,8 +13,9 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
-from fibaction_transports.ros2.node.waitable import Requests
-from fibaction_transports.ros2.rcl import has_answered
+from fibaction_transports.ros2.node.parts import ServiceProvider
+from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.qos import EndQos
 
 ANSWER_PAUSES = (0.1, 0.3, 0.6)
 """Seconds between attempts to send an answer that cannot reach its client yet."""
@@ -27,11 +28,15 @@ logger = clean_logger("fibaction.ros2")
 class ServiceServers:
     """The services of one action. Each request is answered in a task of its own."""
 
-    def __init__(self, action: str, tasks: TaskGroup, progress: Notifier) -> None:
+    def __init__(
+        self, ros: RosNode, action: str, qos: EndQos, tasks: TaskGroup, progress: Notifier
+    ) -> None:
         """`progress` is notified whenever a request is done."""
         self.sent_at = -math.inf
         """The time at which the last answer was sent."""
+        self._ros = ros
         self._action = action
+        self._qos = qos
         self._tasks = tasks
         self._progress = progress
         self._is_closed = False
@@ -39,30 +44,32 @@ class ServiceServers:
         self._awaited = 0
         self._sending = 0
 
-    def requests(
+    def serve(
         self,
-        handle: Any,
+        service: str,
         service_type: Any,
         answer: Callable[[Any], Awaitable[Any]],
         *,
         failure: Any = None,
         is_awaited: bool = True,
         done: Callable[[Any], None] = lambda request: None,
-    ) -> Requests:
-        """Return the source of a service's requests.
+    ) -> ServiceProvider:
+        """Serve one of the services.
 
         Args:
-            handle: The raw service.
+            service: Its full name.
             service_type: The type of the service.
             answer: Called with a request; returns the response.
             failure: The response if `answer` raises; None is a response with its defaults.
             is_awaited: `is_busy` waits for these requests. Requests for results last as long as
                 their goals, and are not waited for.
             done: Called with the request after the response was sent, or could not be sent.
+
+        Raises:
+            TransportError: ROS does not allow it.
         """
 
-        def begin(item: Any) -> None:
-            header, request = item
+        def begin(header: Any, request: Any) -> None:
             if self.is_closed or self._underway >= UNDERWAY:
                 # Lost requests are noticed by their clients.
                 level = logging.INFO if self.is_closed else logging.ERROR
@@ -82,8 +89,8 @@ class ServiceServers:
                     # A bug of the endpoint. It must not affect other requests.
                     logger.error("%s: a request failed: %s", self._action, exc, exc_info=exc)
                     response = service_type.Response() if failure is None else failure
-                await self._send(handle, response, header)
-            except Exception as exc:  # rclpy raises whatever rcl says
+                await self._send(provider, response, header)
+            except Exception as exc:  # the middleware raises whatever it says
                 # Most likely, the client has left.
                 logger.info("%s: an answer could not be sent: %s", self._action, exc)
             finally:
@@ -92,13 +99,14 @@ class ServiceServers:
                 self._awaited -= is_awaited
                 self._progress.notify()
 
-        return Requests(handle, service_type, begin)
+        provider = self._ros.provider(service, service_type, self._qos, begin)
+        return provider
 
-    async def _send(self, handle: Any, response: Any, header: Any) -> None:
+    async def _send(self, provider: ServiceProvider, response: Any, header: Any) -> None:
         pauses = iter(ANSWER_PAUSES)
         self._sending += 1
         try:
-            while not has_answered(handle, response, header):
+            while not provider.answer(header, response):
                 pause = next(pauses, None)
                 if pause is None:
                     logger.warning(

@@ -1,0 +1,118 @@
+"""The opening of a node of rclpy: one of our own, with a context and a thread, or the user's."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fibaction.border.event_loop import Background
+from fibaction.words.errors import TransportError
+from fibaction_transports.ros2.on_rclpy.parameters import parameter_services
+from fibaction_transports.ros2.on_rclpy.rcl import (
+    Context,
+    SignalHandlerOptions,
+    rclpy,
+    validate_namespace,
+    validate_node_name,
+)
+from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
+from fibaction_transports.ros2.on_rclpy.spinner import Spinner
+from fibaction_transports.ros2.settings import LAST_DOMAIN, NodeSettings
+
+
+@asynccontextmanager
+async def own_node(settings: NodeSettings) -> AsyncGenerator[RclpyNode, None]:
+    """Make a node in a context of its own, spun by a thread of its own.
+
+    Raises:
+        TransportError: ROS does not allow such a node.
+    """
+    name = settings.name or f"fibaction_{uuid.uuid4().hex[:8]}"
+    _check(settings, name)
+    context = Context()
+    try:
+        ros = _make(context, settings, name)
+    except Exception as exc:  # rclpy raises whatever rcl says
+        context.try_shutdown()
+        raise TransportError(f"cannot make the ROS node {name!r}: {exc}") from exc
+    spinner = Spinner(ros.node, ros.sources, context, ros.lose_later)
+    try:
+        spinner.start()
+        async with Background() as tasks:
+            tasks.start_soon(ros.run, name="ros2 mailbox")
+            yield ros
+    finally:
+        spinner.stop()
+        ros.close()
+        ros.node.destroy_node()
+        context.try_shutdown()
+        context.destroy()
+
+
+def _check(settings: NodeSettings, name: str) -> None:
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if settings.domain_id is None and not (domain.isdecimal() and int(domain) <= LAST_DOMAIN):
+        # With a higher one, the middleware would end the process.
+        raise TransportError(
+            f"invalid ROS_DOMAIN_ID in the environment: {domain!r} is not a number from 0 to"
+            f" {LAST_DOMAIN}"
+        )
+    # rclpy's error has several lines, and leaves half a node behind.
+    namespace = f"/{settings.namespace.removeprefix('/')}"
+    for setting, value, rule, check in (
+        (
+            "node_name",
+            name,
+            "letters, digits and _, and does not begin with a digit",
+            validate_node_name,
+        ),
+        (
+            "namespace",
+            namespace,
+            "names of letters, digits and _ after slashes",
+            validate_namespace,
+        ),
+    ):
+        try:
+            check(value)
+        except Exception as exc:
+            raise TransportError(f"invalid {setting} {value!r}: it has {rule}") from exc
+
+
+def _make(context: Any, settings: NodeSettings, name: str) -> RclpyNode:
+    arguments = None if settings.arguments is None else list(settings.arguments)
+    rclpy.init(
+        args=arguments,
+        context=context,
+        domain_id=settings.domain_id,
+        # Signals belong to the event loop. rclpy's handlers would shut ROS down before the goals
+        # are ended.
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    node = rclpy.create_node(
+        name,
+        context=context,
+        namespace=settings.namespace,
+        start_parameter_services=False,  # see `parameters`
+    )
+    ros = RclpyNode(node)
+    for source in parameter_services(node):
+        ros.keep(source.handle)
+        ros.listen(source)
+    return ros
+
+
+@asynccontextmanager
+async def users_node(node: Any) -> AsyncGenerator[RclpyNode, None]:
+    """Use the node of the user, which an executor of the user spins."""
+    ros = RclpyNode(node)
+    try:
+        ros.start()
+        async with Background() as tasks:
+            tasks.start_soon(ros.run, name="ros2 mailbox")
+            yield ros
+    finally:
+        ros.close()

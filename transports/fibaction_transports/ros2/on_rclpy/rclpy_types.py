@@ -1,0 +1,99 @@
+"""The types of ROS that rclpy finds: those whose packages are built and sourced."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from fibaction.words.errors import ProtocolError, TransportError, text_of
+from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.node.ros_node import RosTypes
+from fibaction_transports.ros2.on_rclpy.message_kinds import message_kind
+from fibaction_transports.ros2.on_rclpy.rcl import (
+    GoalInfoMessage,
+    ParameterMessage,
+    check_for_type_support,
+    deserialize,
+    uuid_of,
+)
+
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
+
+
+class RclpyTypes(RosTypes):
+    """The generated classes of ROS."""
+
+    GoalInfo = GoalInfoMessage
+    Parameter = ParameterMessage
+
+    def find(self, type_name: str, action: str = "") -> RosAction:
+        if not _TYPE_NAME.fullmatch(type_name):
+            which = f" {action!r}" if action else ""
+            raise TransportError(
+                f"give the Action{which} a type_name such as"
+                " 'example_interfaces/action/Fibonacci',"
+                f" which ROS needs: {type_name!r} is not a ROS action type"
+            )
+        return _found(type_name)
+
+    def uuid(self, goal_id: bytes) -> Any:
+        return uuid_of(goal_id)
+
+    def decode(self, message: bytes, message_type: Any) -> Any:
+        try:
+            return deserialize(message, message_type)
+        except Exception as exc:  # rclpy raises whatever rcl says
+            raise ProtocolError(text_of(exc)) from exc
+
+
+def message_types(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
+    """Return structs for the goal, the feedback and the result of a ROS action type.
+
+    Raises:
+        TransportError: As for `RosTypes.find`.
+    """
+    return RclpyTypes().find(type_name).types
+
+
+@cache
+def _found(type_name: str) -> RosAction:
+    package, _, name = type_name.split("/")
+    actions = _actions_of(package, type_name)
+    if not hasattr(actions, name):
+        raise TransportError(
+            f"the ROS package {package!r}, as it is built here, has no action {name!r}:"
+            f" look at its .action files, and build it again"
+        )
+    ros_type = getattr(actions, name)
+    try:
+        check_for_type_support(ros_type)
+    except Exception as exc:  # loading compiled code may raise anything
+        raise TransportError(
+            f"{type_name} cannot be used, because its compiled part cannot be loaded ({exc}):"
+            f" build the ROS package {package!r} again, for this ROS and this Python"
+        ) from exc
+    kinds = [message_kind(one) for one in (ros_type.Goal, ros_type.Feedback, ros_type.Result)]
+    return RosAction(type_name, ros_type.Impl, kinds)
+
+
+def _actions_of(package: str, type_name: str) -> Any:
+    """Return the module with the actions of a ROS package."""
+    try:
+        spec = find_spec(package)
+        # To Python, a folder of sources that are not built is a package, too: one without a file.
+        if spec is not None and spec.origin is not None:
+            return import_module(f"{package}.action")
+    except Exception as exc:  # importing a module may raise anything
+        if isinstance(exc, ModuleNotFoundError) and exc.name == f"{package}.action":
+            raise TransportError(f"the ROS package {package!r} has no actions") from exc
+        raise TransportError(
+            f"{type_name} cannot be imported ({exc}): source the setup.bash of ROS and of what it"
+            " needs"
+        ) from exc
+    raise TransportError(
+        f"the ROS package {package!r}, which has {type_name}, is not installed here:"
+        " build it, and source its setup.bash"
+    )
