@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Generator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Generator, Iterable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, TypeVar, Unpack, cast, overload
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, cast, overload
 
 import anyio
 from anyio import create_task_group
@@ -19,52 +19,12 @@ from fibaction.client.goal import Blocks, leave_blocks
 from fibaction.client.goal_span import GoalTracer
 from fibaction.client.kept_connection import KeptConnection, keep_open
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.wire.settings import ClientKeywords, ServerKeywords
+from fibaction.wire.settings import ConnectKeywords, ServeKeywords
 from fibaction.words.errors import TransportError
 from fibaction.words.goals import ActionPeers, WorkerInfo
 
 if TYPE_CHECKING:
-    from ssl import SSLContext
-
-    from fibaction.wire.tls_files import TlsFiles
-
-
-class _RosKeywords(TypedDict, total=False):
-    namespace: str
-    domain_id: int | None
-    arguments: Sequence[str] | None
-    node: Any
-    feedback_depth: int
-    discovery_timeout: float
-
-
-class _RosbridgeKeywords(TypedDict, total=False):
-    accepted_after: float
-    answer_timeout: float
-    schemas: bool
-    cancel_on_disconnect: bool
-
-
-class _McpKeywords(TypedDict, total=False):
-    allow: Iterable[str]
-    unasked: Iterable[str]
-    read_only: bool
-    patience: float
-
-
-class ConnectKeywords(ClientKeywords, _RosKeywords, _RosbridgeKeywords, total=False):
-    """The settings that `connect` passes on to the transport of a URL."""
-
-    tls: TlsFiles | SSLContext | None
-
-
-class ServeKeywords(ServerKeywords, _RosKeywords, _McpKeywords, total=False):
-    """The settings that `serve` passes on to the transports of URLs."""
-
-    tls: TlsFiles | SSLContext | None
-    insecure: bool
-    hosts: Iterable[str]
-    origins: Iterable[str]
+    pass
 
 
 class ClientConnection(Connection):

@@ -57,6 +57,7 @@ from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.golden import GOLDEN
 from tests.support.pages import FENCED, NOT_RUN, Block
 from tests.support.pages import blocks_of as blocks_of  # for the tests with ROS 2, too
+from tests.support.ros_domain import own_domain
 from tests.support.walks import file_of, terminal_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -89,6 +90,14 @@ SHELLS_ELSEWHERE = {
     "docs/contributing.md": "as for CONTRIBUTING.md",
 }
 """Pages whose shell commands are not run by `tests.support.walks`, and who runs them."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros_domain() -> Iterator[None]:
+    """Keep the nodes of pages apart from those of others."""
+    with own_domain():
+        yield
+
 
 _LINK = re.compile(r"\]\((?P<target>[^)\s]+)\)")
 _NAME = re.compile(r"`(fibaction(?:_transports)?(?:\.[A-Za-z_]\w*)+)`")

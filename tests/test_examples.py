@@ -877,13 +877,20 @@ def test_an_error_is_one_line_and_an_exit_code(
 
 @pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is there, and nothing to say")
 @pytest.mark.parametrize("script", ["fibonacci_server.py", "fibonacci_client.py"])
-def test_without_ros_its_url_says_in_one_sentence_how_to_get_it(
-    tmp_path: Path, script: str
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("ros2://?via=rclpy", ["ros2:// needs rclpy, ", "pip install 'ros-rclpy[fastrtps]'"]),
+        ("ros2://", ["arduinobot_msgs/action/Fibonacci is not known here", "search=FOLDER"]),
+        ("dds://", ["arduinobot_msgs/action/Fibonacci is not known here", "search=FOLDER"]),
+    ],
+)
+def test_without_ros_its_urls_say_in_one_sentence_what_is_missing(
+    tmp_path: Path, script: str, url: str, said: list[str]
 ) -> None:
-    code, out, err = ended(start(script, "--url", "ros2://", cwd=tmp_path))
+    code, out, err = ended(start(script, "--url", url, cwd=tmp_path))
     assert (code, out) == (2, "")
-    assert "error: ros2:// needs rclpy, " in err
-    assert "setup.bash" in err
-    assert "pip install 'ros-rclpy[fastrtps]'" in err
+    assert err.startswith(f"{script}: error: ")
+    assert all(text in err for text in said)
     assert "docs/" not in err  # a wheel has no such file
     assert len(err.splitlines()) == 1

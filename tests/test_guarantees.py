@@ -26,7 +26,7 @@ from tests.tools.promises import (
     proofs_in,
 )
 
-OVER_ROS = (ROOT / "tests/ros2/test_contract.py").read_text(encoding="utf-8")
+OVER_ROS = (ROOT / "tests/support/ros_contract.py").read_text(encoding="utf-8")
 
 
 def contract(test: str, *promises: str) -> Proof:

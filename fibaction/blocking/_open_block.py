@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Any, NoReturn, Unpack, overload
 
 import fibaction._api
-from fibaction._api import ConnectKeywords, check_is_action
+from fibaction._api import check_is_action
 from fibaction.blocking._blocking_client import (
     BlockingClient,
     BlockingConnection,
@@ -19,6 +19,7 @@ from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.client.goal_span import GoalTracer
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.wire.settings import ConnectKeywords
 from fibaction.words.errors import TransportError
 
 

@@ -20,6 +20,7 @@ from fibaction.interfaces import (
     python_source,
     read_action,
 )
+from fibaction.interfaces.known import remember
 from fibaction.types.action import Action
 
 __all__ = ["InterfaceError", "action_source", "load_action"]
@@ -52,7 +53,10 @@ def load_action(
         OSError: The file cannot be read.
         ValueError: The name or the type name is invalid.
     """
-    return _made(read_action(path, name=name, type_name=type_name, search=search))
+    action = read_action(path, name=name, type_name=type_name, search=search)
+    made = _made(action)
+    remember(action)
+    return made
 
 
 def action_source(

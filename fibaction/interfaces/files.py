@@ -109,7 +109,7 @@ def read_action(
     package = type_name.partition("/")[0] if type_name else _package_of(path)
     if package and not type_name:
         type_name = f"{package}/action/{path.stem}"
-    found = _Messages(package, [*_around(path), *map(Path, search), *_of_ros()])
+    found = _Messages(package, [*_around(path), *map(Path, search), *ros_folders()])
     definitions = parse_action(text, path)
     found.read(definitions)
     goal, result, feedback = (
@@ -138,7 +138,7 @@ def _around(path: Path) -> list[Path]:
     return [here.parent.parent, here] if _package_of(path) else [here]
 
 
-def _of_ros() -> Iterator[Path]:
+def ros_folders() -> Iterator[Path]:
     """Yield the folders of ROS's installed interfaces.
 
     They are those of a sourced `setup.bash`, and those of wheels in the environment of this Python.

@@ -3,6 +3,7 @@
 Each setting has its default and its check here, and only here. `ServerSettings` and
 `ClientSettings` are what the two halves read; `WireKeywords` is what a transport's constructor
 takes, for type checkers and for the list in the error for a setting that does not exist.
+`ConnectKeywords` and `ServeKeywords` are all settings that users pass on to transports.
 
 `fibaction` itself imports this module, so it imports nothing that costs time.
 """
@@ -10,13 +11,18 @@ takes, for type checkers and for the list in the error for a setting that does n
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, Literal, TypedDict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import msgspec
 
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
+
+if TYPE_CHECKING:
+    from ssl import SSLContext
+
+    from fibaction.wire.tls_files import TlsFiles
 
 HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""
@@ -162,6 +168,50 @@ class ServerKeywords(_SharedKeywords, total=False):
 
 class WireKeywords(ClientKeywords, ServerKeywords, total=False):
     """The keyword arguments that every transport over the wire protocol has."""
+
+
+class _RosKeywords(TypedDict, total=False):
+    namespace: str
+    domain_id: int | None
+    arguments: Sequence[str] | None
+    node: Any
+    feedback_depth: int
+    discovery_timeout: float
+    via: str
+    search: Sequence[str]
+    discovery: str
+    peers: Sequence[str]
+    network: Sequence[str]
+    fragment_size: int
+
+
+class _RosbridgeKeywords(TypedDict, total=False):
+    accepted_after: float
+    answer_timeout: float
+    schemas: bool
+    cancel_on_disconnect: bool
+
+
+class _McpKeywords(TypedDict, total=False):
+    allow: Iterable[str]
+    unasked: Iterable[str]
+    read_only: bool
+    patience: float
+
+
+class ConnectKeywords(ClientKeywords, _RosKeywords, _RosbridgeKeywords, total=False):
+    """The settings that `connect` passes on to the transport of a URL."""
+
+    tls: TlsFiles | SSLContext | None
+
+
+class ServeKeywords(ServerKeywords, _RosKeywords, _McpKeywords, total=False):
+    """The settings that `serve` passes on to the transports of URLs."""
+
+    tls: TlsFiles | SSLContext | None
+    insecure: bool
+    hosts: Iterable[str]
+    origins: Iterable[str]
 
 
 def client_settings(given: WireKeywords) -> ClientSettings:

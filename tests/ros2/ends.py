@@ -15,7 +15,7 @@ from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, s
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
-from fibaction_transports.ros2.on_rclpy.profiles import profile_of
+from fibaction_transports.ros2.on_rclpy.ends import profile_of
 from fibaction_transports.ros2.on_rclpy.rcl import GoalInfoMessage, uuid_of
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci

@@ -30,8 +30,8 @@ from fibaction_transports.ros2.convert.status_bytes import info_of, lines_in, un
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import rivals
 from fibaction_transports.ros2.on_rclpy import ends, rcl
-from fibaction_transports.ros2.on_rclpy.opening import own_node
 from fibaction_transports.ros2.on_rclpy.rcl import uuid_of
+from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.waitable import Requests
 from fibaction_transports.ros2.qos import EndQos

@@ -30,8 +30,14 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
+@pytest.fixture(scope="module", params=["ros2", "dds"])
+def scheme(request: pytest.FixtureRequest) -> str:
+    """The way of our end: through rclpy, or over our own DDS."""
+    return str(request.param)
+
+
 @pytest.fixture(scope="module")
-async def ours(anyio_backend: str) -> AsyncGenerator[Behaviour, None]:
+async def ours(anyio_backend: str, scheme: str) -> AsyncGenerator[Behaviour, None]:
     behaviour = Behaviour()
     servers = [
         behaviour.server("ours", result_timeout=60),
@@ -39,7 +45,7 @@ async def ours(anyio_backend: str) -> AsyncGenerator[Behaviour, None]:
         behaviour.server("arm", schedule=Schedule(concurrency=1, when_full="preempt")),
         behaviour.server("line", schedule=Schedule(concurrency=1, queue=1)),
     ]
-    async with serve(servers, "ros2://our_server"):
+    async with serve(servers, f"{scheme}://our_server"):
         yield behaviour
 
 

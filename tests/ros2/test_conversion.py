@@ -26,11 +26,13 @@ from msgspec import Meta
 from fibaction import Action
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError, TransportError
+from fibaction_transports.ros2 import message_structs
 from fibaction_transports.ros2.convert.arrays import LARGE, pack, unpack
 from fibaction_transports.ros2.convert.conversion import RosCodec, RosCodecs
 from fibaction_transports.ros2.convert.schemas import UserSchema
-from fibaction_transports.ros2.on_rclpy import RclpyTypes, message_types
+from fibaction_transports.ros2.message_structs import message_types
 from fibaction_transports.ros2.on_rclpy.message_kinds import message_kind
+from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 
 definition: Any = import_module("rosidl_parser.definition")
 numpy: Any = import_module("numpy")
@@ -1186,6 +1188,14 @@ def test_values_of_types_from_ros_come_back_as_they_were() -> None:
         payload = encode(type_())
         assert decode(codec.from_ros(codec.to_ros(payload)), type=type_) == type_()
         assert codec.from_ros(codec.to_ros(None)) == payload
+
+
+def test_types_are_made_from_interface_files_where_there_is_no_rclpy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(message_structs, "find_spec", lambda name: None)
+    for made, ros in zip(message_types(EVERYTHING.type_name), EVERYTHING.types, strict=True):
+        assert encode(made()) == encode(ros())
 
 
 def test_the_function_that_makes_types_is_an_entry_point() -> None:

@@ -24,7 +24,7 @@ from fibaction import (
     connect,
 )
 from fibaction_transports.ros2.on_rclpy.rcl import middleware
-from tests.ros2.ends import client_of, node_of
+from tests.ros2.ends import client_of
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import Peer, peer
@@ -55,13 +55,27 @@ CYCLONE_CONFIG = (
 """The same for Cyclone DDS, whose default is 10."""
 SOON, LEASE_OF_OURS = 3.0, 8.0
 """Seconds that are several times the usual 0.3 and 2.5."""
-IMPATIENT = "ros2://?reconnect_timeout=0.5"
+IMPATIENT = "?reconnect_timeout=0.5"
 SILENT = "its server is silent, and is waited for"
 
 
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
+
+
+@pytest.fixture(autouse=True, params=["ros2", "dds"])
+def scheme(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let clients go each way: through rclpy, and over our own DDS."""
+    monkeypatch.setitem(WAY, "scheme", request.param)
+
+
+WAY = {"scheme": "ros2"}
+
+
+def url_of(rest: str) -> str:
+    """Return a URL of the way of the test."""
+    return f"{WAY['scheme']}://{rest}"
 
 
 def server_with_lease(folder: Path, *program: str) -> AbstractAsyncContextManager[Peer]:
@@ -76,11 +90,11 @@ def server_with_lease(folder: Path, *program: str) -> AbstractAsyncContextManage
 
 @asynccontextmanager
 async def waiting_for(
-    server: Peer, name: str, order: int = orders.WAITS, url: str = IMPATIENT
+    server: Peer, name: str, order: int = orders.WAITS, rest: str = IMPATIENT
 ) -> AsyncGenerator[
     tuple[ActionClient[Goal, Feedback, Result], ClientGoal[Feedback, Result]], None
 ]:
-    async with connect(url, action(name)) as client:
+    async with connect(url_of(rest), action(name)) as client:
         await client.wait_for_server(20)
         goal = await client.send_goal(Goal(order))
         assert await anext(goal.feedback) == Feedback([1])
@@ -177,7 +191,7 @@ async def test_calls_go_on_when_a_server_that_was_silent_is_there_again(
 ) -> None:
     caplog.set_level(logging.INFO, "fibaction.ros2")
     async with peer("ours", "serve_it", "loss_paused", "asyncio") as server:
-        async with waiting_for(server, "loss_paused", url="ros2://") as (client, goal):
+        async with waiting_for(server, "loss_paused", rest="") as (client, goal):
             results: list[Result] = []
 
             async def call() -> None:
@@ -205,7 +219,7 @@ async def goes_on_after_it_was_dropped(folder: Path, caplog: pytest.LogCaptureFi
     caplog.clear()
     async with (
         server_with_lease(folder, "ours", "serve_it", "loss_gap", "asyncio") as server,
-        waiting_for(server, "loss_gap", url="ros2://") as (client, goal),
+        waiting_for(server, "loss_gap", rest="") as (client, goal),
     ):
         presence = client_of(client.endpoint).presence
 
@@ -246,7 +260,7 @@ async def test_a_server_that_was_killed_and_started_anew_does_not_know_the_goals
 ) -> None:
     caplog.set_level(logging.INFO, "fibaction.ros2")
     async with peer("ours", "serve_it", "loss_anew", "asyncio") as server:
-        async with waiting_for(server, "loss_anew", url="ros2://") as (client, goal):
+        async with waiting_for(server, "loss_anew", rest="") as (client, goal):
             server.process.kill()
             await noted(caplog, SILENT)
             async with peer("ours", "serve_it", "loss_anew", "asyncio"):
@@ -257,7 +271,7 @@ async def test_a_server_that_was_killed_and_started_anew_does_not_know_the_goals
 
 async def test_without_reconnect_a_wait_ends_as_soon_as_the_server_is_silent() -> None:
     async with peer("ours", "serve_it", "loss_strict", "asyncio") as server:
-        async with waiting_for(server, "loss_strict", url="ros2://?reconnect=false") as (_, goal):
+        async with waiting_for(server, "loss_strict", rest="?reconnect=false") as (_, goal):
             await lost_after(lambda: server.signal(signal.SIGSTOP), goal)
             server.signal(signal.SIGCONT)
 
@@ -268,8 +282,8 @@ async def test_a_client_with_a_longer_lease_does_not_notice_a_short_silence(
     caplog.set_level(logging.INFO, "fibaction.ros2")
     async with peer("ours", "serve_it", "loss_long", "asyncio") as server:
         async with (
-            waiting_for(server, "loss_long", url="ros2://long?lease=60") as (patient, _),
-            waiting_for(server, "loss_long", url="ros2://short") as (client, _),
+            waiting_for(server, "loss_long", rest="long?lease=60") as (patient, _),
+            waiting_for(server, "loss_long", rest="short") as (client, _),
         ):
             server.signal(signal.SIGSTOP)
             await noted(caplog, SILENT)
@@ -282,7 +296,7 @@ async def test_a_client_with_a_longer_lease_does_not_notice_a_short_silence(
 
 async def test_a_stock_server_that_stops_is_missed_at_once() -> None:
     async with peer("tutorial_server") as server:
-        async with connect("ros2://", action("tutorial")) as client:
+        async with connect(url_of(""), action("tutorial")) as client:
             await client.wait_for_server(20)
             goal = await client.send_goal(Goal(50))
             assert await anext(goal.feedback) == Feedback([0, 1, 1])
@@ -304,7 +318,7 @@ async def test_a_stock_server_that_is_killed_is_missed_when_its_lease_ends(
 
 
 async def test_a_server_that_comes_back_is_used_again() -> None:
-    async with connect(IMPATIENT, action("loss_again")) as client:
+    async with connect(url_of(IMPATIENT), action("loss_again")) as client:
         async with peer("ours", "serve_it", "loss_again", "asyncio") as server:
             await client.wait_for_server(20)
             goal = await client.send_goal(Goal(orders.WAITS))
@@ -323,7 +337,7 @@ async def test_a_stock_server_that_was_killed_is_missed_although_another_has_tak
     async with server_with_lease(tmp_path) as first:
         async with waiting_for(first, "stock") as (client, goal):
             presence = client_of(client.endpoint).presence
-            node = node_of(client)
+            ros = presence._ros
             parts = [
                 f"/stock/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result")
             ]
@@ -331,7 +345,8 @@ async def test_a_stock_server_that_was_killed_is_missed_although_another_has_tak
             async def servers() -> int:
                 """The servers that the client has found with all their parts."""
                 topics = [one.publisher_count() for one in presence._subscriptions]
-                return int(min(*topics, *map(node.count_services, parts)))
+                found = [len(ros.request_readers(part)) for part in parts]
+                return int(min(*topics, *found))
 
             with await client.endpoint.status() as statuses:
                 async with peer("server"):  # it is there before the graph misses the other

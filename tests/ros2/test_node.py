@@ -16,7 +16,6 @@ from fibaction._runtime.tasks import Background
 from fibaction.words.errors import ConnectionLost, TransportError
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.on_rclpy.mailbox import Mailbox
-from fibaction_transports.ros2.on_rclpy.opening import own_node, users_node
 from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
     InvalidHandle,
@@ -27,6 +26,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
     uuid_of,
     waitable,
 )
+from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node, users_node
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
 from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable

@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from fibaction import ActionServer, connect, serve
-from fibaction_transports.ros2.on_rclpy.opening import own_node
+from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.ros2.ends import PATIENCE, new_url
 from tests.ros2.spun import spun_node

@@ -47,10 +47,17 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
+@pytest.fixture(scope="module", params=["ros2", "dds"])
+def scheme(request: pytest.FixtureRequest) -> str:
+    """The way of our end: through rclpy, or over our own DDS."""
+    return str(request.param)
+
+
 @pytest.fixture(scope="module")
-async def connection(anyio_backend: str) -> AsyncGenerator[ClientConnection, None]:
+async def connection(anyio_backend: str, scheme: str) -> AsyncGenerator[ClientConnection, None]:
     """To a stock server, and to that of the tutorial."""
-    async with peer("server"), peer("tutorial_server"), connect("ros2://our_client") as found:
+    url = f"{scheme}://our_client"
+    async with peer("server"), peer("tutorial_server"), connect(url) as found:
         for name in ("stock", "stock_hasty", "tutorial"):
             await found.client(action(name)).wait_for_server(20)
         yield found
@@ -301,8 +308,8 @@ async def test_a_server_that_is_there_is_found_at_once(client: Client) -> None:
     assert perf_counter() - start < 0.25  # rclpy looks once in that time
 
 
-async def test_a_server_that_is_not_there_is_not_found() -> None:
-    async with connect("ros2://another", action("missing"), discovery_timeout=0.3) as missing:
+async def test_a_server_that_is_not_there_is_not_found(scheme: str) -> None:
+    async with connect(f"{scheme}://another", action("missing"), discovery_timeout=0.3) as missing:
         start = perf_counter()
         with pytest.raises(ServerNotFound, match="missing"):
             await missing.wait_for_server(0.3)
@@ -337,7 +344,7 @@ async def test_a_goal_of_another_type_is_rejected_before_it_is_sent(client: Clie
 
 @pytest.mark.promise("REACH-1")
 async def test_an_action_of_another_type_under_the_same_name_finds_no_server(
-    client: Client,
+    client: Client, scheme: str
 ) -> None:
     other = Action(
         "stock",
@@ -346,7 +353,7 @@ async def test_an_action_of_another_type_under_the_same_name_finds_no_server(
         result=Result,
         type_name="test_msgs/action/Fibonacci",
     )
-    async with connect("ros2://another", other, discovery_timeout=0.5) as stranger:
+    async with connect(f"{scheme}://another", other, discovery_timeout=0.5) as stranger:
         with pytest.raises(ServerNotFound):
             await stranger.send_goal(Goal(1))
     assert await client.call(Goal(2)) == Result([0, 1, 1])

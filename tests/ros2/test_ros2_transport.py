@@ -335,7 +335,9 @@ def test_a_node_and_its_description_cannot_be_given_both() -> None:
         Ros2Transport("robot", node=object())
 
 
-def test_a_package_without_rclpy_cannot_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_adapter_of_rclpy_cannot_be_imported_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with monkeypatch.context() as without:
         without.setattr(importlib.util, "find_spec", lambda name: None)
         with pytest.raises(TransportError, match=r"ros2:// needs rclpy.*setup\.bash"):
@@ -343,20 +345,29 @@ def test_a_package_without_rclpy_cannot_be_imported(monkeypatch: pytest.MonkeyPa
     importlib.reload(on_rclpy)
 
 
-def test_without_rclpy_the_error_says_how_to_get_it() -> None:
+def test_without_rclpy_it_goes_over_dds_and_an_error_says_how_to_get_rclpy() -> None:
     code = (
         "import importlib.util as util; find = util.find_spec\n"
         "util.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)\n"
         "from fibaction.border.urls import transport_for\n"
-        "transport_for('ros2://')"
+        "print(type(transport_for('ros2://')).__name__)\n"
+        "transport_for('ros2://?via=rclpy')"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False
     )
+    assert done.stdout == "DdsTransport\n"
     assert "TransportError: ros2:// needs rclpy" in done.stderr
     assert "setup.bash" in done.stderr
 
 
-def test_the_framework_does_not_import_rclpy() -> None:
-    code = "import sys, fibaction, fibaction_transports; assert 'rclpy' not in sys.modules"
+def test_rclpy_is_imported_only_when_a_transport_is_made() -> None:
+    code = (
+        "import sys, fibaction, fibaction_transports.ros2\n"
+        "from fibaction_transports.ros2.client import endpoint\n"
+        "from fibaction_transports.ros2.server import action_server\n"
+        "assert 'rclpy' not in sys.modules\n"
+        "fibaction_transports.ros2.Ros2Transport()\n"
+        "assert 'rclpy' in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], timeout=30, check=True)

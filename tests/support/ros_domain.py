@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
 
 DOMAINS = 102
 """The number of domain IDs whose UDP ports are below those that Linux assigns by itself."""
@@ -24,3 +29,17 @@ def claim_domain(first: int) -> tuple[int, socket.socket]:
         else:
             return domain, claim
     raise RuntimeError("all ROS domains of this machine are taken by test runs")
+
+
+@contextmanager
+def own_domain() -> Iterator[pytest.MonkeyPatch]:
+    """Take a domain that no other test run has, on this machine only; gives the changes of the
+    environment, to which more can be added.
+    """
+    number, claim = claim_domain(os.getpid())
+    with claim, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(number))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        for name in ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"):
+            patch.delenv(name, raising=False)
+        yield patch

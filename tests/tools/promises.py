@@ -128,8 +128,7 @@ def all_proofs() -> list[Proof]:
 def left_out_over_ros(source: str) -> dict[str, str]:
     """Return the tests of the contract that ROS 2 cannot keep, each with the name of the reason.
 
-    `source` is the text of tests/ros2/test_contract.py, which cannot be imported without ROS 2; its
-    `EXCLUSIONS` are read.
+    `source` is the text of tests/support/ros_contract.py, whose `EXCLUSIONS` are read.
     """
     for node in ast.parse(source).body:
         match node:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
-NOT_ELSEWHERE = f"{ELSEWHERE}/on_dds"
+NOT_ELSEWHERE = [f"{ELSEWHERE}/on_dds", f"{ELSEWHERE}/dds_transport.py"]  # needs none
 UNITS = {
     "fibaction/words/action_error.py": ["tests/words/test_errors.py"],
     "fibaction/_runtime/connection_counts.py": ["tests/observe/test_metrics.py"],
@@ -74,6 +74,8 @@ UNITS = {
         "tests/transports/tcp",
         "tests/transports/web",
     ],
+    "transports/fibaction_transports/ros2/dds_transport.py": ["tests/transports/ros2"],
+    "transports/fibaction_transports/ros2/on_dds": ["tests/transports/ros2"],
     "transports/fibaction_transports/rtps": ["tests/transports/rtps"],
     "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
     "transports/fibaction_transports/web": ["tests/transports/web"],
@@ -105,6 +107,7 @@ def modules(root: Path) -> Iterator[tuple[Path, list[Path]]]:
     """Yield each module that has code of its own, and the tests that cover it."""
     for source in SOURCES:
         for module in sorted((root / source).rglob("*.py")):
-            is_here = not module.is_relative_to(root / ELSEWHERE)
-            if has_code(module) and (is_here or module.is_relative_to(root / NOT_ELSEWHERE)):
+            is_elsewhere = module.is_relative_to(root / ELSEWHERE)
+            is_here = any(module.is_relative_to(root / one) for one in NOT_ELSEWHERE)
+            if has_code(module) and (is_here or not is_elsewhere):
                 yield module, tests_of(root, module)

@@ -16,6 +16,7 @@ COUNT: Action[int, int, int] = Action("count", goal=int, feedback=int, result=in
 def settings_of_a_client() -> None:
     connect("tcp://robot", COUNT, heartbeat=2, token="secret", limits=Limits(frame=2000))
     connect("ros2://", namespace="/robot", discovery_timeout=1.5)
+    connect("dds://", search=["interfaces"], discovery="LOCALHOST", peers=["robot"])
     connect("tcp://robot", COUNT, hartbeat=2)  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
     connect("tcp://robot", heartbeat="2")  # type: ignore[call-overload]  # pyright: ignore[reportArgumentType, reportCallIssue]
     connect("tcp://robot", tokens={})  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]

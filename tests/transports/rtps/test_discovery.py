@@ -480,6 +480,19 @@ def test_a_writer_that_promises_to_be_alive_is_followed() -> None:
     assert one.participant._shared.timers.next() > world.now + 0.5
 
 
+def test_a_reader_with_a_longer_lease_misses_a_silent_writer_later() -> None:
+    world = World(2)
+    one, other = world.pair()
+    one.participant.create_writer(TOPIC, TYPE, ALIVE, world.now)
+    patient = reader_of(world, other, Qos(liveliness_lease=5 * ALIVE.liveliness_lease))
+    assert world.run_until(lambda: bool(patient.writers))
+    world.kill(one)
+    world.run(3 * ALIVE.liveliness_lease)
+    assert other.all(LivelinessChanged) == []
+    world.run(3 * ALIVE.liveliness_lease)
+    assert [event.is_alive for event in other.all(LivelinessChanged)] == [False]
+
+
 @pytest.mark.parametrize("kind", [Liveliness.BY_PARTICIPANT, Liveliness.BY_TOPIC])
 def test_a_sample_shows_that_its_writer_is_alive(kind: Liveliness) -> None:
     world = World()

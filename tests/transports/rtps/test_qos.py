@@ -81,6 +81,13 @@ def test_a_writer_that_offers_more_serves_a_reader_that_requests_less() -> None:
     assert mismatches(Qos(), Qos()) == []
 
 
+@pytest.mark.parametrize("seconds", [0.1, 0.3, 1 / 3, 2.0])
+def test_equal_durations_match_although_they_are_rounded_on_the_wire(seconds: float) -> None:
+    qos = Qos(deadline=seconds, liveliness_lease=seconds)
+    told = read_qos(Parameters(tuple(qos_items(qos))), is_writer=True)
+    assert mismatches(told, qos) == mismatches(qos, told) == []
+
+
 @pytest.mark.parametrize("depth", [1, None])
 def test_what_is_announced_is_read(depth: int | None) -> None:
     qos = Qos(

@@ -1,21 +1,21 @@
-"""`ros2://node_name`: actions of ROS 2, served and called by a node of this process."""
+"""`ros2://node_name`: actions of ROS 2, through rclpy where it is installed, else over DDS."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from typing import Any
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
+from typing import Any, Final
 
-import msgspec
-
-from fibaction.border.abc import Connection, Endpoint, Transport
-from fibaction.border.urls import check_settings, unknown_setting, without_settings
-from fibaction.words.errors import InvalidURL, TransportError
-from fibaction_transports.ros2.client.endpoint import connect_actions
-from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
-from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
+from fibaction.border.peer_text import clean_logger
+from fibaction.border.urls import check_settings, without_settings
+from fibaction.words.errors import InvalidURL
+from fibaction_transports.ros2.dds_transport import DdsTransport
+from fibaction_transports.ros2.ros_transport import (
+    IN_URLS,
+    RosTransport,
+    shared_settings,
+    url_parts,
+)
 from fibaction_transports.ros2.settings import (
     LAST_DOMAIN,
     EndSettings,
@@ -23,35 +23,18 @@ from fibaction_transports.ros2.settings import (
     check_range,
 )
 
-_YES_OR_NO = {"true": True, "false": False}
+_RCLPY, _DDS = _WAYS = ("rclpy", "dds")
+_VIA: Final = "via="
+_RCLPY_IN_URLS: Final[Mapping[str, Callable[[str], Any]]] = {**IN_URLS, "introspection": str}
+"""The settings that a URL may have with rclpy, and their types."""
 
-_IN_URLS: dict[str, Callable[[str], Any]] = {
-    "namespace": str,
-    "domain_id": int,
-    "feedback_depth": int,
-    "discovery_timeout": float,
-    "lease": float,
-    "reconnect": _YES_OR_NO.__getitem__,
-    "reconnect_timeout": float,
-    "services_qos": str,
-    "feedback_qos": str,
-    "status_qos": str,
-    "introspection": str,
-}
-"""The settings that a URL may have, and their types."""
-
-_NAMES = (*_IN_URLS, "arguments", "node")
-"""The settings that are given by name."""
-
-_SHARED = ("lease", "services_qos", "feedback_qos", "status_qos")
-"""The settings that a client should have as its server has them."""
-_USUAL = {"namespace": "", **msgspec.structs.asdict(EndSettings())}
+logger = clean_logger("fibaction.ros2")
 
 
-class Ros2Transport(Transport):
-    """The actions of a ROS graph."""
+class Ros2Transport(RosTransport):
+    """The actions of a ROS graph, through rclpy."""
 
-    shares_address = True
+    scheme = "ros2"
 
     def __init__(
         self,
@@ -107,11 +90,8 @@ class Ros2Transport(Transport):
                 description are given.
             TransportError: This Python has no rclpy.
         """
-        from fibaction_transports.ros2 import on_rclpy  # not before it is known to be wanted
-
-        self._adapter = on_rclpy
         check_range("domain_id", domain_id or 0, 0, LAST_DOMAIN)
-        self._ends = EndSettings(
+        ends = EndSettings(
             feedback_depth=feedback_depth,
             discovery_timeout=discovery_timeout,
             lease=lease,
@@ -122,110 +102,52 @@ class Ros2Transport(Transport):
             status_qos=status_qos,
             introspection=introspection,
         )
-        self._settings = NodeSettings(node_name or "", namespace, domain_id, arguments)
-        if node is not None and self._settings != NodeSettings():
+        settings = NodeSettings(node_name or "", namespace, domain_id, arguments)
+        if node is not None and settings != NodeSettings():
             raise ValueError("a node has its name, namespace, domain and arguments already")
-        self._node = node
+        from fibaction_transports.ros2.on_rclpy import RclpyAdapter  # which needs rclpy
+
+        shared = shared_settings(namespace, domain_id, ends)
+        if node is not None:
+            shared["namespace"] = node.get_namespace()
+        super().__init__(RclpyAdapter(settings, node), ends, shared)
 
     @classmethod
-    def from_url(cls, url: str, **settings: Any) -> Ros2Transport:
+    def from_url(cls, url: str, **settings: Any) -> RosTransport:
         """Make a transport from `ros2://node_name`, where the name may be left out.
 
-        All settings that are text or numbers can be in the URL, after `?`; `reconnect` is `true` or
-        `false` there.
+        It is a `DdsTransport` if `via` is `dds`, or if there is no `via` and this Python has no
+        rclpy. All settings that are text or numbers can be in the URL, after `?`; `reconnect` is
+        `true` or `false` there.
 
         Raises:
             InvalidURL: The URL is not valid; the text says what is wrong.
+            TransportError: `via` is `rclpy`, and this Python has none.
             TypeError: There is no such setting.
         """
-        check_settings(cls.__name__, settings, _NAMES)
+        via, rest = _split_via(url)
+        via = settings.pop("via", via) or (_RCLPY if find_spec("rclpy") else _DDS)
         where = without_settings(url)
+        if via not in _WAYS:
+            raise InvalidURL(f"{where}: via is {' or '.join(_WAYS)}, not {via!r}")
+        if via == _DDS:
+            logger.info("%s goes over DDS, without ROS", where)
+            return DdsTransport.from_url(
+                rest.replace(cls.scheme, DdsTransport.scheme, 1), **settings
+            )
+        logger.info("%s goes through rclpy", where)
+        check_settings(cls.__name__, settings, (*_RCLPY_IN_URLS, "via", "arguments", "node"))
+        name, found = url_parts(rest, _RCLPY_IN_URLS)
         try:
-            parts = urlsplit(url)
-            if parts.path.strip("/") or "#" in url:
-                what = "part after #" if "#" in url else "path"
-                raise InvalidURL(
-                    f"invalid ROS URL {where}: it has a {what}; a valid one is, for example,"
-                    " ros2://node_name?namespace=/robot1&domain_id=7"
-                )
-            found = _settings(where, parse_qsl(parts.query, keep_blank_values=True))
-            return cls(parts.netloc or None, **{**found, **settings})
+            return cls(name, **{**found, **settings})
         except ValueError as exc:
             raise InvalidURL(f"{where}: {exc}") from exc
 
-    @property
-    def url(self) -> str:
-        """The URL with which a client finds the same graph, and suits servers with these
-        settings.
-        """
-        if self._node is not None:
-            return self._url_in(self._node.get_namespace())
-        return self._url(self._settings.namespace)
 
-    def _url_in(self, space: str) -> str:
-        """Return the URL with which a client gets the namespace of a node, remapped or not."""
-        is_named = space != "/" or self._settings.namespace or self._node is not None
-        return self._url(space if is_named else "")
-
-    def _url(self, namespace: str) -> str:
-        settings = {"namespace": namespace, "domain_id": self._settings.domain_id}
-        settings |= {name: getattr(self._ends, name) for name in _SHARED}
-        given = {name: one for name, one in settings.items() if one not in (_USUAL.get(name), None)}
-        return f"ros2://{'?' if given else ''}{urlencode(given, safe='/,')}"
-
-    @asynccontextmanager
-    async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
-        """See `Transport.serve`. First, the types of all actions are compared with those of ROS."""
-        served = _served(endpoints, self._adapter.RclpyTypes())
-        async with self._open() as ros:
-            full = [action_names(ros.resolve, endpoint.info.name) for endpoint in endpoints]
-            if len(set(full)) < len(full):
-                raise TransportError("two of the endpoints serve actions of the same name")
-            async with serve_actions(ros, served, self._ends):
-                yield self._url_in(ros.namespace)
-
-    @asynccontextmanager
-    async def connect(self) -> AsyncGenerator[Connection, None]:
-        """See `Transport.connect`. It does not look for servers, which may come later."""
-        async with (
-            self._open() as ros,
-            connect_actions(ros, self._ends) as connection,
-        ):
-            yield connection
-
-    def _open(self) -> AbstractAsyncContextManager[RosNode]:
-        if self._node is None:
-            return self._adapter.own_node(self._settings)
-        return self._adapter.users_node(self._node)
-
-
-def _served(endpoints: Sequence[Endpoint], types: RosTypes) -> list[ServedEndpoint]:
-    served: list[ServedEndpoint] = []
-    errors: list[str] = []
-    for endpoint in endpoints:
-        try:
-            served.append(ServedEndpoint(endpoint, types))
-        except TransportError as exc:
-            errors.append(str(exc))
-    if errors:
-        raise TransportError(";\n".join(errors))
-    return served
-
-
-def _settings(where: str, query: list[tuple[str, str]]) -> dict[str, Any]:
-    """Return the settings in a URL, converted to their types; `where` names the URL in errors.
-
-    Raises:
-        InvalidURL: There is no such setting, or it is given twice, or has another type.
-    """
-    settings: dict[str, Any] = {}
-    for name, text in query:
-        if name not in _IN_URLS:
-            raise InvalidURL(unknown_setting(where, name, _IN_URLS))
-        if name in settings:
-            raise InvalidURL(f"{where}: setting {name!r} given twice")
-        try:
-            settings[name] = _IN_URLS[name](text)
-        except (ValueError, KeyError):
-            raise InvalidURL(f"{where}: invalid setting {name!r}: {text!r}") from None
-    return settings
+def _split_via(url: str) -> tuple[str, str]:
+    """Return the setting `via` of a URL, and the URL without it."""
+    base, mark, query = url.partition("?")
+    words = query.split("&")
+    rest = [word for word in words if not word.startswith(_VIA)]
+    via = next((word.removeprefix(_VIA) for word in words if word.startswith(_VIA)), "")
+    return via, f"{base}{mark if rest else ''}{'&'.join(rest)}"

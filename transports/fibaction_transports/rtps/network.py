@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager, closing
 
 import anyio
 
+from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
@@ -201,17 +202,14 @@ async def open_network(
         )
         network = ParticipantNetwork(participant, sockets, on_event)
         try:
-            async with anyio.create_task_group() as tasks:
+            async with Background() as tasks:
                 if reach is not DiscoveryRange.OFF:
                     for source in sockets.received:
                         tasks.start_soon(network.receive_from, source)
                 tasks.start_soon(network.keep_deadlines)
                 tasks.start_soon(network.send_later)
                 network.settle()
-                try:
-                    yield network
-                finally:
-                    tasks.cancel_scope.cancel()
+                yield network
         finally:
             await network.close()
 

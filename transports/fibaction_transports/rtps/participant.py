@@ -150,6 +150,10 @@ class Participant:
         """The endpoints of other participants, matched or not."""
         return self._remote.all()
 
+    def remote_endpoints_on(self, topic: str) -> list[EndpointData]:
+        """Return the endpoints that other participants have on a topic, matched or not."""
+        return self._remote.on_topic(topic)
+
     def vendor_of(self, prefix: bytes) -> bytes | None:
         """Return the vendor of another participant; None if it is not known."""
         remote = self._participants.get(prefix)

@@ -16,6 +16,8 @@ _XCDR1 = 0
 _BLOCKING = 0.1
 """The time that a writer may wait for room, as DDS announces it by default, in seconds."""
 _REPRESENTATION = struct.pack("<Ihxx", 1, _XCDR1)
+_ROUNDING = 1e-6
+"""The most by which a duration differs, in seconds, after it was written and read again."""
 _SHARED = 0
 _ENTIRE_TOPIC = [""]
 
@@ -91,7 +93,7 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
             ("deadline", offered.deadline, requested.deadline),
             ("liveliness lease", offered.liveliness_lease, requested.liveliness_lease),
         )
-        if offer > request
+        if offer > request + _ROUNDING
     ]
     if offered.ownership != requested.ownership:
         found.append("ownership: one end is shared, the other exclusive")

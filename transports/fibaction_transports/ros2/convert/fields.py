@@ -161,7 +161,7 @@ def _octet(number: int) -> bytes:
 
 
 class Number(Single):
-    """A number. A message has several of them in an `array.array`."""
+    """A number. A message has several of them in an `array.array`, or as a default in a list."""
 
     def __init__(self, text: str, code: str) -> None:
         """`text` is also numpy's name of the type, and `code` the type code of `array`."""
@@ -287,6 +287,8 @@ class Numbers(ArrayKind):
         return Part(msgspec.Raw, self.made, bytes if as_bytes else self._read)
 
     def _read(self, numbers: Any) -> Any:
+        if isinstance(numbers, list):  # a default of the field
+            return numbers
         if numpy is None or len(numbers) < LARGE:
             return list(numbers) if isinstance(numbers, bytes) else numbers.tolist()
         return pack(numpy.frombuffer(numbers, self.number.dtype))

@@ -14,7 +14,6 @@ if find_spec("rclpy") is None:
     )
 
 # After that check
-from fibaction_transports.ros2.on_rclpy.opening import own_node, users_node
-from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes, message_types
+from fibaction_transports.ros2.on_rclpy.rclpy_adapter import RclpyAdapter
 
-__all__ = ["RclpyTypes", "message_types", "own_node", "users_node"]
+__all__ = ["RclpyAdapter"]

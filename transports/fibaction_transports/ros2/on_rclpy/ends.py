@@ -1,15 +1,17 @@
-"""The ends of topics and services, over raw handles of rclpy.
+"""The ends of topics and services: ours over raw handles of rclpy, and others in the graph.
 
-They may be used after ROS was shut down, which may happen at any moment.
+Ours may be used after ROS was shut down, which may happen at any moment.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.node.parts import (
+    EndInfo,
     LifeSigns,
     LifeWatch,
     ServiceCaller,
@@ -17,7 +19,13 @@ from fibaction_transports.ros2.node.parts import (
     TopicPublisher,
     TopicSubscription,
 )
-from fibaction_transports.ros2.on_rclpy.rcl import has_answered
+from fibaction_transports.ros2.on_rclpy.rcl import Duration, has_answered, rclpy_qos
+from fibaction_transports.ros2.qos import EndQos
+
+_BILLION = 10**9
+_INFINITE = 2**63 - 1
+"""The nanoseconds of an infinite duration."""
+_UNNAMED = "_NODE_NAME_UNKNOWN_"
 
 Attempt: TypeAlias = Callable[..., Any]
 """Calls rclpy: see `RclpyNode.attempt`."""
@@ -101,3 +109,37 @@ class RclpyLifeWatch(LifeWatch):
             return None
         before, self._before = self._before, LifeSigns(event.alive_count, event.not_alive_count)
         return None if self._before == before else self._before
+
+
+def profile_of(qos: EndQos) -> Any:
+    """Return the profile for an end."""
+    profile = rclpy_qos.QoSProfile(
+        reliability=rclpy_qos.ReliabilityPolicy[qos.reliability.upper()],
+        durability=rclpy_qos.DurabilityPolicy[qos.durability.upper()],
+        depth=qos.depth,
+    )
+    if not math.isinf(qos.lease):
+        profile.liveliness = rclpy_qos.LivelinessPolicy.AUTOMATIC
+        profile.liveliness_lease_duration = Duration(seconds=qos.lease)
+    return profile
+
+
+def end_info(end: Any) -> EndInfo:
+    """Return what the graph tells of an end."""
+    profile = end.qos_profile
+    lease = profile.liveliness_lease_duration.nanoseconds
+    return EndInfo(
+        bytes(end.endpoint_gid),
+        _full_name(end.node_namespace, end.node_name),
+        EndQos(
+            reliability=profile.reliability.name.lower(),
+            durability=profile.durability.name.lower(),
+            depth=profile.depth,
+            lease=lease / _BILLION if lease < _INFINITE else math.inf,
+        ),
+    )
+
+
+def _full_name(namespace: str, name: str) -> str:
+    """Return the full name of a node; empty if it is not yet discovered."""
+    return "" if name == _UNNAMED else f"{namespace.rstrip('/')}/{name}"

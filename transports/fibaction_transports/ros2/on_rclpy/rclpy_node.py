@@ -29,9 +29,10 @@ from fibaction_transports.ros2.on_rclpy.ends import (
     RclpyProvider,
     RclpyPublisher,
     RclpySubscription,
+    end_info,
+    profile_of,
 )
 from fibaction_transports.ros2.on_rclpy.mailbox import Mailbox, Sink
-from fibaction_transports.ros2.on_rclpy.profiles import end_info, profile_of
 from fibaction_transports.ros2.on_rclpy.rcl import (
     LIVELINESS_CHANGED,
     IntrospectionState,

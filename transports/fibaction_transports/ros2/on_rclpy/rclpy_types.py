@@ -49,15 +49,6 @@ class RclpyTypes(RosTypes):
             raise ProtocolError(text_of(exc)) from exc
 
 
-def message_types(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
-    """Return structs for the goal, the feedback and the result of a ROS action type.
-
-    Raises:
-        TransportError: As for `RosTypes.find`.
-    """
-    return RclpyTypes().find(type_name).types
-
-
 @cache
 def _found(type_name: str) -> RosAction:
     package, _, name = type_name.split("/")

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
+import msgspec
+
 from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
 from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
 from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
@@ -13,7 +17,7 @@ from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import EndpointMatched, EndpointUnmatched, QosMismatch
 from fibaction_transports.rtps.messages.ids import Guid
-from fibaction_transports.rtps.qos import mismatches
+from fibaction_transports.rtps.qos import Qos, mismatches
 
 
 class Matcher:
@@ -78,6 +82,15 @@ class Matcher:
         if isinstance(endpoint, DataWriter):
             endpoint.match(data.guid, route, data.qos, now)
             return
-        self._liveliness.follow(endpoint.guid, data.guid, data.qos, now)
+        self._liveliness.follow(endpoint.guid, data.guid, _followed(data.qos, endpoint.qos), now)
         heartbeat = self._early.take(data.guid)
         endpoint.match(data.guid, route, data.qos, participant.data.vendor, now, heartbeat)
+
+
+def _followed(offered: Qos, requested: Qos) -> Qos:
+    """Return the promise of a writer to show that it is alive, as its reader takes it: within the
+    lease of the reader, which is not the shorter one.
+    """
+    if math.inf in (offered.liveliness_lease, requested.liveliness_lease):
+        return offered
+    return msgspec.structs.replace(offered, liveliness_lease=requested.liveliness_lease)

@@ -1,15 +1,19 @@
-"""The opening of a node of rclpy: one of our own, with a context and a thread, or the user's."""
+"""The way to a graph of ROS through rclpy: a node of our own, with a context and a thread, or the
+user's.
+"""
 
 from __future__ import annotations
 
 import os
 import uuid
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
+from fibaction_transports.ros2.adapter import RosAdapter
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_rclpy.parameters import parameter_services
 from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
@@ -19,8 +23,22 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
     validate_node_name,
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
+from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
 from fibaction_transports.ros2.settings import LAST_DOMAIN, NodeSettings
+
+
+class RclpyAdapter(RosAdapter):
+    """The way to a graph of ROS through rclpy."""
+
+    def __init__(self, settings: NodeSettings, node: Any) -> None:
+        """`node` is the user's own; None makes one with these settings each time."""
+        self.types = RclpyTypes()
+        self._settings = settings
+        self._node = node
+
+    def open(self) -> AbstractAsyncContextManager[RosNode]:
+        return own_node(self._settings) if self._node is None else users_node(self._node)
 
 
 @asynccontextmanager

@@ -1,0 +1,211 @@
+"""`dds://` as users meet it: its URLs, its errors, and what an action needs."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import os
+import re
+import uuid
+from pathlib import Path
+from typing import Any
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction import (
+    Action,
+    ActionServer,
+    InvalidURL,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.border.urls import transport_for
+from fibaction_transports.ros2 import DdsTransport
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+ROOT = Path(__file__).parents[3]
+PATIENCE = 10.0
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("dds://robot/arm", "invalid ROS URL dds://robot/arm: it has a path"),
+        ("dds://robot#arm", "invalid ROS URL dds://robot#arm: it has a part after #"),
+        ("dds://[", "Invalid IPv6 URL"),
+        ("dds://?color=red", "has no setting 'color'; its settings are namespace, domain_id"),
+        ("dds://?introspection=off", "has no setting 'introspection'"),
+        ("dds://?domain_id=x", "dds://: invalid setting 'domain_id': 'x'"),
+        ("dds://?domain_id=1&domain_id=2", "dds://: setting 'domain_id' given twice"),
+        ("dds://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
+        ("dds://?lease=0", "lease must be between 0.1 and 3600, not 0.0"),
+        ("dds://?discovery=FAR", "discovery is one of OFF, LOCALHOST, SUBNET, not 'FAR'"),
+        ("dds://?fragment_size=1", "fragment_size must be between 256 and 63000, not 1"),
+    ],
+)
+def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:
+    with pytest.raises(InvalidURL) as caught:
+        transport_for(url)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_setting_that_there_is_not_is_an_error() -> None:
+    with pytest.raises(TypeError, match="DdsTransport has no setting 'node'"):
+        transport_for("dds://", node=object())
+
+
+def url_of(where: str, **settings: Any) -> str:
+    transport = transport_for(where, **settings)
+    assert isinstance(transport, DdsTransport)
+    return transport.url
+
+
+def test_settings_take_precedence_over_those_in_the_url() -> None:
+    assert url_of("dds://?domain_id=1", domain_id=2) == "dds://?domain_id=2"
+
+
+def test_the_url_has_the_settings_that_a_client_must_share() -> None:
+    url = "dds://arm?namespace=/robot&lease=5&discovery=SUBNET&peers=a,b&search=/x,/y"
+    assert url_of(url) == ("dds://?namespace=/robot&lease=5.0&discovery=SUBNET&peers=a,b")
+    assert DdsTransport().url == "dds://"
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("dds://1st", "invalid node_name '1st': it has letters, digits and _"),
+        ("dds://?namespace=a%20b", "invalid namespace '/a b'"),
+        ("dds://?peers=nowhere.invalid", "static peer 'nowhere.invalid' is unknown"),
+    ],
+)
+async def test_a_node_that_cannot_be_made_is_an_error_of_one_sentence(url: str, text: str) -> None:
+    with pytest.raises(TransportError) as caught:
+        async with connect(url):
+            pass  # pragma: no cover
+    assert text in str(caught.value)
+
+
+def test_ros2_goes_over_dds_if_it_is_told_so(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    made = transport_for("ros2://arm?via=dds&namespace=/robot")
+    assert isinstance(made, DdsTransport)
+    assert made.url == "dds://?namespace=/robot"
+    assert isinstance(transport_for("ros2://", via="dds"), DdsTransport)
+    assert "ros2:// goes over DDS, without ROS" in caplog.text
+
+
+def test_a_way_that_there_is_not_is_an_error() -> None:
+    with pytest.raises(InvalidURL, match="ros2://arm: via is rclpy or dds, not 'zenoh'"):
+        transport_for("ros2://arm?via=zenoh&lease=2")
+
+
+async def test_names_can_be_remapped_and_the_url_has_the_namespace() -> None:
+    space = f"/t{uuid.uuid4().hex}"
+    arguments = ["--ros-args", "-r", f"__ns:={space}", "-r", "fibonacci:=sequence"]
+    action = Action(
+        "sequence",
+        goal=Goal,
+        feedback=FIBONACCI.feedback.type,
+        result=Result,
+        type_name=FIBONACCI.type_name,
+    )
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), "dds://", arguments=arguments) as (url,),
+            connect(url, action) as client,
+        ):
+            assert url == f"dds://?namespace={space}"
+            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+
+
+async def test_two_servers_of_one_name_are_an_error() -> None:
+    servers = [ActionServer(FIBONACCI, fibonacci) for _ in range(2)]
+    with pytest.raises(TransportError, match="two of the endpoints serve actions of the same"):
+        async with serve(servers, "dds://"):
+            pass  # pragma: no cover
+
+
+async def test_an_action_without_a_server_is_not_found() -> None:
+    with anyio.fail_after(PATIENCE):
+        async with connect("dds://?discovery_timeout=0.1", FIBONACCI) as client:
+            with pytest.raises(ServerNotFound, match="no server of the action 'fibonacci'"):
+                await client.call(Goal(1))
+
+
+async def test_actions_are_listed_with_the_nodes_that_serve_them() -> None:
+    space = f"/t{uuid.uuid4().hex}"
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), f"dds://arm?namespace={space}") as (url,),
+            connect(url) as connection,
+        ):
+            (info,) = [one for one in await connection.actions() if one.name == "fibonacci"]
+            assert info.type_name == FIBONACCI.type_name
+            assert info.goal["$defs"]
+            peers = await connection.peers("fibonacci")
+            assert list(peers.servers) == [f"{space}/arm"]
+
+
+class Grid(msgspec.Struct):
+    data: bytes
+
+
+def write_big(folder: Path) -> None:
+    path = folder / "big_msgs/action/Big.action"
+    path.parent.mkdir(parents=True)
+    path.write_text("uint8[] data\n---\nuint8[] data\n---\nuint8[] data\n")
+
+
+class Seen(msgspec.Struct):
+    data: bytes
+
+
+@pytest.mark.parametrize("size", [1_000_000, 8_000_000])
+async def test_goals_feedback_and_results_may_be_large(size: int, tmp_path: Path) -> None:
+    write_big(tmp_path)
+    big = Action("big", goal=Grid, feedback=Seen, result=Other, type_name="big_msgs/action/Big")
+    content = os.urandom(size)
+
+    async def execute(goal: Any) -> Any:
+        assert goal.request.data == content
+        yield Seen(goal.request.data)
+        yield Other(goal.request.data)
+
+    heard: list[bool] = []
+    space = f"/t{uuid.uuid4().hex}"
+    with anyio.fail_after(3 * PATIENCE):
+        async with (
+            serve(
+                ActionServer(big, execute), f"dds://?namespace={space}", search=[str(tmp_path)]
+            ) as (url,),
+            connect(url, big, search=[str(tmp_path)]) as client,
+        ):
+            result = await client.call(
+                Grid(content), on_feedback=lambda one: heard.append(one.data == content)
+            )
+    assert heard == [True]
+    assert result == Other(content)
+
+
+class Other(msgspec.Struct):
+    data: bytes
+
+
+def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
+    page = (ROOT / "docs/reference/ros2.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", page, re.MULTILINE)
+    documented = {name: ast.literal_eval(default.strip("`")) for name, default in rows}
+    settings = dict(inspect.signature(DdsTransport).parameters)
+    del settings["node_name"]  # it is what the URL itself says
+    assert documented.keys() - settings.keys() == {"node", "introspection"}
+    assert {name: documented[name] for name in settings} == {
+        name: setting.default for name, setting in settings.items()
+    }

@@ -1,0 +1,109 @@
+"""The way to a graph of ROS over our own DDS."""
+
+from __future__ import annotations
+
+import os
+import sys
+import uuid
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import msgspec
+
+from fibaction.words.errors import TransportError
+from fibaction_transports.ros2.adapter import RosAdapter
+from fibaction_transports.ros2.on_dds.arguments import (
+    NameResolver,
+    RosArguments,
+    node_name,
+    read_arguments,
+)
+from fibaction_transports.ros2.on_dds.graph import NodeName
+from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
+from fibaction_transports.ros2.on_dds.node import DdsNode, open_node
+from fibaction_transports.ros2.on_dds.parameters import USE_SIM_TIME
+from fibaction_transports.ros2.settings import NodeSettings, check_range
+from fibaction_transports.rtps.ports import DiscoveryRange, DomainSettings
+
+_YES_OR_NO = {"true": True, "false": False}
+
+
+class DdsSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The settings of DDS. `DdsTransport` describes each of them."""
+
+    search: tuple[str, ...] = ()
+    discovery: str = ""
+    peers: tuple[str, ...] = ()
+    network: tuple[str, ...] = ()
+    fragment_size: int = 63_000
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range, or a word is not one of those that are valid.
+        """
+        check_range("fragment_size", self.fragment_size, 256, 63_000)
+        if self.discovery and self.discovery not in DiscoveryRange.__members__:
+            known = ", ".join(DiscoveryRange.__members__)
+            raise ValueError(f"discovery is one of {known}, not {self.discovery!r}")
+
+
+class DdsAdapter(RosAdapter):
+    """The way to a graph of ROS over our own DDS."""
+
+    def __init__(self, node: NodeSettings, settings: DdsSettings) -> None:
+        self.types = self._types = DdsTypes(settings.search)
+        self._node = node
+        self._settings = settings
+
+    @asynccontextmanager
+    async def open(self) -> AsyncGenerator[DdsNode, None]:
+        """See `RosAdapter.open`."""
+        given = self._node.arguments
+        arguments = read_arguments(sys.argv if given is None else given)
+        name = self._node.name or f"fibaction_{uuid.uuid4().hex[:8]}"
+        full = node_name(name, self._node.namespace, arguments)
+        resolver = NameResolver(full, arguments)
+        opened = open_node(
+            self._domain(),
+            full,
+            resolver,
+            self._types,
+            network=self._settings.network,
+            fragment_size=self._settings.fragment_size,
+        )
+        async with opened as node:
+            if (value := _simulated_time(full, arguments)) is not None:
+                node.parameters.set_use_sim_time(value)
+            yield node
+
+    def _domain(self) -> DomainSettings:
+        settings, domain = self._settings, self._node.domain_id
+        environ = dict(os.environ)
+        if domain is not None:
+            environ["ROS_DOMAIN_ID"] = str(domain)
+        if settings.discovery:
+            environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = settings.discovery
+            environ.pop("ROS_LOCALHOST_ONLY", None)
+        if settings.peers:
+            environ["ROS_STATIC_PEERS"] = ";".join(settings.peers)
+        try:
+            return DomainSettings.from_environment(environ)
+        except ValueError as exc:
+            raise TransportError(str(exc)) from exc
+
+
+def _simulated_time(node: NodeName, arguments: RosArguments) -> bool | None:
+    """Return the value of `use_sim_time` in the arguments; None if they do not have it.
+
+    Raises:
+        TransportError: It is not a bool.
+    """
+    found = None
+    for only, name, text in arguments.parameters:
+        if name == USE_SIM_TIME and only in ("", node.name):
+            if text.lower() not in _YES_OR_NO:
+                raise TransportError(f"-p {name}:={text}: expected true or false")
+            found = _YES_OR_NO[text.lower()]
+    return found

@@ -1,0 +1,175 @@
+"""The graph of ROS, as discovery tells it: ends of topics, and the nodes that they belong to.
+
+DDS knows participants and endpoints. Which of them belong to which node, each participant tells on
+a topic of its own: https://design.ros2.org/articles/Node_to_Participant_mapping.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from msgspec import Struct
+
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
+from fibaction.words.errors import ProtocolError
+from fibaction_transports.cdr.standard_messages import (
+    GidMessage,
+    NodeEntitiesInfo,
+    ParticipantEntitiesInfo,
+)
+from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.on_dds.messages.action_types import standard_type
+from fibaction_transports.ros2.on_dds.names import (
+    GRAPH_TOPIC,
+    ros_topic,
+    ros_type,
+)
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.network import ParticipantNetwork
+from fibaction_transports.rtps.qos import Durability, Qos, Reliability
+
+MOST_ENTITIES = 4_096
+"""Endpoints that a participant may name as those of its nodes; a message with more is ignored."""
+
+_KEPT = Qos(depth=1, durability=Durability.TRANSIENT_LOCAL)
+
+logger = clean_logger("fibaction.ros2")
+
+
+class NodeName(Struct, frozen=True):
+    """The name of a node, and its namespace, which is `/` without one."""
+
+    name: str
+    namespace: str
+
+    def __str__(self) -> str:
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+
+def dds_qos(qos: EndQos) -> Qos:
+    """Return the quality of service of an endpoint of RTPS."""
+    return Qos(
+        reliability=Reliability[qos.reliability.upper()],
+        durability=Durability[qos.durability.upper()],
+        depth=qos.depth,
+        liveliness_lease=qos.lease,
+    )
+
+
+def _end_qos(qos: Qos) -> EndQos:
+    return EndQos(
+        reliability="reliable" if qos.is_reliable else "best_effort",
+        durability="transient_local" if qos.is_transient_local else "volatile",
+        depth=qos.depth or 0,
+        lease=qos.liveliness_lease,
+    )
+
+
+class DdsGraph:
+    """The ends of all topics, those of this node among them."""
+
+    def __init__(self, network: ParticipantNetwork, node: NodeName) -> None:
+        """Announce a node without ends, and listen for the nodes of others."""
+        self._participant = network.participant
+        self._network = network
+        self._node = node
+        self._own: dict[Guid, DataWriter | DataReader] = {}
+        self._nodes: dict[bytes, dict[bytes, str]] = {}
+        """The nodes of the endpoints of each other participant."""
+        info = standard_type("ParticipantEntitiesInfo")
+        self._codec = info.codec
+        names = GRAPH_TOPIC, info.dds_name, _KEPT
+        self._writer = network.create_writer(*names, user_data=info.user_data)
+        self.reader = network.create_reader(*names, user_data=info.user_data)
+        """The reader of the nodes of others."""
+        self._changed = Notifier()
+        self._is_announced = False
+
+    # This node
+
+    def add(self, end: DataWriter | DataReader) -> None:
+        """Add an end of this node."""
+        self._own[end.guid] = end
+        self._announce_later()
+
+    def _announce_later(self) -> None:
+        self._is_announced = False
+        self._changed.notify()
+
+    async def run(self) -> None:
+        """Announce the ends of this node when they have changed, until canceled. Ends that are made
+        together are announced once.
+        """
+        while True:
+            while self._is_announced:
+                await self._changed.wait()
+            self._is_announced = True
+            self._network.write(self._writer, self._codec.encode(self._announcement()))
+
+    def _announcement(self) -> ParticipantEntitiesInfo:
+        ends = self._own.values()
+        node = NodeEntitiesInfo(
+            self._node.namespace,
+            self._node.name,
+            [GidMessage(end.guid) for end in ends if isinstance(end, DataReader)],
+            [GidMessage(end.guid) for end in ends if isinstance(end, DataWriter)],
+        )
+        return ParticipantEntitiesInfo(GidMessage(self._participant.guid), [node])
+
+    # Other nodes
+
+    def receive(self, sample: Sample) -> None:
+        """Take the nodes of another participant."""
+        prefix = sample.writer.prefix
+        try:
+            info = self._codec.decode(sample.payload)
+        except ProtocolError as exc:
+            logger.info("the nodes of participant %s cannot be read: %s", prefix.hex(), exc)
+            return
+        found = {
+            gid.data: str(NodeName(node.node_name, node.node_namespace))
+            for node in info.node_entities_info_seq
+            for gid in (*node.reader_gid_seq, *node.writer_gid_seq)
+        }
+        if len(found) <= MOST_ENTITIES:
+            self._nodes[prefix] = found
+
+    def forget(self, prefix: bytes) -> None:
+        """Forget the nodes of a participant that is gone."""
+        self._nodes.pop(prefix, None)
+
+    # Questions
+
+    def topics(self) -> list[tuple[str, str]]:
+        """Return the topics that have a publisher, each with the name of its type."""
+        found = {
+            ros_topic(end.topic): ros_type(end.type_name)
+            for end in (*self._own.values(), *self._participant.remote_endpoints)
+            if end.guid.is_writer and ros_topic(end.topic)
+        }
+        return list(found.items())
+
+    def writers(self, topic: str) -> Sequence[EndInfo]:
+        """Return the writers of a topic of DDS."""
+        return [self._info(end) for end in self._ends(topic) if end.guid.is_writer]
+
+    def readers(self, topic: str) -> Sequence[EndInfo]:
+        """Return the readers of a topic of DDS."""
+        return [self._info(end) for end in self._ends(topic) if end.guid.is_reader]
+
+    def _ends(self, topic: str) -> list[EndpointData | DataWriter | DataReader]:
+        own = [end for end in self._own.values() if end.topic == topic]
+        return [*own, *self._participant.remote_endpoints_on(topic)]
+
+    def _info(self, end: EndpointData | DataWriter | DataReader) -> EndInfo:
+        if end.guid in self._own:
+            node = str(self._node)
+        else:
+            node = self._nodes.get(end.guid.prefix, {}).get(bytes(end.guid), "")
+        return EndInfo(bytes(end.guid), node, _end_qos(end.qos))

@@ -1,0 +1,68 @@
+"""The messages that a node has beside those of its actions: parameters, and the time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from msgspec import Struct, field
+
+from fibaction.interfaces.files import InterfaceMessage
+from fibaction_transports.cdr.codec import CdrCodec
+from fibaction_transports.cdr.standard_messages import MESSAGES, STRUCTS, TimeMessage, composed
+from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
+
+
+class ParameterValue(Struct):
+    """An `rcl_interfaces/msg/ParameterValue`: the type says which of the values counts."""
+
+    type: int = 0
+    bool_value: bool = False
+    integer_value: int = 0
+    double_value: float = 0.0
+    string_value: str = ""
+    byte_array_value: bytes = b""
+    bool_array_value: list[bool] = []
+    integer_array_value: list[int] = []
+    double_array_value: list[float] = []
+    string_array_value: list[str] = []
+
+
+class Parameter(Struct):
+    """An `rcl_interfaces/msg/Parameter`."""
+
+    name: str = ""
+    value: ParameterValue = field(default_factory=ParameterValue)
+
+
+class ClockMessage(Struct):
+    """A `rosgraph_msgs/msg/Clock`: the time of a simulation."""
+
+    clock: TimeMessage = field(default_factory=TimeMessage)
+
+
+_PARTS: dict[str, InterfaceMessage] = dict(MESSAGES)
+_STRUCTS: dict[str, Callable[..., Any]] = dict(STRUCTS)
+
+
+def node_message(type_name: str, text: str, made: Callable[..., Any]) -> MessageType:
+    """Return the type of a message from its definition, in which messages are named without their
+    packages.
+    """
+    definition = composed(type_name, text, _PARTS)
+    _PARTS[type_name.rpartition("/")[2]] = definition
+    _STRUCTS[type_name] = made
+    return MessageType(definition, CdrCodec(definition, _STRUCTS), made)
+
+
+node_message(
+    "rcl_interfaces/msg/ParameterValue",
+    "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\nstring string_value\n"
+    "byte[] byte_array_value\nbool[] bool_array_value\nint64[] integer_array_value\n"
+    "float64[] double_array_value\nstring[] string_array_value",
+    ParameterValue,
+)
+PARAMETER: Final = node_message(
+    "rcl_interfaces/msg/Parameter", "string name\nParameterValue value", Parameter
+)
+CLOCK: Final = node_message("rosgraph_msgs/msg/Clock", "Time clock", ClockMessage)

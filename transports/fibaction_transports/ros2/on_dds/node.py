@@ -1,0 +1,288 @@
+"""A node of ROS over DDS, without ROS: a participant of RTPS, and the ends of its topics.
+
+What arrives is handed over on the event loop, in the order in which it has arrived.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+from anyio.abc import TaskGroup
+
+from fibaction.border.event_loop import Background
+from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
+from fibaction.words.errors import ConnectionLost, TransportError
+from fibaction_transports.ros2.node.parts import (
+    AnswerSink,
+    EndInfo,
+    ErrorSink,
+    MessageSink,
+    RequestSink,
+    ServiceCaller,
+    ServiceProvider,
+)
+from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.on_dds.arguments import NameResolver
+from fibaction_transports.ros2.on_dds.clock import CLOCK_TOPIC, DdsClock
+from fibaction_transports.ros2.on_dds.graph import DdsGraph, NodeName, dds_qos
+from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
+from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
+from fibaction_transports.ros2.on_dds.messages.node_messages import CLOCK
+from fibaction_transports.ros2.on_dds.names import reply_topic, request_topic, topic_name
+from fibaction_transports.ros2.on_dds.parameters import DdsParameters
+from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds
+from fibaction_transports.ros2.on_dds.topics import (
+    DdsLifeWatch,
+    DdsPublisher,
+    DdsSubscription,
+)
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.events import (
+    Event,
+    LivelinessChanged,
+    ParticipantLost,
+    SampleReceived,
+)
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.network import ParticipantNetwork, open_network
+from fibaction_transports.rtps.ports import DomainSettings
+
+logger = clean_logger("fibaction.ros2")
+
+
+class DdsNode(RosNode):
+    """A node over DDS."""
+
+    tells_signs = True
+
+    def __init__(
+        self,
+        network: ParticipantNetwork,
+        name: NodeName,
+        resolver: NameResolver,
+        types: DdsTypes,
+        tasks: TaskGroup,
+    ) -> None:
+        self.types = types
+        self.clock = self._clock = DdsClock()
+        self.parameters = DdsParameters(self._use_simulated_time)
+        self.error: ConnectionLost | None = None
+        self.name = name
+        self.namespace = name.namespace
+        self._resolver = resolver
+        self.graph = DdsGraph(network, name)
+        self._network = network
+        self._tasks = tasks
+        self._lost: list[Callable[[ConnectionLost], None]] = []
+        self._takers: dict[Guid, Callable[[Sample], None]] = {
+            self.graph.reader.guid: self.graph.receive
+        }
+        self._watches: dict[Guid, DdsLifeWatch] = {}
+        self._simulated_time: DdsSubscription | None = None
+        self.parameters.serve(self, str(name))
+        tasks.start_soon(self.graph.run, name="announcements of a ROS node")
+
+    # What arrives
+
+    def handle(self, event: Event) -> None:
+        """Handle an event of the participant."""
+        if isinstance(event, SampleReceived):
+            self._handle_sample(event.reader, event.sample)
+        elif isinstance(event, ParticipantLost):
+            self.graph.forget(event.prefix)
+        elif isinstance(event, LivelinessChanged) and event.reader in self._watches:
+            self._watches[event.reader].note(event)
+
+    def _handle_sample(self, reader: Guid, sample: Sample) -> None:
+        take = self._takers.get(reader)
+        if take is None:
+            return
+        try:
+            take(sample)
+        except Exception:
+            logger.exception("a message was dropped, because it could not be handled")
+
+    # The node itself
+
+    @property
+    def is_up(self) -> bool:
+        return self.error is None
+
+    def resolve(self, name: str) -> str:
+        return self._resolver.resolve(name)
+
+    def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
+        self._lost.append(call)
+
+    def fail(self, error: ConnectionLost) -> None:
+        if self.error is None:
+            self.error = error
+            for call in self._lost:
+                call(error)
+
+    def warn(self, text: str) -> None:
+        self._log(logging.WARNING, text)
+
+    def complain(self, text: str) -> None:
+        self._log(logging.ERROR, text)
+
+    def _log(self, level: int, text: str) -> None:
+        if self.is_up:
+            logger.log(level, "%s", excerpt(text, MESSAGE))
+
+    def _use_simulated_time(self, wanted: bool) -> None:
+        self._clock.use_simulated(wanted)
+        if wanted and self._simulated_time is None:
+            newest = EndQos(reliability="best_effort", depth=1)
+            self._simulated_time = self.subscription(CLOCK_TOPIC, CLOCK, newest, self._clock.take)
+
+    # Parts
+
+    def publisher(self, topic: str, message_type: MessageType, qos: EndQos) -> DdsPublisher:
+        writer = self._writer(topic_name(topic), message_type, qos)
+        return DdsPublisher(writer, message_type, self._network.write)
+
+    def subscription(
+        self,
+        topic: str,
+        message_type: MessageType,
+        qos: EndQos,
+        take: MessageSink,
+        *,
+        is_first: bool = False,
+    ) -> DdsSubscription:
+        reader = self._reader(topic_name(topic), message_type, qos)
+        subscription = DdsSubscription(reader, take)
+        self._takers[reader.guid] = subscription.receive
+        return subscription
+
+    def caller(
+        self,
+        service: str,
+        service_type: ServiceType,
+        qos: EndQos,
+        take: AnswerSink,
+        take_unreadable: ErrorSink | None = None,
+    ) -> DdsCaller:
+        # The reader first, so that a server that knows the writer knows where its answers go.
+        reader = self._reader(reply_topic(service), service_type.Response, qos)
+        writer = self._writer(request_topic(service), service_type.Request, qos)
+        ends = ServiceEnds(self._network, writer, reader)
+        caller = DdsCaller(ends, service_type, take, take_unreadable)
+        self._takers[reader.guid] = caller.receive
+        self._tasks.start_soon(caller.ask, name=f"client of {service}")
+        return caller
+
+    def provider(
+        self, service: str, service_type: ServiceType, qos: EndQos, take: RequestSink
+    ) -> DdsProvider:
+        writer = self._writer(reply_topic(service), service_type.Response, qos)
+        reader = self._reader(request_topic(service), service_type.Request, qos)
+        provider = DdsProvider(ServiceEnds(self._network, writer, reader), service_type, take)
+        self._takers[reader.guid] = provider.receive
+        return provider
+
+    def life_watch(self, topic: str, message_type: MessageType, qos: EndQos) -> DdsLifeWatch:
+        reader = self._reader(topic_name(topic), message_type, qos)
+        watch = self._watches[reader.guid] = DdsLifeWatch(reader)
+        return watch
+
+    def introspect(self, level: str, *services: ServiceCaller | ServiceProvider) -> None:
+        if level != "off":
+            raise TransportError(
+                f"introspection={level!r} needs ROS itself: leave it out with dds://"
+            )
+
+    def _writer(self, topic: str, message_type: MessageType, qos: EndQos) -> DataWriter:
+        made = self._network.create_writer(
+            topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
+        )
+        self.graph.add(made)
+        return made
+
+    def _reader(self, topic: str, message_type: MessageType, qos: EndQos) -> DataReader:
+        made = self._network.create_reader(
+            topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
+        )
+        self.graph.add(made)
+        return made
+
+    # The graph
+
+    def topics(self) -> list[tuple[str, str]]:
+        return self.graph.topics()
+
+    def publishers(self, topic: str) -> Sequence[EndInfo]:
+        return self.graph.writers(topic_name(topic))
+
+    def subscriptions(self, topic: str) -> Sequence[EndInfo]:
+        return self.graph.readers(topic_name(topic))
+
+    def request_readers(self, service: str) -> Sequence[EndInfo]:
+        return self.graph.readers(request_topic(service))
+
+    def answer_writers(self, service: str) -> Sequence[EndInfo]:
+        return self.graph.writers(reply_topic(service))
+
+    def count_callers(self, service: str) -> int:
+        return len(self.graph.writers(request_topic(service)))
+
+
+class _Inbox:
+    """The events of a participant, one after another even if one causes the next."""
+
+    def __init__(self) -> None:
+        self._events: deque[Event] = deque()
+        self._handle: Callable[[Event], Any] | None = None
+        self._is_busy = False
+
+    def open(self, handle: Callable[[Event], Any]) -> None:
+        """Handle the events that have come, and those that come."""
+        self._handle = handle
+        self._handle_all()
+
+    def put(self, event: Event) -> None:
+        """Handle an event now, or after those that are being handled."""
+        self._events.append(event)
+        self._handle_all()
+
+    def _handle_all(self) -> None:
+        if self._is_busy or self._handle is None:
+            return
+        self._is_busy = True
+        try:
+            while self._events:
+                self._handle(self._events.popleft())
+        finally:
+            self._is_busy = False
+
+
+@asynccontextmanager
+async def open_node(
+    domain: DomainSettings,
+    name: NodeName,
+    resolver: NameResolver,
+    types: DdsTypes,
+    *,
+    network: Sequence[str] = (),
+    fragment_size: int = 63_000,
+) -> AsyncGenerator[DdsNode, None]:
+    """Open a node, and run it while the block is open; `network` and `fragment_size` are those of
+    `DdsTransport`.
+
+    Raises:
+        TransportError: The sockets cannot be opened.
+    """
+    inbox = _Inbox()
+    opened = open_network(domain, inbox.put, interfaces=network, fragment_size=fragment_size)
+    async with opened as participant, Background() as tasks:
+        node = DdsNode(participant, name, resolver, types, tasks)
+        inbox.open(node.handle)
+        yield node

@@ -1,0 +1,247 @@
+"""The ends of services over RTPS: a topic with requests, and one with replies.
+
+Theory of operation
+-------------------
+
+Servers of several vendors may serve one service, and clients of several may call it. A request goes
+to each server in the way of its vendor (`service_identity`): one sample for all servers of one way,
+or one for each server if there are both ways. A reply goes to the readers of its client only, which
+other readers are told by a GAP: a reader of Fast DDS cannot take the longer replies for Cyclone.
+
+A client that waits for an answer asks the writers of replies for what it may have missed: after
+`FIRST_ASK` seconds, and then after twice the time each, up to `LONGEST_ASK`. Without this a lost
+answer of Fast DDS comes after 3 s, with its next heartbeat.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any, NamedTuple
+
+import anyio
+from anyio import current_time
+
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
+from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError
+from fibaction_transports.ros2.node.parts import (
+    AnswerSink,
+    ErrorSink,
+    RequestSink,
+    ServiceCaller,
+    ServiceProvider,
+)
+from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
+from fibaction_transports.ros2.on_dds.service_identity import (
+    UNKNOWN_NUMBER,
+    client_of,
+    header_of,
+    identity_in,
+    identity_items,
+    number_in,
+    split_header,
+    uses_header,
+    with_header,
+)
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.parameters import SampleIdentity
+from fibaction_transports.rtps.network import ParticipantNetwork
+
+FIRST_ASK, LONGEST_ASK = 0.03, 2.0
+"""Seconds after which a client asks for an answer: the first time, and at most."""
+OPEN_REQUESTS = 10_000
+"""Requests whose answers a client still knows; then the oldest is forgotten."""
+
+logger = clean_logger("fibaction.ros2")
+
+
+class ServiceEnds:
+    """The writer and the reader of one end of a service."""
+
+    def __init__(self, network: ParticipantNetwork, writer: DataWriter, reader: DataReader) -> None:
+        self.network = network
+        self.writer = writer
+        self.reader = reader
+
+    def uses_header(self, guid: Guid) -> bool:
+        """Return whether the participant of another end has identities in headers."""
+        return uses_header(self.network.participant.vendor_of(guid.prefix))
+
+
+class DdsCaller(ServiceCaller):
+    """A client of a service."""
+
+    def __init__(
+        self,
+        ends: ServiceEnds,
+        service_type: ServiceType,
+        take: AnswerSink,
+        take_unreadable: ErrorSink | None,
+    ) -> None:
+        self._ends = ends
+        self._encode = service_type.Request.codec.encode
+        self._decode = service_type.Response.codec.decode
+        self._take = take
+        self._take_unreadable = take_unreadable
+        self._client = client_of(ends.reader.guid)
+        self._calls = 0
+        self._open: OrderedDict[int, None] = OrderedDict()
+        """The calls that have no answer yet."""
+        self._of_sample: OrderedDict[int, int] = OrderedDict()
+        """The calls, by the numbers of their samples."""
+        self._sent = Notifier()
+        self._pause = FIRST_ASK
+        self._due = current_time()
+
+    def send(self, request: Any) -> int:
+        self._calls += 1
+        payload = self._encode(request)
+        try:
+            self._write(self._calls, payload)
+        except LimitReached as exc:
+            raise ConnectionLost(f"{self._ends.writer.topic} is not read: {exc}") from exc
+        _put(self._open, self._calls, None)
+        self._pause = FIRST_ASK
+        self._due = current_time() + self._pause
+        self._sent.notify()
+        return self._calls
+
+    def _write(self, call: int, payload: bytes) -> None:
+        ends = self._ends
+        servers = ends.writer.readers
+        by_header = [server for server in servers if ends.uses_header(server)]
+        identity = identity_items(SampleIdentity(ends.reader.guid, UNKNOWN_NUMBER))
+        in_header = with_header(header_of(self._client, call), payload)
+        if not by_header:
+            number = ends.network.write(ends.writer, payload, inline_qos=identity)
+            _put(self._of_sample, number, call)
+        elif len(by_header) == len(servers):
+            ends.network.write(ends.writer, in_header)
+        else:
+            for server in servers:
+                if server in by_header:
+                    ends.network.write(ends.writer, in_header, only_to=server)
+                    continue
+                number = ends.network.write(
+                    ends.writer, payload, inline_qos=identity, only_to=server
+                )
+                _put(self._of_sample, number, call)
+
+    def is_available(self) -> bool:
+        ends = self._ends
+        answering = {writer.prefix for writer in ends.reader.writers}
+        return any(reader.prefix in answering for reader in ends.writer.readers)
+
+    def receive(self, sample: Sample) -> None:
+        """Take an answer, which may be for another client."""
+        found = self._call_of(sample)
+        if found is None:
+            return
+        call, payload = found
+        self._open.pop(call, None)
+        try:
+            response = self._decode(payload)
+        except ProtocolError as exc:
+            logger.error("an answer on %s cannot be read: %s", self._ends.reader.topic, exc)
+            if self._take_unreadable is not None:
+                self._take_unreadable(exc)
+        else:
+            self._take(call, response)
+
+    def _call_of(self, sample: Sample) -> tuple[int, bytes] | None:
+        if self._ends.uses_header(sample.writer):
+            parts = split_header(sample.payload)
+            if parts is None:
+                return None
+            client, call = number_in(parts[0])
+            return (call, parts[1]) if client == self._client else None
+        identity = identity_in(sample)
+        if identity is None or identity.writer != self._ends.reader.guid:
+            return None
+        known = self._of_sample.get(identity.number)
+        return None if known is None else (known, sample.payload)
+
+    async def ask(self) -> None:
+        """Ask for answers that may have been lost, until canceled."""
+        while True:
+            while not self._open:
+                await self._sent.wait()
+            await anyio.sleep_until(self._due)
+            if current_time() < self._due or not self._open:
+                continue
+            self._ends.reader.ask(current_time())
+            self._ends.network.settle()
+            self._pause = min(2 * self._pause, LONGEST_ASK)
+            self._due = current_time() + self._pause
+
+
+class RequestHeader(NamedTuple):
+    """The address of an answer, and the identity of its request."""
+
+    client: Guid
+    """The writer of the request."""
+    identity: SampleIdentity | None
+    """The client's reader of replies, and the number of the request; None with a header."""
+    header: bytes
+    """The header of the request; empty if it has none."""
+
+
+class DdsProvider(ServiceProvider):
+    """A server of a service."""
+
+    def __init__(self, ends: ServiceEnds, service_type: ServiceType, take: RequestSink) -> None:
+        self._ends = ends
+        self._request: MessageType = service_type.Request
+        self._encode = service_type.Response.codec.encode
+        self._take = take
+
+    def receive(self, sample: Sample) -> None:
+        """Take a request."""
+        found = self._header_of(sample)
+        if found is None:
+            logger.error("a request on %s does not name its client", self._ends.reader.topic)
+            return
+        header, payload = found
+        try:
+            request = self._request.codec.decode(payload)
+        except ProtocolError as exc:
+            logger.error("a request on %s cannot be read: %s", self._ends.reader.topic, exc)
+        else:
+            self._take(header, request)
+
+    def _header_of(self, sample: Sample) -> tuple[RequestHeader, bytes] | None:
+        if self._ends.uses_header(sample.writer):
+            parts = split_header(sample.payload)
+            return parts and (RequestHeader(sample.writer, None, parts[0]), parts[1])
+        identity = identity_in(sample)
+        if identity is None:
+            return None
+        related = SampleIdentity(identity.writer, sample.number)
+        return RequestHeader(sample.writer, related, b""), sample.payload
+
+    def answer(self, header: Any, response: Any) -> bool:
+        readers = self._readers_of(header)
+        payload = self._encode(response)
+        if header.header:
+            payload = with_header(header.header, payload)
+        inline = () if header.identity is None else identity_items(header.identity)
+        for reader in readers:
+            self._ends.network.write(self._ends.writer, payload, inline_qos=inline, only_to=reader)
+        return bool(readers)
+
+    def _readers_of(self, header: RequestHeader) -> list[Guid]:
+        """Return the readers of replies that a client has; none if they are not matched yet."""
+        readers = self._ends.writer.readers
+        if header.identity is not None:
+            return [header.identity.writer] if header.identity.writer in readers else []
+        # A header does not name the reader, so all of the client's participant get the answer.
+        return [reader for reader in readers if reader.prefix == header.client.prefix]
+
+
+def _put(table: OrderedDict[int, Any], key: int, value: Any) -> None:
+    table[key] = value
+    if len(table) > OPEN_REQUESTS:
+        table.popitem(last=False)

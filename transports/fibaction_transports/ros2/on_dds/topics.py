@@ -1,0 +1,90 @@
+"""The ends of topics over RTPS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from fibaction.border.peer_text import clean_logger
+from fibaction.words.errors import LimitReached
+from fibaction_transports.ros2.node.parts import (
+    LifeSigns,
+    LifeWatch,
+    MessageSink,
+    TopicPublisher,
+    TopicSubscription,
+)
+from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
+from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.events import LivelinessChanged
+from fibaction_transports.rtps.messages.ids import Guid
+
+logger = clean_logger("fibaction.ros2")
+
+
+class DdsPublisher(TopicPublisher):
+    """A publisher of a topic."""
+
+    def __init__(
+        self,
+        writer: DataWriter,
+        message_type: MessageType,
+        write: Callable[[DataWriter, bytes], object],
+    ) -> None:
+        self._writer = writer
+        self._encode = message_type.codec.encode
+        self._write = write
+
+    def publish(self, message: Any) -> None:
+        self.publish_bytes(self._encode(message))
+
+    def publish_bytes(self, message: bytes) -> None:
+        try:
+            self._write(self._writer, message)
+        except LimitReached as exc:
+            logger.error("%s: a message is lost: %s", self._writer.topic, exc)
+
+    def reader_count(self) -> int:
+        return len(self._writer.readers)
+
+
+class DdsSubscription(TopicSubscription):
+    """A subscription to a topic."""
+
+    def __init__(self, reader: DataReader, take: MessageSink) -> None:
+        self._reader = reader
+        self._take = take
+
+    def receive(self, sample: Sample) -> None:
+        """Take a message."""
+        self._take(sample.payload, bytes(sample.writer))
+
+    def publisher_count(self) -> int:
+        return len(self._reader.writers)
+
+
+class DdsLifeWatch(LifeWatch):
+    """A look-out for signs of life, by the lease of liveliness of the publishers."""
+
+    def __init__(self, reader: DataReader) -> None:
+        self._reader = reader
+        self._silent: set[Guid] = set()
+        self._told = LifeSigns(0, 0)
+
+    def note(self, event: LivelinessChanged) -> None:
+        """Note that a publisher has fallen silent, or is alive again."""
+        if event.is_alive:
+            self._silent.discard(event.writer)
+        else:
+            self._silent.add(event.writer)
+
+    def news(self) -> LifeSigns | None:
+        writers = set(self._reader.writers)
+        self._silent &= writers
+        signs = LifeSigns(len(writers) - len(self._silent), len(self._silent))
+        if signs == self._told:
+            return None
+        self._told = signs
+        return signs
