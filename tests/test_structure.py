@@ -39,7 +39,6 @@ LONG_FUNCTIONS: dict[str, int] = {}
 LONG_MODULES = {
     "fibaction/server/execution/executor.py": 365,
     "fibaction/server/execution/runs.py": 356,
-    "fibaction/server/registry/registry.py": 352,
     "fibaction/server/scheduling/scheduler.py": 371,
     "transports/fibaction_transports/ros2/client/action_client.py": 386,
     "transports/fibaction_transports/ros2/server/action_server.py": 390,

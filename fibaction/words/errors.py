@@ -65,6 +65,14 @@ class GoalRejected(_GoalError):
 
     what = "was rejected"
 
+    def __init__(
+        self, reason: str, *, goal_id: GoalID | None = None, is_unreadable: bool = False
+    ) -> None:
+        super().__init__(reason, goal_id=goal_id)
+        self.is_unreadable = is_unreadable
+        """True if the goal does not fit the type of the server's action. A server of another
+        version may be able to read it."""
+
     @property
     def is_busy(self) -> bool:
         """True if the server had no room for the goal: the reason begins with `busy`. The same

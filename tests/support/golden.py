@@ -129,7 +129,7 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     ),
     (
         Rejected(1, "the order is negative"),
-        "932201b5746865206f72646572206973206e65676174697665",
+        "942201b5746865206f72646572206973206e65676174697665c2",
     ),
     (
         Failed(2, Why.SERVER_NOT_FOUND, "it is not served"),

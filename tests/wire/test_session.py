@@ -233,11 +233,13 @@ async def test_a_goal_is_told_from_its_acceptance_to_its_end() -> None:
         assert await client.hear_all() == []
 
 
-@pytest.mark.parametrize("reason", ["no arm", "größer als 🤖"])
-async def test_a_goal_that_is_rejected_is_told_with_the_reason(reason: str) -> None:
-    async with serving(scripted(GoalRejected(reason))) as served:
+@pytest.mark.parametrize(("reason", "is_unreadable"), [("no arm", True), ("größer als 🤖", False)])
+async def test_a_goal_that_is_rejected_is_told_with_the_reason(
+    reason: str, is_unreadable: bool
+) -> None:
+    async with serving(scripted(GoalRejected(reason, is_unreadable=is_unreadable))) as served:
         client = await served.greet()
-        assert await client.ask(send(1), Rejected) == Rejected(1, reason)
+        assert await client.ask(send(1), Rejected) == Rejected(1, reason, is_unreadable)
 
 
 # As `os.fsdecode` makes it of a file name that is not UTF-8.

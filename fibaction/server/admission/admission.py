@@ -160,7 +160,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
                     return self._accept_later(offer, asking)
             return self._accept(offer)
         except GoalRejected as exc:
-            raise self._reject(goal_id, exc.reason) from None
+            raise self._reject(goal_id, exc.reason, is_unreadable=exc.is_unreadable) from None
         except Busy as exc:
             raise self._reject_for_now(goal_id, str(exc)) from None
         except BaseException:
@@ -199,7 +199,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         try:
             return self._action.goal.decode(goal)
         except ProtocolError as exc:
-            raise GoalRejected(str(exc)) from exc
+            raise GoalRejected(str(exc), is_unreadable=True) from exc
 
     def _accept(self, offer: Offer[GoalT]) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
@@ -298,15 +298,15 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher.withdraw(goal.goal_id)
         return True
 
-    def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
+    def _reject(self, goal_id: GoalID, reason: str, *, is_unreadable: bool = False) -> GoalRejected:
         """Reject a goal, and return the error to raise."""
-        reason = shortened(reason)
-        self._registry.reject(goal_id, reason, now=current_time())
+        reason, now = shortened(reason), current_time()
+        error = self._registry.reject(goal_id, reason, now=now, is_unreadable=is_unreadable)
         self._tell_decision(goal_id)
         name = self._action.name
         logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
         self._watchers.rejected(goal_id, reason)
-        return GoalRejected(reason, goal_id=goal_id)
+        return error
 
     def _reject_for_now(self, goal_id: GoalID, busy: str) -> GoalRejected:
         """Reject a goal for which there is no room, and return the error to raise.

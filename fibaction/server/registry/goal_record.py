@@ -10,6 +10,7 @@ import msgspec
 
 from fibaction._runtime.budget import CountedBytes
 from fibaction.server.life import LIFE, Event, Phase
+from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import INITIAL, GoalStatus
 
@@ -124,6 +125,18 @@ class GoalRecord:
         return GoalInfo(
             self.goal_id, self.stamp, status, count, sender, place, length, self.attempt
         )
+
+
+class Rejection(msgspec.Struct, frozen=True):
+    """The record of a rejected goal."""
+
+    digest: bytes
+    reason: str
+    is_unreadable: bool
+
+    def error(self, goal_id: GoalID) -> GoalRejected:
+        """Return the error for the goal, and for each retry of it."""
+        return GoalRejected(self.reason, goal_id=goal_id, is_unreadable=self.is_unreadable)
 
 
 class EndKind(Enum):

@@ -38,13 +38,11 @@ import math
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
-import msgspec
-
 from fibaction._runtime.budget import ByteBudget, CountedBytes
 from fibaction.server.life import Event
 from fibaction.server.registry.cancellation import Cancellation, cancellation_of
 from fibaction.server.registry.expiry import ExpiringMap
-from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
 from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import ID_IN_USE, NO_GOAL, GoalID, Outcome, Sender, digest_of
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
@@ -83,13 +81,6 @@ class _Undecided(NamedTuple):
     held: CountedBytes
 
 
-class _Rejection(msgspec.Struct, frozen=True):
-    """The record of a rejected goal."""
-
-    digest: bytes
-    reason: str
-
-
 class GoalRegistry:
     """Every goal of one action server, from its acceptance until it is forgotten."""
 
@@ -115,7 +106,7 @@ class GoalRegistry:
         self._undecided: dict[GoalID, _Undecided] = {}
         self._active: dict[GoalID, GoalRecord] = {}
         self._ended: ExpiringMap[GoalRecord] = ExpiringMap(result_timeout, max_results)
-        self._rejected: ExpiringMap[_Rejection] = ExpiringMap(result_timeout, max_results)
+        self._rejected: ExpiringMap[Rejection] = ExpiringMap(result_timeout, max_results)
         self._last_stamp = 0
         self._listing: tuple[GoalRecord, ...] | None = None  # the last answer of `goals`
 
@@ -138,8 +129,9 @@ class GoalRegistry:
             known = goal.digest
             verdict = Verdict.REPEAT
         elif (rejection := self._rejected.get(goal_id, now)) is not None:
-            reason = rejection.reason if rejection.digest == digest else ID_IN_USE
-            raise GoalRejected(reason, goal_id=goal_id)
+            if rejection.digest == digest:
+                raise rejection.error(goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         elif goal_id == NO_GOAL:
             raise GoalRejected("its ID is all zeros, which is reserved", goal_id=goal_id)
         else:
@@ -237,12 +229,15 @@ class GoalRegistry:
         goal.held = None
         self._listing = None
 
-    def reject(self, goal_id: GoalID, reason: str, *, now: float) -> None:
-        """Reject an undecided goal; a retry gets the same answer."""
-        rejection = _Rejection(self._undecided.pop(goal_id).digest, reason)
+    def reject(
+        self, goal_id: GoalID, reason: str, *, now: float, is_unreadable: bool = False
+    ) -> GoalRejected:
+        """Reject an undecided goal, and return the error to raise; a retry gets the same one."""
+        rejection = Rejection(self._undecided.pop(goal_id).digest, reason, is_unreadable)
         self._rejected.put(goal_id, rejection, now)
         while self._rejected.pop(now) is not None:
             pass
+        return rejection.error(goal_id)
 
     def withdraw(self, goal_id: GoalID) -> None:
         """Forget an undecided goal; a retry is decided anew."""

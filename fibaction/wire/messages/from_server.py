@@ -61,6 +61,8 @@ class Rejected(WireMessage, tag=34):
 
     id: ID
     reason: str
+    is_unreadable: bool = False
+    """True if the goal does not fit the type of the action; another version of that may fit."""
 
 
 @final

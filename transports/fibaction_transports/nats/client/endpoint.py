@@ -9,7 +9,8 @@ the record is the first one over the record before, so two workers never own one
 *Which worker gets a goal.* `RoomFinder` asks the workers that have room, and the brokers pass the
 question to one of them: one that can run the goal now, or else one with room in its queue. The goal
 is sent to that worker over a wire connection. The worker writes the record, and then accepts. If
-it is busy by now, another worker is tried, until all have rejected the goal; any other rejection
+it is busy by now, another worker is tried, until all have rejected the goal. If it cannot read the
+goal, one whose action has other types is tried: it may be of another version. Any other rejection
 is the answer. If the connection is lost before the answer, the record says what became of the
 goal. With an owner that lives, the goal is sent again there, where its ID shows that it is the
 same one. If it has ended and its owner is gone, its end is taken from the record. Without a
@@ -91,9 +92,8 @@ class FleetEndpoint(Endpoint):
             try:
                 # The end of a lease says that a goal is lost, so the leases are needed.
                 await self._parts.workers.ready()
-                if placement.owner:
-                    place = Place(placement.owner)
-                else:
+                place = Place(placement.owner or placement.reader)
+                if not place.worker:
                     place = await places.take(self._info.name)
                 placement.worker = place.worker
                 sent = await self._send(place.worker, request)
@@ -104,8 +104,11 @@ class FleetEndpoint(Endpoint):
             if place.is_used and isinstance(error, GoalRejected) and error.is_busy:
                 places.refuse(self._info.name, place)
                 continue
-            if placement.is_decided_by(error):
-                raise error
+            answer = placement.answer(error)
+            if answer is not None:
+                raise answer
+            if isinstance(error, GoalRejected) and placement.reader:
+                continue
             if not isinstance(error, ConnectionLost) and placement.worker and not placement.owner:
                 await placement.patience.wait(error)  # another worker may have room
                 continue

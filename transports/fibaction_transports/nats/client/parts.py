@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 from anyio import current_time
 
 from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
@@ -17,7 +19,10 @@ from fibaction_transports.nats.client.call_routes import (
 from fibaction_transports.nats.client.free_workers import RoomFinder
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
+from fibaction_transports.nats.records import LeaseEntry
 from fibaction_transports.nats.workers import FleetWorkers
+
+E = TypeVar("E", bound=ActionError)
 
 
 class FleetParts:
@@ -66,26 +71,70 @@ class Placement:
         self._parts = parts
         self._action = action
         self._refused: set[str] = set()
+        self._types: list[dict[str, Any]] = []  # those of goals that do not fit this one
+        self._rejections: list[GoalRejected] = []  # since then
+        self._lost: list[str] = []  # the workers that did not answer
         self.patience = RetryTime(parts.routes)
         self.owner = ""
         """The worker that has the goal by its record; empty if it may go to any."""
         self.worker = ""
         """The worker that it was sent to last; empty if there was no place for it."""
 
-    def is_decided_by(self, error: ActionError) -> bool:
-        """Return whether an error of a worker is the answer, so that no other one is asked."""
+    @property
+    def reader(self) -> str:
+        """The worker to go to after one that cannot read the goal, because its action has other
+        types; empty if there is none.
+        """
+        if not self._types:
+            return ""
+        serving = self._parts.workers.serving(self._action)
+        readers = [
+            lease
+            for lease in serving
+            if lease.worker not in self._refused and self._type_at(lease) not in self._types
+        ]
+        readers.sort(key=lambda lease: (self._lost.count(lease.worker), not lease.has_room))
+        return readers[0].worker if readers else ""
+
+    def answer(self, error: ActionError) -> ActionError | None:
+        """Return the answer by an error of a worker; None if another worker is to be asked."""
         if not self.worker:
-            return False
-        if isinstance(error, GoalRejected) and (self.owner or not error.is_busy):
-            return True
-        is_kept = self._parts.workers.is_kept(self.worker, self._action)
-        if not (is_kept or isinstance(error, GoalRejected)):
-            return True  # no record tells whether a gateway has the goal
+            return None
+        if isinstance(error, GoalRejected):
+            return self._answer_by(error)
+        if not self._parts.workers.is_kept(self.worker, self._action):
+            return error  # no record tells whether a gateway has the goal
+        if isinstance(error, ConnectionLost):
+            self._lost.append(self.worker)
         if self.owner or isinstance(error, ConnectionLost):
-            return False
+            return None
+        return self._next_or(error)
+
+    def _answer_by(self, rejected: GoalRejected) -> GoalRejected | None:
+        """Return the answer by a rejection: that of a worker that can read the goal, if any can."""
+        if self.owner or not (rejected.is_busy or rejected.is_unreadable):
+            return rejected
+        lease = self._parts.workers.get(self.worker)
+        if rejected.is_unreadable and lease is not None:
+            self._types.append(self._type_at(lease))
+        if not self._types:
+            return self._next_or(rejected)
+        self._refused.add(self.worker)
+        self._rejections.append(rejected)
+        if self.reader:
+            return None
+        return next((one for one in self._rejections if one.is_busy), self._rejections[0])
+
+    def _next_or(self, error: E) -> E | None:
+        """Return None to ask another worker; the error if all of them were asked."""
         self._refused.add(self.worker)
         serving = self._parts.workers.serving(self._action)
-        return self._refused.issuperset(lease.worker for lease in serving)
+        return error if self._refused.issuperset(lease.worker for lease in serving) else None
+
+    def _type_at(self, lease: LeaseEntry) -> dict[str, Any]:
+        """Return the type of goals at a worker, as a JSON Schema."""
+        served = (one.info for one in lease.actions if one.info.name == self._action)
+        return next((info.goal for info in served), {})
 
     def goes_to(self, found: FoundGoal | None) -> bool:
         """Go to the owner of the goal next, or to any worker if it has none; return whether that
