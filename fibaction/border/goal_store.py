@@ -177,6 +177,7 @@ class GoalStore(ABC):
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str] = no_obstacle,
+        ends_unreadable: bool = False,
     ) -> AbstractAsyncContextManager[GoalJournal]:
         """Open the store for the goals of an action, for as long as the block lasts.
 
@@ -190,7 +191,9 @@ class GoalStore(ABC):
         `obstacle` returns why the server cannot run a goal, such as a field of its type that the
         goal does not have; the text is empty if it can. A store that several servers share calls it
         before a goal becomes the server's own, and leaves the goal to the others if there is one.
-        A store of one server need not call it: the server looks at what it claims by itself.
+        A store of one server need not call it: the server looks at what it claims by itself. With
+        `ends_unreadable`, the server also gets the goals that no server can run any more, and ends
+        them.
 
         Raises:
             StoreError: The store cannot be used, or is in use; the text says why.

@@ -119,6 +119,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             claim=self.recovery.claim,
             lose=self._losses.lose,
             obstacle=self.recovery.readable.obstacle,
+            ends_unreadable=self._settings.unreadable == "abort",
             refuse=self._losses.lose_record,
             fail=self._give_up,
             look_at_room=self.room.update,

@@ -113,7 +113,8 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     """The rule for goals that the store has at the start, and that do not fit the action any more,
     or for which the `key` or the `priority` of the schedule fails. With `refuse`, the server does
     not start, and leaves the store as it is for the version that can read them; with `abort`, they
-    end as ABORTED. In a fleet, such goals are left to the workers that can read them."""
+    end as ABORTED. In a fleet, such goals are left to the workers that can read them, and with
+    `abort`, one that no living worker could read for ten leases ends as ABORTED."""
     at_stop: Literal["abort", "keep"] = "abort"
     """With `abort`, a server that stops ends its goals. With `keep`, it interrupts their executors,
     and goals that do not end by themselves stay in the store: they run again after the next

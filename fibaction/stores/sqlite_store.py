@@ -72,6 +72,7 @@ class SqliteStore(GoalStore):
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str] = no_obstacle,
+        ends_unreadable: bool = False,
     ) -> AsyncGenerator[GoalJournal, None]:
         # The imports take their time, which only programs with a store are to pay.
         from fibaction.stores._sqlite_journal import SqliteJournal

@@ -142,6 +142,9 @@ class WorkerInfo(msgspec.Struct, frozen=True):
     """The number of its active goals, some seconds ago at most."""
     has_room: bool = True
     """True if it takes new goals of one of its actions, to run or to wait."""
+    unreadable: dict[str, int] = {}
+    """The number of goals that no worker has and that this one cannot read, by the names of their
+    actions, as it has last counted; without the actions that have none."""
 
 
 UNKNOWN_SENDER = Sender()
@@ -171,6 +174,9 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     attempt: int = 1
     """The attempt at the goal, from 1: a server that keeps its goals in a store may run a goal
     again after a restart. 1 also if the transport does not carry it."""
+    has_worker: bool = True
+    """False if the goal is active, and no living worker of its fleet has it. `ActionClient.goals`
+    tells it; an event does not."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Generator
-from typing import TypeAlias
+from collections.abc import AsyncGenerator, Callable, Generator
+from typing import Any, TypeAlias
 
+import anyio
+import msgspec
 import pytest
 
+from fibaction import Action, ActionServer, GoalHandle, connect, serve
 from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs.list_goals import list_goals
 from tests.cli.conftest import ROOT, Open, Run, Start, detached, interrupt
 from tests.support.nats_server import IS_LEFT_OUT, nats_server
 from tests.support.processes import ended, lines_until
@@ -129,6 +133,47 @@ def test_top_shows_follows_and_cancels_a_goal(terminal: Open, here: Run, fleet: 
     shown.until(rf"{goal_id[:8]} +/wait +CANCELED")
     shown.press("q")
     assert shown.ends() == 0
+
+
+class Old(msgspec.Struct):
+    n: int
+
+
+class New(msgspec.Struct):
+    n: int
+    unit: str
+
+
+async def forever(goal: GoalHandle[Any]) -> AsyncGenerator[int, None]:
+    await anyio.sleep_forever()
+    yield 1
+
+
+@pytest.mark.asyncio
+async def test_goals_that_no_worker_can_read_are_told(
+    broker: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = broker.replace("robots", "mixed") + "?lease=2"
+    old, new = (Action("turn", goal=one, feedback=int, result=str) for one in (Old, New))
+    async with connect(url) as connection:
+        async with serve(ActionServer(old, forever, at_stop="keep"), url):
+            goal = await connection.client(old).send_goal(Old(1))
+        async with serve(ActionServer(new, forever), url):
+            with anyio.fail_after(30):
+                while True:
+                    (worker,) = await connection.workers()
+                    if worker.unreadable:
+                        break
+                    await anyio.sleep(0.1)
+            assert await list_goals(url, None, watch=False, as_json=False) == 0
+            assert await list_goals(url, None, watch=False, as_json=True) == 0
+    out, err = capsys.readouterr()
+    assert f"{goal.goal_id}  /turn   no worker" in out
+    assert '"has_worker":false' in out
+    assert err == (
+        "1 waiting goal of /turn that no worker here can read: start a worker of the version that"
+        " accepted them, or end them with unreadable='abort'\n"
+    )
 
 
 def test_a_goal_whose_worker_is_killed_ends_for_those_that_follow_it(

@@ -107,6 +107,12 @@ def test_text_of_a_client_cannot_control_the_terminal() -> None:
     assert row(client="a\x1b[2J").client == "a\\x1b[2J"
 
 
+def test_a_goal_without_a_worker_says_so() -> None:
+    left = GoalRow("a", GoalInfo(A, 1, GoalStatus.EXECUTING, has_worker=False))
+    assert left.status == "no worker"
+    assert left.json()["has_worker"] is False
+
+
 def test_a_row_for_programs_has_all_of_it() -> None:
     assert row(client="me").json() == {
         "action": "arm/pick",
@@ -118,6 +124,7 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "place": 0,
         "queue_length": 0,
         "attempt": 1,
+        "has_worker": True,
     }
     ended = GoalRow("a", WAITING, Outcome(GoalStatus.ABORTED, {"n": 1}, "stuck")).json()
     assert (ended["reason"], ended["result"]) == ("stuck", {"n": 1})

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
+import msgspec
 import pytest
 
 from fibaction import WorkerInfo
 from fibaction.border.abc import Connection, Endpoint
 from fibaction.cli.verbs import workers
-from fibaction.cli.verbs.workers import lines_of, list_workers
+from fibaction.cli.verbs.workers import lines_of, list_workers, note_unreadable
 from tests.cli.conftest import Invoke
 
 NOW = 1_800_000_000
@@ -74,8 +75,30 @@ async def test_workers_as_json_are_one_value_a_line(
     await list_workers("nats://broker/robots?token=secret", as_json=True)
     assert capsys.readouterr().out == (
         '{"name":"arm-1","actions":["pick","/place"],"since":1799999910000000000,"goals":3,'
-        '"has_room":false}\n'
+        '"has_room":false,"unreadable":{}}\n'
     )
+
+
+@pytest.mark.asyncio
+async def test_goals_that_no_worker_can_read_are_counted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counts: list[dict[str, int]] = [{"pick": 3, "place": 1, "drop": 2}, {"pick": 4, "place": 1}]
+    actions = ("pick", "place"), ("pick", "place", "drop")
+    found = [
+        WorkerInfo(str(number), serves, 0, unreadable=unreadable)
+        for number, (serves, unreadable) in enumerate(zip(actions, counts, strict=True))
+    ]
+    found[0] = msgspec.structs.replace(found[0], actions=("pick", "place", "drop"))
+    with_workers(monkeypatch, found)
+    await list_workers("nats://broker/robots?token=secret", as_json=False)
+    rest = "that no worker here can read: start a worker of the version that accepted them, or end"
+    assert capsys.readouterr().err.splitlines() == [
+        f"3 waiting goals of /pick {rest} them with unreadable='abort'",
+        f"1 waiting goal of /place {rest} them with unreadable='abort'",
+    ]
+    note_unreadable(found, {"place"})
+    assert capsys.readouterr().err.startswith("1 waiting goal of /place ")
 
 
 @pytest.mark.asyncio

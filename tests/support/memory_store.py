@@ -121,6 +121,7 @@ class MemoryStore(GoalStore):
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str] = no_obstacle,
+        ends_unreadable: bool = False,
     ) -> AsyncGenerator[MemoryJournal, None]:
         """See `GoalStore.open`."""
         if action in self.journals:

@@ -27,6 +27,8 @@ LEAST_END = 14
 """Least room for the reason or the result of a goal; with less they are left out."""
 GOOD_END = 30
 """Room for the reason or the result that is worth shorter IDs."""
+NO_WORKER = "no worker"
+"""The status of an active goal that no living worker of a fleet has."""
 LONGEST_END = 100
 """Characters of a reason or a result where the width is not limited."""
 
@@ -58,8 +60,10 @@ class GoalRow(msgspec.Struct, frozen=True):
 
     @property
     def status(self) -> str:
-        """The goal's status, or its place in the queue if it waits."""
+        """The goal's status, its place in the queue if it waits, or that it has no worker."""
         info = self.info
+        if not info.has_worker:
+            return NO_WORKER
         if info.place:
             return f"waits, {ordinal(info.place)} of {info.queue_length}"
         return info.status.name
@@ -93,6 +97,7 @@ class GoalRow(msgspec.Struct, frozen=True):
             "place": info.place,
             "queue_length": info.queue_length,
             "attempt": info.attempt,
+            "has_worker": info.has_worker,
             **end,
         }
 

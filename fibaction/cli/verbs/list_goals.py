@@ -23,6 +23,7 @@ from fibaction.cli.output.outcomes import Outcomes
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.cli.verbs.echo import EventPrinter, print_events
+from fibaction.cli.verbs.workers import note_unreadable
 from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError
 
@@ -97,6 +98,9 @@ async def list_goals(
             clients = await ActionClients(connection, name).now()
             rows = await Outcomes().of(clients, await goals_of(clients))
             _print_once(rows, name, namespace, as_json=as_json)
+            left = {row.action for row in rows if not row.info.has_worker}
+            if left and not as_json:
+                note_unreadable(await whole.workers(), left)
         elif as_json or not on_terminal():
             printer = EventPrinter(as_json)
             await until_interrupted(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from urllib.parse import urlsplit
 
 import click
@@ -55,6 +55,7 @@ async def list_workers(url: str, *, as_json: bool) -> int:
                     "since": worker.since,
                     "goals": worker.goals,
                     "has_room": worker.has_room,
+                    "unreadable": worker.unreadable,
                 }
             )
     elif not workers:
@@ -62,7 +63,21 @@ async def list_workers(url: str, *, as_json: bool) -> int:
     else:
         for line in lines_of(workers, time.time()):
             say(line)
+        note_unreadable(workers)
     return ExitCode.SUCCEEDED
+
+
+def note_unreadable(workers: Sequence[WorkerInfo], actions: Collection[str] = ()) -> None:
+    """Print how many goals of each action no worker can read; of some actions, if there are any."""
+    for name in sorted({name for worker in workers for name in worker.unreadable}):
+        serving = [worker for worker in workers if name in worker.actions]
+        count = min(worker.unreadable.get(name, 0) for worker in serving)
+        if count and (name in actions or not actions):
+            goals = "1 waiting goal" if count == 1 else f"{count:,} waiting goals"
+            note(
+                f"{goals} of {shown(name)} that no worker here can read: start a worker of the"
+                f" version that accepted them, or end them with unreadable='abort'"
+            )
 
 
 def lines_of(workers: Sequence[WorkerInfo], now: float) -> list[str]:

@@ -124,6 +124,7 @@ class GoalKeeper(Keeper):
             claim=events.claim,
             lose=events.lose,
             obstacle=events.obstacle,
+            ends_unreadable=events.ends_unreadable,
         ) as self._journal:
             yield
 

@@ -59,6 +59,8 @@ class KeeperEvents:
     """Let go of a goal that another server has taken over."""
     obstacle: Callable[[StoredGoal], str]
     """Return why the server cannot run a goal of another server; empty if it can."""
+    ends_unreadable: bool
+    """True if the server ends the goals that no server can run."""
     refuse: Callable[[GoalRecord], None]
     """Let go of a goal of which a write is refused for that reason."""
     fail: Callable[[], None]

@@ -268,6 +268,7 @@ class FakeStore(GoalStore):
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str] = no_obstacle,
+        ends_unreadable: bool = False,
     ) -> AsyncGenerator[GoalJournal, None]:
         journal = FakeJournal(self._broker, action, self._worker)
         self._worker.journals[action] = journal, claim, lose

@@ -98,6 +98,18 @@ async def test_ended_goals_come_first_and_all_that_is_known_is_told(fleet: FakeF
         assert (ended.goal_id, ended.feedback_count) == (GOAL_ID, 3)
         assert (active.goal_id, active.stamp, active.attempt) == (other, 9, 2)
         assert active.client == str(Sender())
+        assert (ended.has_worker, active.has_worker) == (True, False)
+
+
+async def test_a_goal_has_a_worker_as_long_as_that_lives(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        a.own(GOAL_ID)
+        assert [one.has_worker for one in await client.goals()] == [True]
+        a.incarnation = b"another"
+        a.renew()
+        await settled()
+        assert [one.has_worker for one in await client.goals()] == [False]
 
 
 async def test_all_followers_share_one_watch(fleet: FakeFleet) -> None:

@@ -4,128 +4,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import AsyncGenerator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
-from anyio import fail_after, sleep
+from anyio import sleep
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
-from fibaction.border.goal_store import StoredGoal
-from fibaction.words.goals import Sender
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, BrokerStream
-from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import GoalEntry, encode, goal_entry, lease_entry
-from fibaction_transports.nats.worker import notes_for_others
-from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.records import GoalEntry, encode, lease_entry
 from fibaction_transports.nats.worker.lease import Membership
-from fibaction_transports.nats.worker.store import FleetStore
-from fibaction_transports.nats.worker.takeover import SCAN_INTERVAL, Takeover
-from fibaction_transports.nats.workers import FleetWorkers
+from fibaction_transports.nats.worker.takeover import SCAN_INTERVAL
 from tests.support.memory_broker import MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
-from tests.transports.hearing import Hearing
+from tests.transports.nats.members import LEASE, NAMES, entry, goal, keep, member, waiting
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
-NAMES = FleetNames("test")
-LEASE = 6.0
-IN_TURN = 30 * notes_for_others.HOLD
-"""Seconds in which a reader gets a note that another one takes as well, by chance."""
-CANNOT_RUN = (
-    f"goal {'01' * 16} of 'count' cannot run at this worker, and is left to others: it has no field"
-    f" `unit`"
-)
-
-
-def goal(number: int = 1, **changes: object) -> StoredGoal:
-    made = StoredGoal(GoalID(bytes([number]) * 16), number, Sender("me"), b"digest", b"goal")
-    fields = {"is_running": True, "attempt": 1, "meta": {"traceparent": f"00-{number}"}}
-    return replace(made, **{**fields, **changes})
-
-
-def waiting(number: int = 1) -> StoredGoal:
-    return goal(number, is_running=False, attempt=0)
-
-
-class Member:
-    """A worker whose server notes what it is told, and begins what it has room for."""
-
-    def __init__(self, shared: MemoryBrokers, name: str) -> None:
-        self.broker = shared.member(name)
-        self.name = name
-        self.membership = Membership(self.broker, NAMES, name, LEASE)
-        self.store = FleetStore(self.broker, NAMES, self.membership)
-        self.journal: FleetJournal
-        self.claimed: list[StoredGoal] = []
-        self.lost: list[GoalID] = []
-        self.cannot_run: set[GoalID] = set()
-        self.begins = True
-        self.news = Notifier()
-
-    def claim(self, one: StoredGoal) -> None:
-        self.claimed.append(replace(one))
-        self.news.notify()
-        if self.begins:
-            one.is_running, one.attempt = True, one.attempt + 1
-            self.journal.begin(one, lambda _error: None)
-
-    def obstacle(self, one: StoredGoal) -> str:
-        return "it has no field `unit`" if one.goal_id in self.cannot_run else ""
-
-    def accept(self, *goals: StoredGoal) -> None:
-        for one in goals:
-            self.journal.accept(one, lambda _error: None)
-
-    async def claims(self, count: int, within: float = 3 * LEASE) -> list[StoredGoal]:
-        with fail_after(within):
-            while len(self.claimed) < count:
-                await self.news.wait()
-        return self.claimed
-
-
-@asynccontextmanager
-async def member(
-    shared: MemoryBrokers, name: str, *, running: float = 0
-) -> AsyncGenerator[Member, None]:
-    made = Member(shared, name)
-    await made.membership.join()
-    async with AsyncExitStack() as stack:
-        tasks = made.store.tasks = await stack.enter_async_context(Background())
-        stack.callback(lambda: setattr(made.broker, "is_away", False))
-        tasks.start_soon(made.membership.run)
-        tasks.start_soon(made.membership.fence_in_time)
-        workers = FleetWorkers(made.broker, NAMES, tasks, 5)
-        takeover = Takeover(made.broker, NAMES, made.store, made.membership, workers)
-        made.store.on_room = takeover.room.notify
-        await takeover.open()
-        made.journal = await stack.enter_async_context(
-            made.store.open(
-                "count",
-                max_results=9,
-                claim=made.claim,
-                lose=made.lost.append,
-                obstacle=made.obstacle,
-            )
-        )
-        made.journal.set_room(running, 9)
-        await made.broker.flush()
-        yield made
-
-
-def entry(shared: MemoryBrokers, one: StoredGoal) -> GoalEntry:
-    record = shared.newest(NAMES.goal("count", one.goal_id))
-    assert record is not None
-    return goal_entry(record.data)
-
-
-def keep(shared: MemoryBrokers, one: StoredGoal, incarnation: bytes = b"") -> None:
-    """Store a record as an earlier worker did."""
-    shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, incarnation, b"1")), 0, 9e9)
-
-
 # Lost workers
 
 
@@ -514,83 +409,6 @@ async def test_a_waiting_goal_is_not_taken_while_the_brokers_do_not_answer() -> 
         await sleep(4)
         shared.delay = lambda: 0.0
         await b.claims(1, within=12)
-
-
-# Goals that this worker cannot run
-
-
-async def test_a_waiting_goal_that_a_worker_cannot_run_is_left_to_others(
-    log: Hearing,
-) -> None:
-    async with MemoryBrokers() as shared:
-        async with member(shared, "a") as a, member(shared, "b", running=9) as b:
-            b.cannot_run = {waiting(1).goal_id}
-            a.accept(waiting(1), waiting(2))
-            await b.claims(1, within=1)
-            await sleep(10 * LEASE)
-            assert [one.stamp for one in b.claimed] == [2]
-            assert entry(shared, waiting(1)).goal.worker == "a"
-            assert log.warnings == [CANNOT_RUN]
-            async with member(shared, "c", running=1) as c:
-                await c.claims(1, within=IN_TURN)
-
-
-async def test_a_lost_goal_that_a_worker_cannot_run_is_taken_over_by_others(log: Hearing) -> None:
-    async with MemoryBrokers() as shared:
-        async with (
-            member(shared, "a") as a,
-            member(shared, "b") as b,
-            member(shared, "c") as c,
-        ):
-            goals = [goal(number) for number in range(1, 41)]
-            b.cannot_run = {one.goal_id for one in goals[:20]}
-            a.accept(*goals)
-            await sleep(1)
-            a.broker.is_away = True
-            await sleep(LEASE + 2)
-            taken = sorted(one.stamp for one in b.claimed + c.claimed)
-            assert taken == list(range(1, 41))
-            assert not b.cannot_run & {one.goal_id for one in b.claimed}
-            assert not shared.notes
-            assert len(log.warnings) <= 20 + 2, "once for each goal"
-
-
-async def test_a_goal_that_no_living_worker_can_run_waits_for_one_that_can(log: Hearing) -> None:
-    async with MemoryBrokers() as shared:
-        for number in (1, 2, 3):
-            keep(shared, waiting(number))
-        async with member(shared, "b") as b:
-            b.cannot_run = {waiting(1).goal_id}
-            await b.claims(2, within=1)
-            await sleep(30 * LEASE)
-            assert log.warnings == [CANNOT_RUN]
-            assert entry(shared, waiting(1)).goal == waiting(1)
-            async with member(shared, "c") as c:
-                await c.claims(1, within=IN_TURN)
-            assert len(b.claimed) == 2
-
-
-async def test_a_goal_that_nobody_can_run_keeps_one_note() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        keep(shared, waiting())
-        b.cannot_run = {waiting().goal_id}
-        for _ in range(5):
-            b.broker.add_note(NAMES.left("count"), bytes(waiting().goal_id))
-        await sleep(LEASE)
-        assert len(shared.notes) == 1
-
-
-async def test_the_warnings_of_many_goals_are_forgotten_in_time(
-    log: Hearing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(notes_for_others, "MOST_KNOWN", 2)
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        b.cannot_run = {waiting(number).goal_id for number in (1, 2, 3)}
-        for number in (1, 2, 3):
-            keep(shared, waiting(number))
-            b.broker.add_note(NAMES.left("count"), bytes(waiting(number).goal_id))
-        await sleep(LEASE)
-        assert len(log.warnings) > 3
 
 
 # Hints

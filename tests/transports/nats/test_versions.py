@@ -16,11 +16,13 @@ from fibaction import (
     ActionServer,
     GoalHandle,
     GoalRejected,
+    GoalStatus,
     Schedule,
     connect,
     serve,
 )
 from fibaction.border.abc import Connection
+from fibaction_transports.nats.worker import unreadable_goals
 from tests.support.nats_server import NatsServer
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import NAMES, FakeFleet
@@ -171,3 +173,44 @@ async def test_a_new_goal_is_passed_on_to_a_worker_that_can_read_it(
         with pytest.raises(GoalRejected, match="missing required field") as caught:
             await third.call(Third(1.0))
         assert caught.value.is_unreadable
+
+
+@pytest.mark.asyncio
+@pytest.mark.promise("FLEET-11")
+async def test_goals_that_no_living_worker_can_read_wait_until_a_worker_is_told_to_end_them(
+    shared_broker: NatsServer, fleet: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unreadable_goals, "LEASES", 2)
+    url = shared_broker.url(fleet, "?lease=2")
+    async with AsyncExitStack() as stack:
+        connection = await stack.enter_async_context(connect(url))
+        client = connection.client(version(First))
+        one = Schedule(concurrency=1, queue=9)
+        async with serve(steps("old", First, schedule=one, at_stop="keep"), f"{url}&worker=old"):
+            goals = [await client.send_goal(First(-1)) for _ in range(3)]
+        for name in ("b", "c"):
+            await stack.enter_async_context(serve(steps(name, Second), f"{url}&worker={name}"))
+        await told(connection, {"steps": 3}, 2)
+        waiting = await client.goals()
+        assert [info.has_worker for info in waiting] == [False] * 3
+        reader = steps("old", First, schedule=one, at_stop="keep")
+        async with serve(reader, f"{url}&worker=old-again"):
+            await told(connection, {}, 3)
+        await told(connection, {"steps": 3}, 2)
+        ending = steps("d", Second, unreadable="abort")
+        await stack.enter_async_context(serve(ending, f"{url}&worker=d"))
+        with anyio.fail_after(60):
+            outcomes = [await goal.outcome() for goal in goals]
+        assert {outcome.status for outcome in outcomes} == {GoalStatus.ABORTED}
+        assert all(MISSING in outcome.reason for outcome in outcomes)
+        await told(connection, {}, 3)
+
+
+async def told(connection: Connection, unreadable: dict[str, int], workers: int) -> None:
+    """Wait until so many workers tell this in their leases."""
+    with anyio.fail_after(60):
+        while True:
+            found = [worker.unreadable for worker in await connection.workers()]
+            if found == [unreadable] * workers:
+                return
+            await anyio.sleep(0.1)

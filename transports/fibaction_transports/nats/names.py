@@ -7,6 +7,7 @@ hexadecimal digits. IDs of goals are 32 hexadecimal digits.
     fib.<fleet>.offer.<action>           question for a worker that can run a goal now
     fib.<fleet>.queue.<action>           question for a worker that has room in its queue
     fib.<fleet>.taken.<worker>           hint to a worker that another one has taken a goal of it
+    fib.<fleet>.reads.<worker>.<action>  question to a worker whether it can run a goal
     fib.<fleet>.up.<worker>.<client>.<line>     pieces of a line, from a client to a worker
     fib.<fleet>.down.<client>.<line>            pieces of a line, from a worker to a client
     fib.<fleet>.goal.<action>.<goal>     record of a goal, in the stream FIB_<fleet>_GOALS
@@ -79,6 +80,10 @@ class FleetNames:
     def taken(self, worker: str) -> str:
         """Return the subject of hints to a worker that another one has taken a goal of it."""
         return f"{self.root}.taken.{token_of(worker)}"
+
+    def reads(self, worker: str, action: str) -> str:
+        """Return the subject of questions to a worker whether it can run a goal of the action."""
+        return f"{self.root}.reads.{token_of(worker)}.{token_of(action)}"
 
     def up(self, worker: str, client: str = "", line: str = "") -> str:
         """Return the subject of one line to a worker; without a client, that of all its lines."""

@@ -48,6 +48,8 @@ class ServedAction(msgspec.Struct, array_like=True, frozen=True):
     info: ActionInfo
     is_kept: bool
     """True if its goals have entries; False behind a gateway, whose servers keep their own."""
+    unreadable: int = 0
+    """The number of its goals that have no worker, and that this worker cannot run."""
 
 
 class LeaseEntry(msgspec.Struct, array_like=True):

@@ -136,6 +136,7 @@ class FleetWorkers:
                 lease.since,
                 lease.goals,
                 lease.has_room,
+                {one.info.name: one.unreadable for one in lease.actions if one.unreadable},
             )
             for lease in self.living()
         ]

@@ -99,7 +99,7 @@ class FleetStatuses:
         self._followers: dict[RemoteStatuses, None] = {}
         self._expected = 0  # followers that are being made
         self._goals: dict[GoalID, GoalInfo] = {}
-        self._owners: dict[GoalID, str] = {}  # of the goals that wait
+        self._owners: dict[GoalID, tuple[str, bytes]] = {}  # worker and incarnation
         self._sequences: dict[str, int] = {}  # of the record of each subject
         self._listed: set[str] | None = None  # the subjects that were told since the last list
         self._is_ready = False
@@ -162,9 +162,15 @@ class FleetStatuses:
     def _in_order(self) -> list[GoalInfo]:
         """Return the goals: those that have ended, in that order, then the active ones."""
         goals = self._goals.values()
-        active = [info for info in goals if info.status.is_active]
+        active = [self._with_worker(info) for info in goals if info.status.is_active]
         ended = [info for info in goals if not info.status.is_active]
         return [*ended, *sorted(active, key=lambda info: info.stamp)]
+
+    def _with_worker(self, info: GoalInfo) -> GoalInfo:
+        """Return an active goal with whether a living worker has it."""
+        owner = self._owners.get(info.goal_id)  # a gateway has no records
+        has_worker = owner is None or self._shared.workers.has(*owner)
+        return info if has_worker else replace(info, has_worker=False)
 
     # The watch
 
@@ -245,7 +251,7 @@ class FleetStatuses:
             str(goal.sender),
             attempt=max(goal.attempt, 1),
         )
-        self._owners[goal.goal_id] = goal.worker
+        self._owners[goal.goal_id] = goal.worker, entry.incarnation
         before = self._goals.get(goal.goal_id)
         if not self._is_ready:
             self._learn(info)
@@ -278,9 +284,9 @@ class FleetStatuses:
     async def _learn_places(self) -> None:
         """Ask the workers of the goals that wait for their places."""
         waiting = {
-            self._owners.get(info.goal_id, "")
+            self._owners[info.goal_id][0]
             for info in self._goals.values()
-            if info.status is GoalStatus.ACCEPTED
+            if info.status is GoalStatus.ACCEPTED and info.goal_id in self._owners
         }
         async with anyio.create_task_group() as tasks:
             for worker in waiting:

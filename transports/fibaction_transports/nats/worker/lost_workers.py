@@ -7,12 +7,27 @@ writes its lease again, and has the time of one lease for this.
 
 from __future__ import annotations
 
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import GoalEntry, lease_entry
+from fibaction_transports.nats.records import GoalEntry, goal_entry, lease_entry
 from fibaction_transports.nats.worker.lease import Membership
 from fibaction_transports.nats.workers import FleetWorkers
+
+logger = clean_logger("fibaction.nats")
+
+
+def active_entry(record: BrokerRecord) -> GoalEntry | None:
+    """Return the entry of an active goal; None if the goal has ended, or cannot be read."""
+    if not record.data:
+        return None
+    try:
+        entry = goal_entry(record.data)
+    except ProtocolError as exc:
+        logger.warning("%s: %s", record.subject, exc)
+        return None
+    return entry if entry.goal.status.is_active else None
 
 
 class LostWorkers:

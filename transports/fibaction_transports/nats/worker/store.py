@@ -38,8 +38,11 @@ class FleetStore(GoalStore):
         """The journals that are open, by their actions."""
         self.has_goals_left = False
         """True if a server has stopped whose goals could not be released."""
-        self.on_open: Callable[[FleetJournal, TaskGroup], None] = lambda _journal, _tasks: None
-        """The function that is called with each journal that is opened, and with its tasks."""
+        self.unreadable: dict[str, int] = {}
+        """The number of goals without a worker that this one cannot run, by their actions."""
+        self.on_open: Callable[[FleetJournal, TaskGroup, bool], None] = lambda *_: None
+        """The function that is called with each journal that is opened, with its tasks, and with
+        whether its server ends the goals that no worker can run."""
         self.on_room: Callable[[], None] = lambda: None
         """The function that is called when the room of a server has changed."""
         membership.on_fence = self.lose_all
@@ -61,6 +64,7 @@ class FleetStore(GoalStore):
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str] = no_obstacle,
+        ends_unreadable: bool = False,
     ) -> AsyncGenerator[FleetJournal, None]:
         """See `GoalStore.open`. Goals are claimed from when the block begins."""
         if action in self.journals:
@@ -69,7 +73,7 @@ class FleetStore(GoalStore):
         self.journals[action] = journal
         try:
             async with Background() as tasks:
-                self.on_open(journal, tasks)
+                self.on_open(journal, tasks, ends_unreadable)
                 yield journal
         finally:
             with CancelScope(shield=True):

@@ -31,7 +31,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.abc import Notifier
 from fibaction.border.event_loop import Slices
 from fibaction.border.peer_text import clean_logger
-from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction.words.errors import ConnectionLost
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (
     Broker,
@@ -47,14 +47,13 @@ from fibaction_transports.nats.records import (
     GoalEntry,
     LeaseEntry,
     encode,
-    goal_entry,
     is_claim,
 )
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, Membership
-from fibaction_transports.nats.worker.lost_workers import LostWorkers
-from fibaction_transports.nats.worker.notes_for_others import NotesForOthers
+from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry
 from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.worker.unreadable_goals import NotesForOthers, UnreadableGoals
 from fibaction_transports.nats.workers import FleetWorkers
 
 AT_ONCE = 16
@@ -85,6 +84,7 @@ class Takeover:
         self._workers = workers
         self._lost = LostWorkers(broker, names, membership, workers)
         self._noted: set[int] = set()  # the sequences of records that a scan has found
+        self._unreadable: dict[str, UnreadableGoals] = {}  # of the journals, by their actions
         self.room = Notifier()
         """Notifies of a change of the room of a server, or of the membership."""
         self.rescan = Notifier()
@@ -101,8 +101,12 @@ class Takeover:
         await self._broker.subscribe(self._names.taken(self._membership.worker), self._on_hint)
         await self._workers.ready()
 
-    def _open(self, journal: FleetJournal, tasks: TaskGroup) -> None:
-        others = NotesForOthers(self._broker, journal, tasks)
+    def _open(self, journal: FleetJournal, tasks: TaskGroup, ends_unreadable: bool) -> None:
+        unreadable = self._unreadable[journal.action] = UnreadableGoals(
+            self._broker, self._store, journal, self._lost, self._workers, ends=ends_unreadable
+        )
+        tasks.start_soon(unreadable.run, tasks)
+        others = NotesForOthers(self._broker, journal, unreadable, tasks)
         tasks.start_soon(self._take_left, journal, others, tasks)
         tasks.start_soon(self._take_wanted, journal, others)
         tasks.start_soon(self._scan_often, journal)
@@ -181,13 +185,15 @@ class Takeover:
             slices = Slices()
             while (records := await watch.next()) is not None:
                 for record in records:
-                    entry = _entry(record)
+                    entry = active_entry(record)
                     if entry is None or (record.sequence in self._noted and not again):
                         continue
                     if await self._lost.is_gone(entry):
                         self._noted.add(record.sequence)
-                        left = self._names.left(action_of(record.subject))
-                        self._broker.add_note(left, bytes(entry.goal.goal_id))
+                        action = action_of(record.subject)
+                        self._broker.add_note(self._names.left(action), bytes(entry.goal.goal_id))
+                        if action in self._store.journals:
+                            self._unreadable[action].look_at(entry.goal)
                     await slices.pause()
 
     # Notes
@@ -210,7 +216,8 @@ class Takeover:
                 note.done()
                 return
             record, entry = found
-            if others.give_back(self._names.left(journal.action), note, entry.goal):
+            subject = self._names.left(journal.action)
+            if others.give_back(subject, note, entry.goal, is_left=True):
                 return
             is_taken = await self._take(journal, record, entry)
             if is_taken or self._membership.incarnation:
@@ -249,7 +256,8 @@ class Takeover:
                 note.done()
                 return
             record, entry = found
-            if others.give_back(self._names.want(journal.action), note, entry.goal):
+            subject = self._names.want(journal.action)
+            if others.give_back(subject, note, entry.goal, is_left=False):
                 return
             former = entry.goal.worker
             is_taken = await self._take(journal, record, entry)
@@ -275,7 +283,7 @@ class Takeover:
         except ValueError:
             return None
         record = await self._broker.get(self._names.goals, subject)
-        entry = None if record is None else _entry(record)
+        entry = None if record is None else active_entry(record)
         return None if record is None or entry is None else (record, entry)
 
     async def _take(self, journal: FleetJournal, record: BrokerRecord, entry: GoalEntry) -> bool:
@@ -312,18 +320,6 @@ class Takeover:
             record = await self._broker.get(self._names.goals, subject)
         except BrokerAway:
             return  # the begin of the goal will be refused
-        entry = None if record is None else _entry(record)
+        entry = None if record is None else active_entry(record)
         if entry is not None and entry.incarnation != self._membership.incarnation:
             journal.lose(goal_id)
-
-
-def _entry(record: BrokerRecord) -> GoalEntry | None:
-    """Return the entry of an active goal; None if the goal has ended, or cannot be read."""
-    if not record.data:
-        return None
-    try:
-        entry = goal_entry(record.data)
-    except ProtocolError as exc:
-        logger.warning("%s: %s", record.subject, exc)
-        return None
-    return entry if entry.goal.status.is_active else None

@@ -7,6 +7,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 
 from anyio import CancelScope
 from anyio.abc import TaskGroup
+from msgspec.structs import replace
 
 from fibaction.border.abc import Endpoint
 from fibaction.border.event_loop import Background
@@ -113,7 +114,10 @@ class Worker:
         self._membership.note_change()
 
     def _describe(self, entry: LeaseEntry) -> None:
-        entry.actions = self._served
+        unreadable = self.store.unreadable
+        entry.actions = tuple(
+            replace(one, unreadable=unreadable.get(one.info.name, 0)) for one in self._served
+        )
         entry.goals = len(self.store)
         entry.has_room = self._offers.has_room
 

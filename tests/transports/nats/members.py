@@ -1,0 +1,132 @@
+"""Members of a fleet over brokers in memory, whose servers note what they are told."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import AsyncExitStack, asynccontextmanager
+
+from anyio import fail_after
+from msgspec.structs import replace
+
+from fibaction import GoalID
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction.border.goal_store import StoredGoal
+from fibaction.types.action import ActionInfo
+from fibaction.words.goals import Sender
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import (
+    GoalEntry,
+    LeaseEntry,
+    ServedAction,
+    encode,
+    goal_entry,
+)
+from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.worker.takeover import Takeover
+from fibaction_transports.nats.workers import FleetWorkers
+from tests.support.memory_broker import MemoryBrokers
+
+NAMES = FleetNames("test")
+LEASE = 6.0
+
+
+def goal(number: int = 1, **changes: object) -> StoredGoal:
+    made = StoredGoal(GoalID(bytes([number]) * 16), number, Sender("me"), b"digest", b"goal")
+    fields = {"is_running": True, "attempt": 1, "meta": {"traceparent": f"00-{number}"}}
+    return replace(made, **{**fields, **changes})
+
+
+def waiting(number: int = 1) -> StoredGoal:
+    return goal(number, is_running=False, attempt=0)
+
+
+class Member:
+    """A worker whose server notes what it is told, and begins what it has room for."""
+
+    def __init__(self, shared: MemoryBrokers, name: str) -> None:
+        self.broker = shared.member(name)
+        self.name = name
+        self.membership = Membership(self.broker, NAMES, name, LEASE)
+        self.store = FleetStore(self.broker, NAMES, self.membership)
+        self.journal: FleetJournal
+        self.claimed: list[StoredGoal] = []
+        self.lost: list[GoalID] = []
+        self.cannot_run: set[GoalID] = set()
+        self.begins = True
+        self.news = Notifier()
+
+    def claim(self, one: StoredGoal) -> None:
+        self.claimed.append(replace(one))
+        self.news.notify()
+        if self.begins:
+            one.is_running, one.attempt = True, one.attempt + 1
+            self.journal.begin(one, lambda _error: None)
+
+    def obstacle(self, one: StoredGoal) -> str:
+        return "it has no field `unit`" if one.goal_id in self.cannot_run else ""
+
+    def accept(self, *goals: StoredGoal) -> None:
+        for one in goals:
+            self.journal.accept(one, lambda _error: None)
+
+    async def claims(self, count: int, within: float = 3 * LEASE) -> list[StoredGoal]:
+        with fail_after(within):
+            while len(self.claimed) < count:
+                await self.news.wait()
+        return self.claimed
+
+
+def serves_count(lease: LeaseEntry) -> None:
+    """Say in a lease that the worker serves the action."""
+    lease.actions = (ServedAction(ActionInfo("count"), is_kept=True),)
+
+
+@asynccontextmanager
+async def member(
+    shared: MemoryBrokers,
+    name: str,
+    *,
+    running: float = 0,
+    cannot_run: Iterable[StoredGoal] = (),
+    ends_unreadable: bool = False,
+) -> AsyncGenerator[Member, None]:
+    made = Member(shared, name)
+    made.cannot_run = {one.goal_id for one in cannot_run}
+    made.membership.describe = serves_count
+    await made.membership.join()
+    async with AsyncExitStack() as stack:
+        tasks = made.store.tasks = await stack.enter_async_context(Background())
+        stack.callback(lambda: setattr(made.broker, "is_away", False))
+        tasks.start_soon(made.membership.run)
+        tasks.start_soon(made.membership.fence_in_time)
+        workers = FleetWorkers(made.broker, NAMES, tasks, 5)
+        takeover = Takeover(made.broker, NAMES, made.store, made.membership, workers)
+        made.store.on_room = takeover.room.notify
+        await takeover.open()
+        made.journal = await stack.enter_async_context(
+            made.store.open(
+                "count",
+                max_results=9,
+                claim=made.claim,
+                lose=made.lost.append,
+                obstacle=made.obstacle,
+                ends_unreadable=ends_unreadable,
+            )
+        )
+        made.journal.set_room(running, 9)
+        await made.broker.flush()
+        yield made
+
+
+def entry(shared: MemoryBrokers, one: StoredGoal) -> GoalEntry:
+    record = shared.newest(NAMES.goal("count", one.goal_id))
+    assert record is not None
+    return goal_entry(record.data)
+
+
+def keep(shared: MemoryBrokers, one: StoredGoal, incarnation: bytes = b"") -> None:
+    """Store a record as an earlier worker did."""
+    shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, incarnation, b"1")), 0, 9e9)
