@@ -57,6 +57,10 @@ OF_THE_SERVER = {
     ),
     "max_results": ("Results that are kept.", "the oldest is forgotten"),
     "result_timeout": ("Seconds that a result is kept.", "it is forgotten"),
+    "given_up_timeout": (
+        "Seconds that a store keeps a goal that was given up, with the goal and its checkpoint.",
+        "it is forgotten",
+    ),
     "feedback_window": (
         "Feedback messages that are remembered of each goal.",
         "the executor waits for its client, and others lose the oldest",

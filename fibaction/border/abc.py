@@ -19,10 +19,11 @@ from typing import Any, ClassVar
 from fibaction._runtime.notify import Notifier
 from fibaction.border.endpoints import Endpoint, ForwardingEndpoint, Startable
 from fibaction.border.goal_request import GoalRequest
-from fibaction.border.goal_store import GoalStore
+from fibaction.border.goal_store import GoalStore, StoredGoal
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.types.action import Action, ActionInfo
-from fibaction.words.goals import ActionPeers, WorkerInfo
+from fibaction.words.errors import StoreError
+from fibaction.words.goals import ActionPeers, GoalID, WorkerInfo
 from fibaction.words.meta import Meta
 
 __all__ = [
@@ -73,6 +74,24 @@ class Connection(ABC):
             TransportError, ProtocolError: As for `actions`.
         """
         return []
+
+    async def given_up(self) -> dict[str, list[StoredGoal]]:
+        """Return the goals that the fleet keeps after they were given up, by the names of their
+        actions, in the order of their ends; empty if this transport has no fleet.
+
+        Raises:
+            TransportError, ProtocolError: As for `actions`.
+        """
+        return {}
+
+    async def rerun(self, action: str, goal_id: GoalID) -> GoalID:
+        """Run a goal of `given_up` again, as a new goal from its last checkpoint; return its ID.
+
+        Raises:
+            StoreError: The goal was not given up, or cannot be stored.
+            TransportError, ProtocolError: As for `actions`.
+        """
+        raise StoreError(f"goal {goal_id} was not given up: only fleets keep such goals here")
 
 
 class Transport(ABC):

@@ -35,7 +35,7 @@ from typing import TypeAlias
 import msgspec
 
 from fibaction.words.errors import StoreError
-from fibaction.words.goals import GoalID, Sender
+from fibaction.words.goals import GoalID, Sender, child_id
 from fibaction.words.statuses import GoalStatus
 
 
@@ -50,7 +50,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     digest: bytes
     """Digest of the goal, which tells a retry from another goal with the same ID."""
     goal: bytes
-    """The goal as it was sent; empty after the end."""
+    """The goal as it was sent; empty after the end, unless it was given up."""
     deadline: int = 0
     """Time at which the client gives the goal up: nanoseconds since 1970; 0 if it does not."""
     status: GoalStatus = GoalStatus.ACCEPTED
@@ -63,7 +63,8 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     """The number of attempts whose process was gone before the goal ended or was released, since
     the last checkpoint that was another one than before it."""
     checkpoint: bytes | None = None
-    """The last checkpoint of the executor; None if there is none, and after the end."""
+    """The last checkpoint of the executor; None if there is none, and after the end, unless the
+    goal was given up."""
     result: bytes | None = None
     """The result of a goal that has ended, or what there is of it."""
     reason: str = ""
@@ -78,13 +79,38 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     """The name of the worker that has the goal; empty if the store has one server for each action.
     """
     meta: dict[str, str] | None = None
-    """The small text map that came with the goal; None if it is empty, and after the end."""
+    """The small text map that came with the goal; None if it is empty, and after the end, unless
+    the goal was given up."""
 
     @property
     def told_status(self) -> GoalStatus:
         """The status that clients know: an active goal that has begun is EXECUTING."""
         has_begun = self.attempt and self.status is GoalStatus.ACCEPTED
         return GoalStatus.EXECUTING if has_begun else self.status
+
+    @property
+    def is_given_up(self) -> bool:
+        """True if the goal has ended and is kept whole: its server has given it up."""
+        return self.status.is_terminal and bool(self.goal)
+
+    def drop_request(self) -> None:
+        """Forget what is needed only to run the goal."""
+        self.goal, self.checkpoint, self.meta = b"", None, None
+
+    def as_new(self, stamp: int) -> StoredGoal:
+        """Return a goal that was given up as a new one, to run from its last checkpoint.
+
+        Its ID follows from that of the old one, so the same goal is run again once.
+        """
+        return StoredGoal(
+            child_id(self.goal_id, "", "run again"),
+            stamp,
+            self.sender,
+            self.digest,
+            self.goal,
+            checkpoint=self.checkpoint,
+            meta=self.meta,
+        )
 
 
 Then: TypeAlias = Callable[[StoreError | None], None]
@@ -153,7 +179,8 @@ class GoalJournal(ABC):
     def end(self, goal: StoredGoal, then: Then) -> None:
         """Keep the end of the goal: `status` is terminal, and all fields of an end are set.
 
-        What is needed only to run the goal is not kept any longer.
+        What is needed only to run the goal is not kept any longer, unless it was given up: then
+        `goal` is not empty.
         """
 
     @abstractmethod

@@ -36,6 +36,7 @@ from fibaction.server.admission.admission import Offer
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, STORE_FAILED, GoalKeeper
 from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
+from fibaction.server.durability.stored_ends import StoredEnds
 from fibaction.server.execution.executor import Executor
 from fibaction.server.execution.executor_check import check_is_executor
 from fibaction.server.parts import Parts
@@ -192,7 +193,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             return GoalKeeper(
                 self.store,
                 self.action.name,
-                keep_for=settings.result_timeout,
+                StoredEnds(settings.result_timeout, settings.given_up_timeout),
                 max_results=settings.max_results,
             )
         if settings.at_stop == "keep":

@@ -28,6 +28,7 @@ RecoveryRule: TypeAlias = Literal["abort", "rerun"] | RecoveryFunction[GoalT]
 NOT_NEGATIVE = (
     "stall_timeout",
     "result_timeout",
+    "given_up_timeout",
     "max_results",
     "max_goals",
     "max_bytes",
@@ -46,6 +47,7 @@ class ActionServerKeywords(TypedDict, Generic[GoalT], total=False):
     feedback_window: int
     stall_timeout: float
     result_timeout: float
+    given_up_timeout: float
     max_results: int
     max_goals: int
     max_bytes: int
@@ -84,8 +86,13 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     result_timeout: float = 10.0
     """Seconds that an outcome is kept after the goal's end; 0 not at all, `math.inf` for ever. A
     client that already waits for it always gets it."""
+    given_up_timeout: float = 7 * 24 * 3600.0
+    """Seconds that a store keeps a goal that was given up, with the goal itself and its checkpoint,
+    so that `fibaction store rerun` can run it again: one that ended because attempts were lost, or
+    because it could not be read. With 0, only its outcome is kept, as that of other goals."""
     max_results: int = 1000
-    """The number of outcomes that are kept at most; the oldest are forgotten."""
+    """The number of outcomes that are kept at most; the oldest are forgotten. A store keeps as many
+    goals that were given up."""
     max_goals: int = MAX_GOALS
     """The number of goals that may be active, or be decided upon, at the same time; more are
     rejected with a reason that begins with `busy`."""

@@ -78,6 +78,8 @@ class EndRecord(msgspec.Struct, array_like=True, tag=4, gc=False):
     feedback_count: int
     ended_at: int
     keep_until: int
+    is_given_up: bool = False
+    """True if the goal and its checkpoint are kept."""
 
 
 Record: TypeAlias = StartRecord | WholeRecord | StateRecord | CheckpointRecord | EndRecord
@@ -119,6 +121,7 @@ def ended(action: str, goal: StoredGoal) -> EndRecord:
         goal.feedback_count,
         goal.ended_at,
         goal.keep_until,
+        goal.is_given_up,
     )
 
 
@@ -163,10 +166,16 @@ class ActionGoals:
         """The goals that have ended, in the order of their ends."""
 
     def drop_expired(self, max_results: int, now: int) -> None:
-        """Forget ended goals whose time has passed at `now`, and the oldest of too many."""
+        """Forget ended goals whose time has passed at `now`, and the oldest of too many; those that
+        were given up are counted by themselves.
+        """
         kept = [goal for goal in self.ended.values() if not 0 < goal.keep_until <= now]
-        kept = kept[max(len(kept) - max_results, 0) :]
-        self.ended = {goal.goal_id: goal for goal in kept}
+        given_up, others = (
+            [goal.goal_id for goal in kept if goal.is_given_up == is_given_up][::-1][:max_results]
+            for is_given_up in (True, False)
+        )
+        newest = {*given_up, *others}
+        self.ended = {goal.goal_id: goal for goal in kept if goal.goal_id in newest}
 
     def in_order(self) -> list[StoredGoal]:
         """Return those that have ended by their ends, then the active ones by their stamps."""
@@ -207,7 +216,9 @@ class ActionGoals:
         goal.result, goal.reason = end.result, end.reason
         goal.feedback_count = end.feedback_count
         goal.ended_at, goal.keep_until = end.ended_at, end.keep_until
-        goal.is_running, goal.goal, goal.checkpoint, goal.meta = False, b"", None, None
+        goal.is_running = False
+        if not end.is_given_up:
+            goal.drop_request()
         del self.active[goal.goal_id]
         self.ended[goal.goal_id] = goal
 

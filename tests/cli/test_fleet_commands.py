@@ -176,6 +176,7 @@ async def test_goals_that_no_worker_can_read_are_told(
     )
 
 
+@pytest.mark.promise("KEEP-12")
 def test_a_goal_whose_worker_is_killed_ends_for_those_that_follow_it(
     started: Start, here: Run, broker: str, start_worker: StartWorker
 ) -> None:
@@ -193,3 +194,15 @@ def test_a_goal_whose_worker_is_killed_ends_for_those_that_follow_it(
     ]
     assert out.endswith("Goal finished with status: ABORTED (the worker 'lost' was lost)\n")
     assert [line.split()[0] for line in here("workers", url=few).lines] == ["WORKER", "next"]
+
+    (given_up,) = here("store", "given_up", few, "--json").json
+    assert (given_up["goal_id"], given_up["attempt"]) == (goal_id, 1)
+    assert given_up["reason"] == "the worker 'lost' was lost"
+    assert given_up["goal"]["seconds"] == 60
+    again = here("store", "rerun", few, goal_id[:12])
+    assert again.out.startswith(f"goal {goal_id} of /wait runs again as goal ")
+    process = started("attach", again.out.split()[-1], url=few)
+    lines_until("step: step", process)
+    here("cancel", again.out.split()[-1], url=few)
+    assert ended(process).code == ExitCode.CANCELED
+    assert here("store", "given_up", few).err == f"No goals were given up at {few}.\n"

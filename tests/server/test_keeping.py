@@ -30,8 +30,8 @@ from fibaction import (
 from fibaction._runtime import slices
 from fibaction.border.abc import FeedbackItem
 from fibaction.border.goal_store import StoredGoal
-from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.server.durability.recovery import ASKED_AT_ONCE
+from fibaction.server.durability.stored_ends import SECOND
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time
@@ -445,6 +445,61 @@ async def test_a_stored_goal_that_does_not_fit_any_more_is_aborted(
         assert outcome.status is GoalStatus.ABORTED
         assert outcome.reason.startswith(reason)
         assert await (await attached(server, 2)).result() == "painted 3 in attempt 1"
+
+
+@pytest.mark.promise("KEEP-12")
+@pytest.mark.parametrize(
+    ("fields", "settings", "reason"),
+    [
+        ({"lost": 2}, {"recovery": "rerun"}, "given up after 3 attempts: the server was restarted"),
+        ({}, {"recovery": "abort"}, "the server was restarted"),
+        ({"checkpoint": b"\xa1x"}, {"unreadable": "abort", "recovery": "rerun"}, "Expected `int`"),
+    ],
+    ids=["attempts", "abort", "unreadable"],
+)
+async def test_a_goal_that_is_given_up_is_kept_with_its_checkpoint_and_the_reason(
+    fields: dict[str, Any], settings: dict[str, Any], reason: str
+) -> None:
+    lost = stored(
+        **{"is_running": True, "attempt": 3, "checkpoint": PAINT.goal.encode(2), **fields}
+    )
+    store = store_with(lost)
+    async with server_with(store, **settings) as server:
+        assert reason in (await (await attached(server)).outcome()).reason
+    [kept] = store.goals.values()
+    assert kept.is_given_up
+    assert (kept.goal, kept.checkpoint, kept.attempt) == (lost.goal, lost.checkpoint, 3)
+    assert kept.keep_until - kept.ended_at == 7 * 24 * 3600 * SECOND
+    async with server_with(store, **settings) as server:
+        assert reason in (await (await attached(server)).outcome()).reason, "its outcome is told"
+    [kept] = store.goals.values()
+    assert kept.is_given_up, "it stays"
+
+
+async def test_a_goal_that_is_given_up_is_kept_no_longer_than_the_user_says() -> None:
+    lost = stored(is_running=True, attempt=1, checkpoint=PAINT.goal.encode(2))
+    store = store_with(lost)
+    async with server_with(store, given_up_timeout=0) as server:
+        await (await attached(server)).outcome()
+    [kept] = store.goals.values()
+    assert not kept.is_given_up
+    assert (kept.goal, kept.checkpoint) == (b"", None)
+
+
+@pytest.mark.promise("KEEP-12")
+async def test_a_goal_that_was_given_up_runs_again_as_a_new_one_from_its_checkpoint() -> None:
+    lost = stored(is_running=True, attempt=1, checkpoint=PAINT.goal.encode(2))
+    store = store_with(lost)
+    async with server_with(store) as server:
+        await (await attached(server)).outcome()
+    [kept] = store.goals.values()
+    new = kept.as_new(time.time_ns())
+    assert new.goal_id == kept.as_new(1).goal_id != kept.goal_id
+    store.goals["paint", new.goal_id] = new
+    async with server_with(store) as server:
+        client = ActionClient(server, PAINT)
+        assert await (await client.attach(new.goal_id)).result() == "painted 3 in attempt 1"
+        assert [one.goal_id for one in await client.goals()] == [kept.goal_id, new.goal_id]
 
 
 async def test_a_canceled_goal_that_does_not_fit_any_more_is_canceled() -> None:

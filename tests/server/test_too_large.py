@@ -8,9 +8,10 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
+from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalID, GoalStatus, Schedule
 from fibaction.border.goal_store import RecordTooLarge, StoredGoal, Then
 from fibaction.words.errors import GoalAborted, GoalRejected
+from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import MemoryJournal, MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
@@ -124,3 +125,15 @@ async def test_a_result_ends_the_goal_as_aborted_with_the_reason(store: MemorySt
         with pytest.raises(GoalAborted, match="the result is not kept: it has more than 100"):
             await client.call("result 200")
         assert await client.call("result 20") == "x" * 20
+
+
+async def test_a_goal_that_is_given_up_is_kept_without_itself(store: MemoryStore) -> None:
+    payload = ECHO.goal.encode("x" * 200)
+    lost = StoredGoal(GoalID.random(), 1, UNKNOWN_SENDER, digest_of(payload), payload)
+    lost.is_running, lost.attempt = True, 1
+    store.goals["echo", lost.goal_id] = lost
+    async with server_with(store) as server:
+        outcome = await (await ActionClient(server, ECHO).attach(lost.goal_id)).outcome()
+    assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "the server was restarted")
+    [kept] = store.goals.values()
+    assert (kept.status, kept.is_given_up) == (GoalStatus.ABORTED, False)

@@ -17,16 +17,11 @@ def a_goal(number: int = 1, **fields: Any) -> StoredGoal:
     return StoredGoal(goal_id, number, sender, b"digest", b"goal", **fields)
 
 
-def after_end(goal: StoredGoal, **fields: Any) -> StoredGoal:
-    """Set the fields of an end, and return the goal."""
+def after_end(goal: StoredGoal, /, **fields: Any) -> StoredGoal:
+    """Set the fields of an end, and return the goal, without what was needed only to run it."""
+    goal.drop_request()
     goal.status, goal.is_running, goal.ended_at = GoalStatus.SUCCEEDED, False, 5
     goal.result = b"result"
     for name, value in fields.items():
         setattr(goal, name, value)
-    return goal
-
-
-def as_kept(goal: StoredGoal) -> StoredGoal:
-    """Return the goal that has ended without what was needed only to run it."""
-    goal.goal, goal.checkpoint, goal.meta = b"", None, None
     return goal

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from copy import copy
 
+import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ from fibaction.stores.journal_rows import (
     ActionGoals,
     CheckpointRecord,
     DamagedRow,
+    EndRecord,
     KeptGoals,
     Record,
     StartRecord,
@@ -26,7 +28,7 @@ from fibaction.stores.journal_rows import (
 )
 from fibaction.words.goals import GoalID, Sender
 from fibaction.words.statuses import GoalStatus
-from tests.stores.made import a_goal, after_end, as_kept
+from tests.stores.made import a_goal, after_end
 
 ACTIONS = ["paint", "drive"]
 START = encode_row(1, [StartRecord()])
@@ -62,9 +64,10 @@ class Model:
                 goal.lost + 1,
                 self.stamp + 1,
             )
-            record = ended(action, after_end(goal, result=data, reason="ü", keep_until=len(data)))
-            as_kept(goal)
-            return record
+            end = {"result": data, "reason": "ü", "keep_until": len(data)}
+            if data and goal.goal:
+                end |= {"goal": goal.goal, "checkpoint": goal.checkpoint, "meta": goal.meta}
+            return ended(action, after_end(goal, **end))
         if what == "checkpoint":
             if data != goal.checkpoint:
                 goal.lost = 0
@@ -268,7 +271,7 @@ def test_a_row_begins_with_the_checksum_of_its_number_and_its_bytes(size: int) -
     assert row[:4] == zlib.crc32(row[4:], 5).to_bytes(4, "big")
 
 
-def test_records_are_written_as_they_were_by_earlier_versions() -> None:
+def test_records_have_these_bytes() -> None:
     end = ended("paint", after_end(a_goal(), reason="why", feedback_count=3, keep_until=9))
     records: list[Record] = [
         StartRecord(),
@@ -278,10 +281,39 @@ def test_records_are_written_as_they_were_by_earlier_versions() -> None:
     ]
 
     assert encode_row(1, records).hex() == (
-        "a5bd8b989491009702a57061696e74c4100000000000000000000000000000000101c200009403a5"
-        "7061696e74c4026964c09b04a57061696e74c41000000000000000000000000000000001040000c4"
-        "06726573756c74a3776879030509"
+        "85193f8a9491009702a57061696e74c4100000000000000000000000000000000101c200009403a5"
+        "7061696e74c4026964c09c04a57061696e74c41000000000000000000000000000000001040000c4"
+        "06726573756c74a3776879030509c2"
     )
+
+
+def test_ends_of_an_older_file_are_read() -> None:
+    old = bytes.fromhex(
+        "9b04a57061696e74c41000000000000000000000000000000001040000c406726573756c74a3776879030509"
+    )
+    goals = ActionGoals()
+    goals.add(WholeRecord("paint", a_goal()))
+    goals.add(msgspec.msgpack.decode(old, type=EndRecord))
+    assert goals.in_order() == [
+        after_end(a_goal(), reason="why", feedback_count=3, keep_until=9),
+    ]
+
+
+def test_goals_that_were_given_up_are_kept_whole_and_counted_by_themselves() -> None:
+    goals = ActionGoals()
+    for number in range(1, 5):
+        goal = a_goal(number, checkpoint=b"half")
+        goals.add(WholeRecord("paint", copy(goal)))
+        whole = {"goal": goal.goal, "checkpoint": goal.checkpoint, "meta": goal.meta}
+        goals.add(ended("paint", after_end(goal, **(whole if number < 3 else {}))))
+
+    goals.drop_expired(1, 0)
+
+    given_up, other = goals.in_order()
+    assert (given_up.stamp, given_up.is_given_up) == (2, True)
+    assert (given_up.goal, given_up.checkpoint) == (b"goal", b"half")
+    assert given_up.meta == {"traceparent": "00-2"}
+    assert (other.stamp, other.is_given_up) == (4, False)
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2])

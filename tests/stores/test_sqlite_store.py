@@ -24,7 +24,7 @@ from fibaction.border.goal_store import GoalJournal, StoredGoal
 from fibaction.stores import _journal_file, _writer
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import Record, StartRecord, encode_row
-from tests.stores.made import a_goal, after_end, as_kept
+from tests.stores.made import a_goal, after_end
 
 pytestmark = pytest.mark.anyio
 
@@ -96,7 +96,7 @@ async def test_each_step_is_kept(path: Path) -> None:
         assert kept.found == [goal]
         await kept(kept.journal.end, after_end(goal, reason="done ü"))
     async with opened(store) as kept:
-        assert kept.found == [as_kept(goal)]
+        assert kept.found == [goal]
 
 
 async def test_a_second_store_cannot_use_the_file(path: Path) -> None:

@@ -361,9 +361,15 @@ class MemoryJournal(GoalJournal):
             (goal for goal in mine if goal.status.is_terminal), key=lambda one: one.ended_at
         )
         now = self._store.clock()
-        too_many = len(ended) - self._max_results
-        for number, goal in enumerate(ended):
-            if number < too_many or 0 < goal.keep_until <= now:
+        newest = {
+            goal.goal_id
+            for given_up in (True, False)
+            for goal in [one for one in ended if one.is_given_up is given_up][::-1][
+                : self._max_results
+            ]
+        }
+        for goal in ended:
+            if goal.goal_id not in newest or 0 < goal.keep_until <= now:
                 del goals[self._action, goal.goal_id]
                 self._store.on_forget(goal)
 
@@ -382,9 +388,9 @@ def _changed(known: StoredGoal, what: str, goal: StoredGoal) -> StoredGoal:
     assert goal.status.is_terminal, goal
     return replace(
         known,
-        goal=b"",
-        checkpoint=None,
-        meta=None,
+        goal=goal.goal,
+        checkpoint=goal.checkpoint,
+        meta=goal.meta,
         is_running=False,
         status=goal.status,
         result=goal.result,

@@ -56,24 +56,17 @@ from fibaction.server.durability.keeper import (
     Take,
     TooLarge,
 )
+from fibaction.server.durability.stored_ends import LONGEST, SECOND, StoredEnds
 from fibaction.server.life import LIFE, Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.errors import GoalKept, StoreError, copy_of
 from fibaction.words.goals import Outcome
 from fibaction.words.statuses import GoalStatus
 
-OUTCOME_GRACE = 60.0
-"""Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited
-for it while the server was away."""
-
 GOAL_IS_TAKEN = "another server has taken the goal over"
 STORE_FAILED = "the server has stopped, because its store has failed"
 GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
 STORE_IS_LATE = "the server has stopped before its store has answered"
-
-SECOND = 1_000_000_000
-LONGEST = 1e9
-"""Seconds above which a time is kept as unlimited: some 30 years."""
 
 logger = clean_logger("fibaction.server")
 
@@ -92,11 +85,13 @@ class GoalKeeper(Keeper):
 
     life = LIFE
 
-    def __init__(self, store: GoalStore, action: str, *, keep_for: float, max_results: int) -> None:
-        """Keep outcomes for so many seconds, and so many of them at most."""
+    def __init__(
+        self, store: GoalStore, action: str, ends: StoredEnds, *, max_results: int
+    ) -> None:
+        """Keep ends by a rule, and so many of them at most."""
         self._store = store
         self._action = action
-        self._keep_for = keep_for
+        self._ends = ends
         self._max_results = max_results
         self._journal: GoalJournal
         self._written = 0
@@ -218,17 +213,15 @@ class GoalKeeper(Keeper):
     ) -> None:
         """Keep the end of the goal."""
         stored, goal.stored = _stored(goal), None
-        now = time.time_ns()
-        stored.status, stored.result = outcome.status, outcome.result
-        stored.reason = outcome.reason
-        stored.is_running, stored.goal, stored.checkpoint, stored.meta = False, b"", None, None
-        stored.feedback_count, stored.ended_at = goal.feedback_count, now
-        if self._keep_for < LONGEST:
-            stored.keep_until = now + int((self._keep_for + OUTCOME_GRACE) * SECOND)
+        self._ends.write(stored, goal, outcome)
 
         def keep_without(error: RecordTooLarge) -> None:
             goal.stored = stored
-            too_large(error)
+            if goal.is_given_up:  # there may be room without the goal itself
+                goal.is_given_up = False
+                self.end(goal, outcome, then, too_large)
+            else:
+                too_large(error)
 
         self._write(self._journal.end, goal, stored, then, keep_without)
 

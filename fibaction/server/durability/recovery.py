@@ -28,7 +28,8 @@ on, and one of these happens:
   later, and for a server that is told so: else the server does not start (see `readable`). A store
   that several servers share asks for the `obstacle` first, and leaves such a goal to the others.
 
-A goal that runs again begins another attempt. `Runs` writes that before the executor starts.
+A goal that runs again begins another attempt. `Runs` writes that before the executor starts. A goal
+that ends as ABORTED here is given up: the store keeps it whole (see `stored_ends`).
 """
 
 from __future__ import annotations
@@ -47,9 +48,10 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
-from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, SECOND
+from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT
 from fibaction.server.durability.lost_attempts import LostAttempts, cause_of
 from fibaction.server.durability.readable import ReadableCheck
+from fibaction.server.durability.stored_ends import SECOND
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
@@ -283,4 +285,5 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             self._action.name,
             ending.reason,
         )
+        goal.is_given_up = ending.kind is EndKind.FAILED
         self._runs.end(goal.goal_id, ending)

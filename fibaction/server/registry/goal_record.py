@@ -41,6 +41,7 @@ class GoalRecord:
         "goal_id",
         "goes_on",
         "held",
+        "is_given_up",
         "outcome",
         "phase",
         "place",
@@ -99,6 +100,8 @@ class GoalRecord:
         """The reason for which the server ends the goal by itself; empty if it does not."""
         self.goes_on = False
         """True if the server interrupts this attempt, and the goal is to go on in another one."""
+        self.is_given_up = False
+        """True if the server ends the goal instead of running it again."""
 
     @property
     def is_kept(self) -> bool:

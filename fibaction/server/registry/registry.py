@@ -201,7 +201,8 @@ class GoalRegistry:
         """
         goal_id, status = GoalID(stored.goal_id), stored.status
         self._last_stamp = max(stored.stamp, self._last_stamp)
-        size = len(stored.goal) + len(stored.result or b"") + len(stored.reason)
+        goal_size = 0 if status.is_terminal else len(stored.goal)
+        size = goal_size + len(stored.result or b"") + len(stored.reason)
         held = CountedBytes(self.budget, size)
         goal = GoalRecord(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
         goal.attempt, goal.remember_until = max(stored.attempt, 1), until

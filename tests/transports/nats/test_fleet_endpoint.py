@@ -333,6 +333,9 @@ async def test_an_end_that_its_owner_has_forgotten_is_unknown(fleet: FakeFleet) 
         a.own(GOAL_ID, **ENDED)
         outcome = await connection.endpoint(COUNT).get_result(GOAL_ID)
         assert outcome.status is GoalStatus.UNKNOWN
+        a.own(GOAL_ID, **{**ENDED, "goal": THREE})
+        outcome = await connection.endpoint(COUNT).get_result(GOAL_ID)
+        assert outcome.status is GoalStatus.SUCCEEDED, "one that was given up is kept for longer"
 
 
 async def test_goals_of_a_gateway_are_followed_there(fleet: FakeFleet) -> None:

@@ -10,6 +10,7 @@ that has goals of it. Its parts know each other in one direction only:
 - `WorkerConnections` has the wire connections, with one session for all of them.
 - `RoomFinder` finds a worker that has room for a new goal.
 - `CallRoutes` reads records, and leads goals to their owners when they are lost.
+- `GivenUpGoals` lists the goals that were given up, and lets them run again.
 - `AllStatuses` follows the statuses of all goals, from their records.
 - `FleetEndpoint` turns the methods of an `Endpoint` into calls at workers.
 """
@@ -24,15 +25,17 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Connection, Endpoint
 from fibaction.border.event_loop import Background
+from fibaction.border.goal_store import StoredGoal
 from fibaction.types.action import Action, ActionInfo
 from fibaction.wire.messages import AskPeers, Peers
 from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import ConnectionLost
-from fibaction.words.goals import ActionPeers, WorkerInfo
+from fibaction.words.goals import ActionPeers, GoalID, WorkerInfo
 from fibaction_transports.nats.broker.broker import Broker
 from fibaction_transports.nats.client.call_routes import CallRoutes
 from fibaction_transports.nats.client.endpoint import FleetEndpoint
 from fibaction_transports.nats.client.free_workers import RoomFinder
+from fibaction_transports.nats.client.given_up import GivenUpGoals
 from fibaction_transports.nats.client.parts import FleetParts
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
@@ -69,6 +72,7 @@ class FleetConnection(Connection):
             self._statuses,
             broker.max_record,
         )
+        self._given_up = GivenUpGoals(broker, names)
         tasks.start_soon(self._connections.close_idle)
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
@@ -81,6 +85,12 @@ class FleetConnection(Connection):
     async def workers(self) -> list[WorkerInfo]:
         await self._workers.ready()
         return self._workers.infos()
+
+    async def given_up(self) -> dict[str, list[StoredGoal]]:
+        return await self._given_up.list()
+
+    async def rerun(self, action: str, goal_id: GoalID) -> GoalID:
+        return await self._given_up.rerun(action, goal_id)
 
     async def peers(self, action: str) -> ActionPeers:
         async def ask(worker: str) -> list[str]:

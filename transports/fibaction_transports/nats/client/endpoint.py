@@ -167,9 +167,9 @@ class FleetEndpoint(Endpoint):
                 except (UnknownGoal, ConnectionLost, ServerNotFound) as exc:
                     error = exc
             if found.goal.ended_at:
-                if isinstance(error, UnknownGoal):
+                if isinstance(error, UnknownGoal) and not found.goal.is_given_up:
                     raise error  # its owner has forgotten it, and the record goes soon
-                if not isinstance(error, ConnectionLost) or not found.is_alive:
+                if not (isinstance(error, ConnectionLost) and found.is_alive):
                     return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
             await patience.wait(error)
 

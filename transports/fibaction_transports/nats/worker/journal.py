@@ -85,7 +85,7 @@ class FleetJournal(GoalJournal):
         """The function that returns why the server cannot run a goal; empty if it can."""
         self._held: dict[GoalID, HeldGoal] = {}
         self._shortage = Shortage(store.names)
-        self._outcomes = KeptOutcomes(store.broker, max_results)
+        self.outcomes = KeptOutcomes(store.broker, max_results)
         self._settled = Notifier()
         self._answers = AnswerQueue(self._settled.notify)
         self.begun = Notifier()
@@ -206,7 +206,7 @@ class FleetJournal(GoalJournal):
         self._shortage.discard(held.goal_id)
         if write.kind == "end":
             self._forget(held)
-            self._outcomes.add(self._names.goal(self.action, held.goal_id), held)
+            self.outcomes.add(self._names.goal(self.action, held.goal_id), held)
         elif write.kind == "release":
             self._forget(held)
             self._broker.add_note(self._names.left(self.action), bytes(held.goal_id))
@@ -338,7 +338,7 @@ class FleetJournal(GoalJournal):
 
     def rewrite_all(self) -> None:
         """Write the records of all goals again: their stream was lost, and there is a new one."""
-        self._outcomes.forget()
+        self.outcomes.forget()
         for held in tuple(self._held.values()):
             held.sequence = 0
             if not held.writes:  # otherwise the write that is under way is repeated

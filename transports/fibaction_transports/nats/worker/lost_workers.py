@@ -18,16 +18,21 @@ from fibaction_transports.nats.workers import FleetWorkers
 logger = clean_logger("fibaction.nats")
 
 
-def active_entry(record: BrokerRecord) -> GoalEntry | None:
-    """Return the entry of an active goal; None if the goal has ended, or cannot be read."""
+def entry_of(record: BrokerRecord) -> GoalEntry | None:
+    """Return the entry in the record of a goal; None if it was deleted, or cannot be read."""
     if not record.data:
         return None
     try:
-        entry = goal_entry(record.data)
+        return goal_entry(record.data)
     except ProtocolError as exc:
         logger.warning("%s: %s", record.subject, exc)
         return None
-    return entry if entry.goal.status.is_active else None
+
+
+def active_entry(record: BrokerRecord) -> GoalEntry | None:
+    """Return the entry of an active goal; None if the goal has ended, or cannot be read."""
+    entry = entry_of(record)
+    return entry if entry is not None and entry.goal.status.is_active else None
 
 
 class LostWorkers:

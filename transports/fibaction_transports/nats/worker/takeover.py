@@ -30,6 +30,7 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
 from fibaction.border.event_loop import Slices
+from fibaction.border.goal_store import StoredGoal
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.goals import GoalID
@@ -51,7 +52,8 @@ from fibaction_transports.nats.records import (
 )
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, Membership
-from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry
+from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry, entry_of
+from fibaction_transports.nats.worker.outcomes import KeptOutcome
 from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.worker.unreadable_goals import NotesForOthers, UnreadableGoals
 from fibaction_transports.nats.workers import FleetWorkers
@@ -171,7 +173,8 @@ class Takeover:
         while True:
             try:
                 await self._workers.ready()
-                await self._scan(self._names.goal(journal.action), again=False)
+                given_up = await self._scan(self._names.goal(journal.action), again=False)
+                journal.outcomes.found(given_up)
             except (BrokerAway, ConnectionLost) as exc:
                 logger.debug("the records of goals cannot be read: %s", exc)
                 await sleep(LONGEST_PAUSE)
@@ -179,22 +182,34 @@ class Takeover:
             with move_on_after(SCAN_INTERVAL * self._membership.lease):
                 await self.rescan.wait()
 
-    async def _scan(self, subject: str, *, again: bool) -> None:
-        """Add a note for each goal whose worker is gone; `again` also if that was done before."""
+    async def _scan(self, subject: str, *, again: bool) -> list[KeptOutcome]:
+        """Add a note for each goal whose worker is gone; `again` also if that was done before.
+        Return the goals that were given up.
+        """
+        given_up: list[KeptOutcome] = []
         async with self._broker.watch(self._names.goals, subject) as watch:
             slices = Slices()
             while (records := await watch.next()) is not None:
                 for record in records:
-                    entry = active_entry(record)
-                    if entry is None or (record.sequence in self._noted and not again):
+                    entry = entry_of(record)
+                    if entry is None:
                         continue
-                    if await self._lost.is_gone(entry):
-                        self._noted.add(record.sequence)
-                        action = action_of(record.subject)
-                        self._broker.add_note(self._names.left(action), bytes(entry.goal.goal_id))
-                        if action in self._store.journals:
-                            self._unreadable[action].look_at(entry.goal)
+                    goal = entry.goal
+                    if goal.is_given_up:
+                        given_up.append(KeptOutcome.of(goal, record.subject, record.sequence))
+                    is_due = goal.status.is_active and (again or record.sequence not in self._noted)
+                    if is_due and await self._lost.is_gone(entry):
+                        self._add_note(record, goal)
                     await slices.pause()
+        return given_up
+
+    def _add_note(self, record: BrokerRecord, goal: StoredGoal) -> None:
+        """Add the note of a goal whose worker is gone."""
+        self._noted.add(record.sequence)
+        action = action_of(record.subject)
+        self._broker.add_note(self._names.left(action), bytes(goal.goal_id))
+        if action in self._store.journals:
+            self._unreadable[action].look_at(goal)
 
     # Notes
 
