@@ -32,6 +32,9 @@ ACTIVE = 12 * KIB
 """Bytes of one undecided or active goal at the server, beside its bytes and your executor's."""
 RESULT = 8 * KIB
 """Bytes of one goal that has ended, beside its bytes, and of one rejection."""
+UNREAD = 1.5
+"""The times of `max_bytes` that goals, feedback and results may take: unread results have half of
+it for themselves."""
 
 WHAT_HAPPENS = {
     "connections": "the oldest one that has said nothing, or does not read, is ended, otherwise the"
@@ -53,7 +56,7 @@ OF_THE_SERVER = {
     "max_goals": ("Goals that are active at the same time, of all clients.", "it is rejected"),
     "max_bytes": (
         "Bytes of goals, remembered feedback and results, of all clients.",
-        "a goal is rejected",
+        "a goal is rejected; results are forgotten, the oldest of the client that holds most",
     ),
     "max_results": ("Results that are kept.", "the oldest is forgotten"),
     "result_timeout": ("Seconds that a result is kept.", "it is forgotten"),
@@ -127,7 +130,7 @@ class Bound:
     def shared(self) -> int:
         """The most that all connections together can take in addition."""
         goals = self.max_goals * ACTIVE + self.max_results * RESULT + self.limits.lost * GOAL
-        return self.limits.total_memory + self.max_bytes + goals
+        return self.limits.total_memory + int(UNREAD * self.max_bytes) + goals
 
     @property
     def whole(self) -> int:
@@ -176,7 +179,7 @@ def memory_part() -> str:
                 "all connections share, in addition",
                 _sum(
                     "`total_memory`",
-                    "`max_bytes`",
+                    f"{UNREAD} {TIMES} `max_bytes`",
                     f"{_bytes(ACTIVE)} {TIMES} `max_goals`",
                     f"{_bytes(RESULT)} {TIMES} `max_results`",
                     f"{_bytes(GOAL)} {TIMES} `lost`",

@@ -32,6 +32,7 @@ from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import GoalStream, GoalUpdate
 from fibaction.feeds.feedback_window import (
+    NOTHING,
     UNLIMITED,
     FeedbackWindow,
     FollowedT,
@@ -41,7 +42,7 @@ from fibaction.feeds.feedback_window import (
 )
 from fibaction.feeds.followed_goal import FollowedGoal
 from fibaction.feeds.hold_time import UNLIMITED_TIME, BriefHold, HoldTime
-from fibaction.words.errors import ActionError, copy_of
+from fibaction.words.errors import ActionError, UnknownGoal, copy_of
 from fibaction.words.goals import Outcome
 from fibaction.words.statuses import GoalStatus
 
@@ -49,7 +50,16 @@ from fibaction.words.statuses import GoalStatus
 class FeedbackLog(FeedbackWindow[FollowedT]):
     """A goal's feedback so far, the last `window` messages of it, and its end."""
 
-    __slots__ = ("_error", "_held", "_others", "_payload", "_prune_at", "outcome", "statuses")
+    __slots__ = (
+        "_held",
+        "_others",
+        "_prune_at",
+        "_rest",
+        "error",
+        "outcome",
+        "payload",
+        "statuses",
+    )
 
     def __init__(
         self,
@@ -60,25 +70,19 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         payload: bytes | None = None,
     ) -> None:
         super().__init__(goal, window, latest, budget)
-        self._payload = payload
+        self.payload = payload
+        """The payload of the goal; None if it is not kept any longer."""
         self.outcome = goal.outcome
         """The goal's outcome, which is kept here if the server forgets the goal."""
         # Tuples, because most have one item or none, and a list is twice as large.
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
         self._held = goal.held
+        self._rest = 0  # the bytes that it has after the end, which `_held` counts with the outcome
         self._others: list[ref[WindowReader]] | None = None  # they wait for the end only
         self._prune_at = 0  # the number of others at which those that are gone are removed
-        self._error: ActionError | None = None
-
-    @property
-    def payload(self) -> bytes | None:
-        """The payload of the goal; None if it is not kept any longer."""
-        return self._payload
-
-    def forget_payload(self) -> None:
-        """Keep the payload of the goal no longer."""
-        self._payload = None
+        self.error: ActionError | None = None
+        """The error with which all streams of the goal end; None if they end with its outcome."""
 
     def tell_status(self) -> None:
         """Record the goal's new status, and notify the followers."""
@@ -87,11 +91,10 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
             cursor.news.notify()
 
     def __del__(self) -> None:
-        if self._payload is not None and self.outcome is not None:
-            self._budget.used -= len(self._payload)
-        # Adding them up here costs less than counting them at each feedback.
-        for item in self._items:
-            self._budget.used -= len(item.payload)
+        if self._rest and self._held is not None:
+            self._held.resize(self._held.size - self._rest)
+        elif self.outcome is None:
+            self.clear()
 
     def discarding(self) -> FeedbackLog[FollowedT]:
         """Return a log that keeps nothing, for feedback that comes after the end of the goal."""
@@ -100,8 +103,14 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
     def finish(self) -> None:
         """Notify all followers: the goal has its outcome. The log references none from now on."""
         self.outcome = self.goal.outcome
-        if self._payload is not None:  # until now it has counted among the bytes of active goals
-            self._budget.used += len(self._payload)
+        # Adding them up here costs less than counting them at each feedback.
+        for item in self._items:
+            self._rest += len(item.payload)
+        self._budget.used -= self._rest
+        if self.payload is not None:  # until now it has counted among the bytes of active goals
+            self._rest += len(self.payload)
+        if self._rest and self._held is not None:
+            self._held.resize(self._held.size + self._rest)
         for cursor in self._followers():
             cursor.news.notify()
 
@@ -109,9 +118,19 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         """End all streams of the goal with an error, and those that are asked for later: its end is
         not told here.
         """
-        self._error = error
+        self.error = error
         for cursor in self._followers():
             cursor.fail(error)
+
+    def lose_result(self) -> None:
+        """Let go of the outcome and of the feedback of a goal that has ended: the server holds too
+        many bytes. Streams that have not delivered the outcome raise `UnknownGoal`.
+        """
+        self.error = UnknownGoal(self.goal.goal_id)
+        if self._held is not None:
+            self._held.resize(self._held.size - self._rest)
+        self.outcome = self._held = self.payload = None
+        self._items = NOTHING
 
     def _followers(self) -> Sequence[WindowReader]:
         """Return all followers, which the log references no longer."""
@@ -140,18 +159,18 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         Raises:
             ActionError: The streams of the goal have ended with this error: see `fail`.
         """
-        if self._error is not None:
-            raise copy_of(self._error)
+        if self.error is not None:
+            raise copy_of(self.error)
         if after is None:
             start = self.goal.feedback_count
         elif attempt is not None and attempt != self.goal.attempt:
             start = 0
         else:
             start = min(max(after, 0), self.goal.feedback_count)
-        hold = own and feedback and not self.latest
+        hold = own and feedback and not self.latest and self.outcome is None
         # Without names, which Python would first collect in a dict.
         cursor = FeedbackCursor(self, start, feedback, own, hold)
-        if feedback:
+        if feedback and self.outcome is None:
             self._readers = with_member(self._readers, cursor)
             self.set_holding(cursor)
         else:
@@ -255,8 +274,9 @@ class FeedbackCursor(GoalStream):
 
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         log, outcome = self._log, self._log.outcome
-        if self._error is not None:
-            raise copy_of(self._error)
+        error = self._error or log.error
+        if error is not None:
+            raise copy_of(error)
         if self.reads:
             while self._statuses_told < len(log.statuses):
                 status = log.statuses[self._statuses_told]
@@ -288,8 +308,9 @@ class FeedbackCursor(GoalStream):
         self._log.note_dropped(count)
 
     def known_outcome(self) -> Outcome[bytes] | None:
-        if self._error is not None:
-            raise copy_of(self._error)
+        error = self._error or self._log.error
+        if error is not None:
+            raise copy_of(error)
         return self._log.outcome
 
     def seek(self, cursor: int) -> None:

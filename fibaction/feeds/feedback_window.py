@@ -46,7 +46,7 @@ BUDGET_STEP = 0.1
 
 UNLIMITED = ByteBudget(sys.maxsize)
 
-_NOTHING: deque[FeedbackItem] = deque(maxlen=0)
+NOTHING: deque[FeedbackItem] = deque(maxlen=0)
 
 FollowedT = TypeVar("FollowedT", bound=FollowedGoal)
 T = TypeVar("T")
@@ -129,7 +129,7 @@ class FeedbackWindow(Generic[FollowedT]):
         """True if readers may not have the feedback yet: its attempt is still being written."""
         self._window = window
         self._budget = budget
-        self._items: deque[FeedbackItem] = _NOTHING
+        self._items: deque[FeedbackItem] = NOTHING
         self._readers: Members[WindowReader] = ()
         self._holders: Members[WindowReader] = ()
         self._slowest: float = math.inf  # the slowest position of a holding reader
@@ -141,17 +141,12 @@ class FeedbackWindow(Generic[FollowedT]):
         """The number of feedback messages so far, which is the number of the last one."""
         return self.goal.feedback_count
 
-    @property
-    def is_followed(self) -> bool:
-        """True if anything reads the feedback."""
-        return bool(self._readers)
-
     def append(self, payload: bytes) -> None:
         """Add feedback. In a full window it pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
         items: deque[FeedbackItem] = self._items
         budget = self._budget
-        if items is _NOTHING:  # a deque is a tenth of the memory of a goal without feedback
+        if items is NOTHING:  # a deque is a tenth of the memory of a goal without feedback
             self._items = items = deque(maxlen=self._window)
         elif len(items) == self._window:
             budget.used -= len(items[0].payload)
@@ -168,6 +163,12 @@ class FeedbackWindow(Generic[FollowedT]):
         items, budget = self._items, self._budget
         while budget.is_over and len(items) > 1 and items[0].number <= self._slowest:
             budget.give_back(len(items.popleft().payload))
+
+    def clear(self) -> None:
+        """Forget all feedback."""
+        for item in self._items:
+            self._budget.used -= len(item.payload)
+        self._items = NOTHING
 
     # What readers take
 

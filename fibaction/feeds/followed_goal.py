@@ -4,9 +4,18 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from fibaction._runtime.budget import CountedBytes
 from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
+
+
+class Held(Protocol):
+    """Bytes that count in a budget for as long as this object is referenced."""
+
+    size: int
+    """The bytes that are counted."""
+
+    def resize(self, size: int) -> None:
+        """Count so many bytes in place of those until now."""
 
 
 class FollowedGoal(Protocol):
@@ -21,8 +30,11 @@ class FollowedGoal(Protocol):
     """Number of the last feedback message of this attempt. A `FeedbackLog` counts here."""
     outcome: Outcome[bytes] | None
     """The outcome; None until the goal ends."""
-    held: CountedBytes | None
-    """The bytes that are held of the goal; None if they are not counted."""
+
+    @property
+    def held(self) -> Held | None:
+        """The bytes that are held of the goal; None if they are not counted."""
+        ...
 
     @property
     def told_status(self) -> GoalStatus:
@@ -41,5 +53,5 @@ class GoalFacts:
         self.attempt = 1
         self.feedback_count = 0
         self.outcome: Outcome[bytes] | None = None
-        self.held: CountedBytes | None = None
+        self.held: Held | None = None
         self.told_status = GoalStatus.ACCEPTED

@@ -4,10 +4,11 @@ Theory of operation
 -------------------
 
 A goal is followed from its `FeedbackLog`. An active goal has one (`_active`). After the end of the
-goal, a log is kept by its followers (`_unread` has weak references), and, if the statuses are
+goal, a log is kept by its followers (`HeldBytes` has a weak reference), and, if the statuses are
 followed, for RECENT_TIME (`_recent`): such a follower learns of a goal by its status, and then asks
-for its feedback. Without a log, an ended goal is followed without its feedback. The payload of a
-goal is in its log, too, for those who have not sent it.
+for its feedback. Without a log, an ended goal is followed without its feedback, by a new one; so it
+has one log at a time, which loses the result if results take too many bytes. The payload of a goal
+is in its log, too, for those who have not sent it.
 
 One task, `forget_expired`, frees what has expired. It sleeps until the next expiry, and while
 nothing can expire, until a goal ends.
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from weakref import WeakValueDictionary
+from weakref import ref
 
 import anyio
 from anyio import current_time
@@ -71,7 +72,6 @@ class GoalLogs:
         self.kept: GoalKept | None = None
         """The error for goals that are not known here, once the server has let goals go that it
         keeps: a client that asks for one of them is to ask again after the next start."""
-        self._unread: WeakValueDictionary[GoalID, FeedbackLog[GoalRecord]] = WeakValueDictionary()
         self._recent: deque[tuple[float, FeedbackLog[GoalRecord]]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusBroadcast()
         self.ended = Notifier()
@@ -136,9 +136,9 @@ class GoalLogs:
         if are_followed:
             self._recent.append((now + RECENT_TIME, log))
         else:
-            log.forget_payload()
-        if are_followed or log.is_followed:
-            self._unread[log.goal.goal_id] = log
+            log.payload = None
+        assert log.goal.held is not None
+        log.goal.held.log = ref(log)
         self.tell_status(log)
         log.finish()
         self.expire(now)
@@ -184,8 +184,16 @@ class GoalLogs:
         return goal
 
     def _log_of(self, goal: GoalRecord) -> FeedbackLog[GoalRecord]:
-        log = self._active.get(goal.goal_id) or self._unread.get(goal.goal_id)
-        return log or FeedbackLog(goal)  # its feedback may not be kept any longer
+        log = self._active.get(goal.goal_id)
+        if log is not None:
+            return log
+        held = goal.held
+        assert held is not None
+        log = None if held.log is None else held.log()
+        if log is None:  # its feedback is not kept any longer
+            log = FeedbackLog(goal)
+            held.log = ref(log)
+        return log
 
     async def follow_statuses(self) -> StatusCursor:
         """Return a stream of the statuses of all goals: see `Endpoint.status`."""

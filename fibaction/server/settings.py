@@ -98,8 +98,8 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     rejected with a reason that begins with `busy`."""
     max_bytes: int = MAX_BYTES
     """The bytes of goals until their end, of remembered feedback, and of results, together. Over it
-    new goals are rejected as `busy`, the oldest outcomes are forgotten, and executors wait until
-    their feedback is read."""
+    new goals are rejected as `busy`, outcomes are forgotten, the oldest of the client that holds
+    most first, and executors wait until their feedback is read."""
     shutdown_timeout: float = 5.0
     """Seconds that executors have for their clean-up when the server stops. Then they are killed,
     and those that do not end are abandoned about a second later."""

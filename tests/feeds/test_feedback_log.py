@@ -17,7 +17,7 @@ from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.feeds.hold_time import MOST, SHARE
-from fibaction.words.errors import ConnectionLost, GoalKept
+from fibaction.words.errors import ConnectionLost, GoalKept, UnknownGoal
 from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 from tests.support.virtual_time import in_virtual_time
@@ -215,17 +215,6 @@ def test_a_follower_that_leaves_a_goal_that_has_ended_is_not_remembered() -> Non
 async def test_closing_a_follower_ends_the_wait_for_feedback() -> None:
     stream = new_log().follow()
     await while_waiting(stream.receive, stream.close)
-
-
-@pytest.mark.asyncio
-async def test_a_log_is_followed_as_long_as_a_cursor_reads() -> None:
-    log = new_log()
-    assert not log.is_followed
-    one, other = log.follow(), log.follow()
-    one.close()
-    assert log.is_followed
-    other.close()
-    assert not log.is_followed
 
 
 @given(
@@ -1098,17 +1087,48 @@ async def test_a_client_that_may_hold_for_long_does_so_beside_one_that_may_not()
 # The payload of the goal
 
 
-def test_the_payload_of_an_ended_goal_counts_until_its_log_is_gone() -> None:
+def test_the_payload_and_the_feedback_of_an_ended_goal_count_until_its_log_is_gone() -> None:
     budget = ByteBudget(1000)
     goal = GoalFacts(GOAL_ID, 7)
-    log = FeedbackLog(goal, budget=budget, payload=bytes(100))
+    goal.held = CountedBytes(budget, 100)
+    log = FeedbackLog(goal, window=10, budget=budget, payload=bytes(100))
     stream = log.follow()
-    assert (stream.goal, budget.used) == (bytes(100), 0)  # active goals are counted elsewhere
+    log.append(bytes(30))
+    assert (stream.goal, budget.used) == (bytes(100), 130)  # the payload is counted by the server
+    goal.held.resize(5)
     goal.outcome = OUTCOME
     log.finish()
-    assert budget.used == 100
+    assert (budget.used, goal.held.size) == (135, 135)
     del log, stream
+    assert (budget.used, goal.held.size) == (5, 5)
+    goal.held = None
     assert budget.used == 0
+
+
+def test_a_log_that_loses_its_result_has_nothing_left_and_its_streams_end_with_an_error() -> None:
+    budget = ByteBudget(1000)
+    goal = GoalFacts(GOAL_ID, 7)
+    goal.held = CountedBytes(budget, 5)
+    log = FeedbackLog(goal, window=10, budget=budget, payload=bytes(100))
+    stream, other, told = log.follow(), log.follow(feedback=False), log.follow(feedback=False)
+    append(log, 3)
+    goal.outcome = OUTCOME
+    log.finish()
+    assert told.take() == (OUTCOME,)
+    log.lose_result()
+    assert (budget.used, goal.held.size, stream.goal) == (5, 5, None)
+    for lost in (stream.take, other.take, stream.known_outcome, log.follow):
+        with pytest.raises(UnknownGoal):
+            lost()
+
+
+def test_a_log_whose_bytes_are_not_counted_loses_its_result_too() -> None:
+    log = new_log()
+    stream = log.follow()
+    end(log)
+    log.lose_result()
+    with pytest.raises(UnknownGoal):
+        stream.take()
 
 
 def test_the_payload_of_an_active_goal_is_not_given_back_by_its_log() -> None:
@@ -1122,7 +1142,7 @@ def test_a_payload_that_is_not_kept_any_longer_is_not_told_or_counted() -> None:
     budget = ByteBudget(1000)
     goal = GoalFacts(GOAL_ID, 7)
     log = FeedbackLog(goal, budget=budget, payload=bytes(100))
-    log.forget_payload()
+    log.payload = None
     goal.outcome = OUTCOME
     log.finish()
     assert (log.follow().goal, budget.used) == (None, 0)

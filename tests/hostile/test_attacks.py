@@ -8,9 +8,7 @@ from tests.hostile.arena import figures_of
 from tests.hostile.attacks import ATTACKS
 from tests.hostile.verdict import faults
 
-PENDING = {"large results unread"}
-"""Attacks that the server does not withstand yet: `make attack` shows them."""
-SHORT = [name for name, attack in ATTACKS.items() if not (attack.is_long or name in PENDING)]
+SHORT = [name for name, attack in ATTACKS.items() if not attack.is_long]
 
 
 @pytest.mark.asyncio

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from fibaction.wire.messages import (
     Ended,
     Failed,
@@ -72,3 +74,31 @@ async def test_feedback_without_a_reader_has_a_limit_in_bytes_and_its_goal_goes_
             async with target.dial() as other:  # other goals are accepted beside it
                 await other.say(sending(1, "fibonacci", SHORT))
                 await other.hear(Ended, 1)
+
+
+@pytest.mark.promise("RESULT-9")
+async def test_results_that_one_client_does_not_read_push_out_no_results_of_others() -> None:
+    goal = GROW.goal.encode(Sized(MIB))
+    async with (
+        limited(server={"max_bytes": 8 * MIB}, frame=2 * MIB) as target,
+        target.dial() as honest,
+        target.dial() as raw,
+    ):
+        name = goal_id()
+        await honest.say(sending(1, "grow", goal, MOST, name))
+        await honest.hear(Ended, 1)
+        names = [goal_id() for _ in range(20)]
+        for id, one in enumerate(names, 1):  # without `Received`, a result counts as unread
+            await raw.say(sending(id, "grow", goal, MOST, one))
+            if isinstance(rejected := await raw.answer(id), Rejected):
+                break
+            await raw.hear(Ended, id)
+        assert isinstance(rejected, Rejected)
+        assert rejected.reason.startswith("busy: its client has not read results of ")
+        await raw.say(Follow(101, "grow", names[0], None, False, None))
+        failed = await raw.answer(101)
+        assert isinstance(failed, Failed)
+        assert failed.why == Why.UNKNOWN_GOAL
+        await honest.say(Follow(2, "grow", name, None, False, None))
+        assert isinstance(await honest.answer(2), Following)
+        await honest.hear(Ended, 2)

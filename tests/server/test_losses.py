@@ -388,7 +388,7 @@ async def test_an_outcome_that_comes_later_is_known_and_told() -> None:
         assert await (await client_of(server).attach(ID)).result() == "painted"
         await anyio.sleep(100)
         assert await client_of(server).goals() == []
-        assert server._parts.runs._registry._kept_bytes == 0
+        assert server._parts.runs._registry.results.size == 0
 
 
 @pytest.mark.parametrize(

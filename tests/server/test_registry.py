@@ -1284,7 +1284,7 @@ def test_an_outcome_that_is_restored_again_counts_once() -> None:
     assert len(registry.goals()) == 1
     assert not registry.is_active(goal_id(1))
     registry.expire(6.0)
-    assert registry._kept_bytes == 0
+    assert registry.results.size == 0
 
 
 def test_a_goal_that_is_lost_while_it_is_canceled_is_not_in_the_answer() -> None:

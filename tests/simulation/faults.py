@@ -14,7 +14,6 @@ from typing import Any
 import msgspec
 from anyio import current_time, sleep
 
-from fibaction._runtime.budget import CountedBytes
 from fibaction._runtime.notify import Notifier
 from fibaction.client.events import _Merger
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
@@ -24,6 +23,7 @@ from fibaction.server.admission.admission import Admission
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.registry.kept_results import HeldBytes
 from fibaction.server.registry.registry import GoalRegistry, Verdict, _Undecided
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.client.calls import Credits
@@ -101,7 +101,7 @@ def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
         verdict: Verdict = real(self, goal_id, payload, now=now)
         if verdict is Verdict.REPEAT:
             self._undecided[goal_id] = _Undecided(
-                digest_of(payload), CountedBytes(self.budget, len(payload))
+                digest_of(payload), HeldBytes(self.budget, len(payload))
             )
             return Verdict.DECIDE
         return verdict

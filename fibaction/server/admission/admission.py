@@ -149,7 +149,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         offer.context = self._watchers.offered(
             goal_id, sent.goal, sent.sender, offer.meta or NO_META
         )
-        self._check_room(goal_id)
+        self._check_room(goal_id, sent.sender.owner)
         try:
             offer.request = self._decode(sent.goal)
             if self._callbacks.are_goals_decided:
@@ -167,13 +167,15 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             self._withdraw_offer(goal_id)
             raise
 
-    def _check_room(self, goal_id: GoalID) -> None:
-        """Reject a new goal if the server is at a limit, or drains."""
+    def _check_room(self, goal_id: GoalID, owner: bytes) -> None:
+        """Reject a new goal if the server or the client is at a limit, or the server drains."""
         busy = DRAINING if self._is_draining else self._registry.busy
-        if not busy and self._registry.budget.is_over:
+        if not busy and self._registry.budget.used > self._registry.budget.limit:
             while self._logs.expire(current_time()):
                 pass
             busy = self._registry.busy
+        if not busy and self._registry.results.unread_size:
+            busy = self._registry.results.busy_for(owner)
         if busy:
             raise self._reject_for_now(goal_id, busy)
 
@@ -287,8 +289,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Let go of a goal that another server has, if its acceptance is being written here; return
         whether it was.
         """
-        name = self._action.name
-        logger.info("goal %s of action %r: another server has it", goal.goal_id, name)
+        logger.info("goal %s of action %r: another server has it", goal.goal_id, self._action.name)
         if self.writing(goal.goal_id) is not goal:
             return False
         goal.happen(Event.LOSE)

@@ -42,9 +42,9 @@ class ExpiringMap(Generic[T]):
         self._entries.pop(goal_id, None)  # an old entry would keep its place in the order
         self._entries[goal_id] = (until, value)
 
-    def discard(self, goal_id: GoalID) -> T | None:
+    def discard(self, goal_id: GoalID | None) -> T | None:
         """Remove the entry, if there is one, and return its value."""
-        entry = self._entries.pop(goal_id, None)
+        entry = None if goal_id is None else self._entries.pop(goal_id, None)
         return None if entry is None else entry[1]
 
     def get(self, goal_id: GoalID, now: float) -> T | None:
@@ -52,14 +52,12 @@ class ExpiringMap(Generic[T]):
         entry = self._entries.get(goal_id)
         return None if entry is None or entry[0] <= now else entry[1]
 
-    def pop(self, now: float, *, also_new: bool = False) -> T | None:
+    def pop(self, now: float) -> T | None:
         """Remove the oldest entry if it is too old, or if there are too many, and return its value;
         None if nothing is to be removed.
-
-        With `also_new`, the oldest entry is removed in any case.
         """
         entries = self._entries
-        if entries and (also_new or len(entries) > self._limit or self.next_expiry <= now):
+        if entries and (len(entries) > self._limit or self.next_expiry <= now):
             return entries.popitem(last=False)[1][1]
         return None
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from fibaction._runtime.budget import CountedBytes
 from fibaction.server.life import LIFE, Event, Phase
 from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
@@ -16,6 +15,7 @@ from fibaction.words.statuses import INITIAL, GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.border.goal_store import StoredGoal
+    from fibaction.server.registry.kept_results import HeldBytes
 
 NO_PLACE = (0, 0)
 """The place of a goal that does not wait."""
@@ -60,7 +60,7 @@ class GoalRecord:
         digest: bytes,
         stamp: int,
         sender: Sender,
-        held: CountedBytes | None = None,
+        held: HeldBytes | None = None,
         deadline: float = math.inf,
     ) -> None:
         self.goal_id = goal_id
@@ -85,7 +85,8 @@ class GoalRecord:
         self.stored: StoredGoal | None = None
         """The goal as its store has it; None without a store, and after the end."""
         self.held = held
-        """The bytes that are held of the goal: its payload, then its result."""
+        """The bytes that are held of the goal: its payload, then its result; None after the server
+        has forgotten it."""
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.remember_until = 0.0

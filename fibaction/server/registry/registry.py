@@ -25,8 +25,8 @@ is a clash, and is rejected.
 A registry has two limits for all clients together: of the goals that are undecided or active, and
 of the bytes that are held (`budget`): goals until they end, feedback, and results. A new goal is
 counted by `admit`. If it is over a limit (`busy`), it is to be withdrawn, and rejected without a
-record, since it may be accepted later. Of ended goals the oldest are forgotten to stay within the
-bytes. Bytes count as long as anything references them, so nothing has to give them back.
+record, since it may be accepted later. Results are forgotten to stay within the bytes (`results`).
+Bytes count as long as anything references them, so nothing has to give them back.
 
 A goal ends in two steps, so that a store can keep the outcome before it is told to clients:
 `outcome_for` computes the outcome and changes nothing; `finish` makes it the goal's.
@@ -38,11 +38,12 @@ import math
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
-from fibaction._runtime.budget import ByteBudget, CountedBytes
+from fibaction._runtime.budget import ByteBudget
 from fibaction.server.life import Event
 from fibaction.server.registry.cancellation import Cancellation, cancellation_of
 from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
+from fibaction.server.registry.kept_results import HeldBytes, KeptResults
 from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import ID_IN_USE, NO_GOAL, GoalID, Outcome, Sender, digest_of
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
@@ -78,7 +79,7 @@ class _Undecided(NamedTuple):
     """A goal that was sent, and is not decided yet."""
 
     digest: bytes
-    held: CountedBytes
+    held: HeldBytes
 
 
 class GoalRegistry:
@@ -101,8 +102,9 @@ class GoalRegistry:
         """
         self.budget = ByteBudget(max_bytes)
         """The bytes of goals, feedback and results."""
+        self.results = KeptResults(self.budget)
+        """The results of ended goals, by their owners."""
         self._max_goals = max_goals
-        self._kept_bytes = 0  # of the results that are remembered
         self._undecided: dict[GoalID, _Undecided] = {}
         self._active: dict[GoalID, GoalRecord] = {}
         self._ended: ExpiringMap[GoalRecord] = ExpiringMap(result_timeout, max_results)
@@ -136,7 +138,7 @@ class GoalRegistry:
             raise GoalRejected("its ID is all zeros, which is reserved", goal_id=goal_id)
         else:
             known = digest
-            held = CountedBytes(self.budget, len(payload))
+            held = HeldBytes(self.budget, len(payload))
             self._undecided[goal_id] = _Undecided(digest, held)
             verdict = Verdict.DECIDE
         if known != digest:
@@ -150,7 +152,7 @@ class GoalRegistry:
         active = len(self._undecided) + len(self._active) - 1
         if active >= self._max_goals:
             return f"busy: {active} goals are active, the limit is {self._max_goals}"
-        needed, limit = self.budget.used - self._kept_bytes, self.budget.limit
+        needed, limit = self.budget.used - self.results.size, self.budget.limit
         if needed > limit:
             return f"busy: goals and feedback would take {needed} bytes, the limit is {limit}"
         return ""
@@ -163,8 +165,7 @@ class GoalRegistry:
     @property
     def has_too_many_bytes(self) -> bool:
         """True if goals and feedback take more bytes than the limit."""
-        # Results that are only kept for later give way to goals.
-        return self.budget.used - self._kept_bytes > self.budget.limit
+        return self.budget.used - self.results.size > self.budget.limit
 
     def prepare(
         self, goal_id: GoalID, *, stamp: int, sender: Sender, deadline: float = math.inf
@@ -203,7 +204,7 @@ class GoalRegistry:
         self._last_stamp = max(stored.stamp, self._last_stamp)
         goal_size = 0 if status.is_terminal else len(stored.goal)
         size = goal_size + len(stored.result or b"") + len(stored.reason)
-        held = CountedBytes(self.budget, size)
+        held = HeldBytes(self.budget, size)
         goal = GoalRecord(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
         goal.attempt, goal.remember_until = max(stored.attempt, 1), until
         self._listing = None
@@ -215,7 +216,7 @@ class GoalRegistry:
             earlier = self._ended.discard(goal_id)
             if earlier is not None:
                 self._forget(earlier)
-            self._kept_bytes += size
+            self.results.add(goal, size)
             self._ended.put_until(goal_id, goal, until)
             return goal
         goal.happen(Event.RESTORE)
@@ -285,9 +286,7 @@ class GoalRegistry:
         goal.status = goal.told_status = outcome.status
         goal.outcome = outcome
         goal.ended_at = stamp
-        assert goal.held is not None
-        goal.held.resize(len(outcome.result or b"") + len(outcome.reason))
-        self._kept_bytes += goal.held.size
+        self.results.add(goal, len(outcome.result or b"") + len(outcome.reason))
         del self._active[goal.goal_id]
         self._ended.put(goal.goal_id, goal, now, at_least_until=goal.remember_until)
         self._listing = None
@@ -318,8 +317,7 @@ class GoalRegistry:
         return self._listing
 
     def expire(self, now: float, limit: int | None = None) -> list[GoalID]:
-        """Forget goals that are too old, too many or too large together, and return the IDs of
-        those that had ended.
+        """Forget what is too old, too many or too large together, and return the ended goals of it.
 
         At most `limit` are forgotten; then call it again.
         """
@@ -328,7 +326,11 @@ class GoalRegistry:
                 break
         gone: list[GoalID] = []
         while len(gone) != limit:
-            goal = self._ended.pop(now, also_new=self.budget.is_over)
+            goal = self._ended.pop(now)
+            if (
+                goal is None and self.budget.used > self.budget.limit
+            ):  # as `is_over`, without a call
+                goal = self._ended.discard(self.results.next_to_forget())
             if goal is None:
                 break
             self._forget(goal)
@@ -336,10 +338,8 @@ class GoalRegistry:
         return gone
 
     def _forget(self, goal: GoalRecord) -> None:
-        """Let go of the outcome. Lists of goals may reference the record for a long time."""
-        assert goal.held is not None
-        self._kept_bytes -= goal.held.size
-        goal.outcome = goal.held = None
+        """Let go of the outcome: lists of goals may reference the record for a long time."""
+        self.results.forget(goal)
         self._listing = None
 
     @property
