@@ -37,8 +37,9 @@ UNREAD = 1.5
 it for themselves."""
 
 WHAT_HAPPENS = {
-    "connections": "the oldest one that has said nothing, or does not read, is ended, otherwise the"
-    " new one",
+    "connections": "one that has said nothing, is idle over HTTP or does not read its answer is"
+    " ended, of the address that has the most, otherwise the new one",
+    "per_address": "the same, of that address",
     "goals": "a goal is rejected; following one raises `LimitReached`",
     "follows": "following raises `LimitReached`",
     "lost": "those that were lost first are given up sooner",
@@ -207,6 +208,8 @@ def _bytes(number: int) -> str:
 
 
 def _number(value: object) -> str:
+    if value is None:
+        return "none"
     assert isinstance(value, int | float)
     if value >= KIB and value % KIB == 0:
         return _bytes(int(value))

@@ -42,6 +42,9 @@ class Limits(msgspec.Struct, frozen=True):
 
     connections: int = 1000
     """Connections at the same time."""
+    per_address: int | None = None
+    """Connections of one address at the same time, of IPv6 those of one network of 64 bits; None
+    for any number. Clients behind one proxy have one address."""
     goals: int = 10_000
     """Goals that one connection may follow at the same time."""
     follows: int = 100
@@ -78,6 +81,8 @@ class Limits(msgspec.Struct, frozen=True):
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
+            if name == "per_address" and value is None:
+                continue
             if not 0 < value < math.inf:
                 raise ValueError(f"the limit of {name} is finite and more than 0, not {value}")
             if name not in _SECONDS and not isinstance(value, int):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Iterator, Mapping
 from contextlib import asynccontextmanager
+from functools import partial
 
 import anyio
 from anyio.abc import TaskGroup
@@ -20,6 +21,7 @@ from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import Goodbye, Why
+from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session
 from fibaction.wire.settings import ServerSettings
@@ -54,10 +56,12 @@ class WireServer:
         """The endpoints that are served, by the names of their actions."""
         self.settings = settings
         """The settings of the serving half."""
+        self.addresses = Addresses(settings.limits.per_address)
+        """The connections of each address."""
         self._owners = Owners(
             tasks, grace=settings.grace, then=settings.orphans, limit=settings.limits.lost
         )
-        self._sessions: dict[Session, None] = {}  # in the order of their arrival
+        self._sessions: dict[Session, str] = {}  # with their addresses, in the order of arrival
         self._unknown: dict[Session, float] = {}  # have not said hello; the end of their time
         self._has_unknown = Notifier()
         self._latest: dict[bytes, Session] = {}  # of each client with a session
@@ -77,18 +81,19 @@ class WireServer:
     async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
         line.share_turns(self.turn)
+        address = self.addresses.enter(line.peer)
         try:
-            await self._serve(line)
+            await self._serve(line, address)
         except Exception as exc:
             # A bug of fibaction. It concerns this client only.
             logger.error("%s: the connection failed", line.peer, exc_info=exc)
         finally:
+            self.addresses.leave(address)
             await line.aclose()
 
-    async def _serve(self, line: Line) -> None:
+    async def _serve(self, line: Line, address: str) -> None:
         heartbeat, limits = self.settings.heartbeat, self.settings.limits
-        if len(self._sessions) >= limits.connections and not self.make_room():
-            reason = f"the server is full: it has {limits.connections} connections"
+        if reason := self._why_not(address):
             logger.warning("%s is rejected: %s", line.peer, reason)
             CONNECTIONS.errors[LimitReached.__name__] += 1
             link = Link(line, heartbeat)
@@ -104,7 +109,7 @@ class WireServer:
             self._clients_of,
             self._entered,
         )
-        self._sessions[session] = None
+        self._sessions[session] = address
         self._unknown[session] = anyio.current_time() + limits.handshake
         self._has_unknown.notify()
         CONNECTIONS.open += 1
@@ -124,17 +129,26 @@ class WireServer:
         if self._latest.get(session.client.session) is session:
             del self._latest[session.client.session]
 
-    def make_room(self) -> bool:
-        """End the oldest connection that has not said hello; return whether there was one.
+    def _why_not(self, address: str) -> str:
+        """Return the reason for which a client of that address is not served; empty if it is.
 
-        So connections that say nothing keep no client out.
+        Connections that say nothing make room, so they keep no client out.
         """
-        oldest = next(iter(self._unknown), None)
-        if oldest is None:
-            return False
-        self._forget(oldest)
-        oldest.end(LimitReached("the server is full, and it has not said hello"))
-        return True
+        addresses, limits = self.addresses, self.settings.limits
+        if addresses.has_too_many(address) and not addresses.make_room(self.silent(), address):
+            return too_many(address, addresses.most)
+        if len(self._sessions) >= limits.connections and not addresses.make_room(self.silent()):
+            return f"the server is full: it has {limits.connections} connections"
+        return ""
+
+    def silent(self) -> Iterator[Candidate]:
+        """Yield the connections that have not said hello, the oldest first."""
+        for session in self._unknown:
+            yield Candidate(self._sessions[session], partial(self._end_silent, session))
+
+    def _end_silent(self, session: Session) -> None:
+        self._forget(session)
+        session.end(LimitReached("another client needs its place, and it has not said hello"))
 
     async def expect_hellos(self) -> None:
         """End each connection that does not say hello in time."""
@@ -170,6 +184,11 @@ class WireServer:
                         tasks.start_soon(session.drain)
         finally:  # asyncio can cancel the task itself, which no scope shields
             await self._owners.aclose()
+
+
+def too_many(address: str, most: int | None) -> str:
+    """Return the reason for which one more client of an address is not served."""
+    return f"its address {address} has {most} connections, which are the most"
 
 
 @asynccontextmanager

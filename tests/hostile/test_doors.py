@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import ssl
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -108,16 +108,18 @@ DOORS = {
 """Each door that moves bytes."""
 
 
-async def dialed(url: str) -> ByteStream:
-    """Connect without a client library; nothing is read unless it is asked for."""
+async def dialed(url: str, address: str = "127.0.0.1") -> ByteStream:
+    """Connect from an address of this machine without a client library; nothing is read unless it
+    is asked for.
+    """
     scheme, _, rest = url.partition("://")
     if scheme == "unix":
         return await anyio.connect_unix(rest)
     host, _, port = rest.rpartition(":")
     if scheme not in ("tls", "https"):
-        return await anyio.connect_tcp(host, int(port))
+        return await anyio.connect_tcp(host, int(port), local_host=address)
     context = ssl.create_default_context(cafile=pems().ca)
-    return await anyio.connect_tcp(host, int(port), ssl_context=context)
+    return await anyio.connect_tcp(host, int(port), local_host=address, ssl_context=context)
 
 
 @asynccontextmanager
@@ -166,6 +168,10 @@ async def get_in(server: Server, stack: AsyncExitStack) -> None:
             return
 
 
+def with_certificate(url: str) -> str:
+    return f"{url}?cert={pems().cert}" if url.startswith(("tls", "https")) else url
+
+
 @pytest.mark.asyncio
 @pytest.mark.parametrize("name", DOORS)
 async def test_clients_that_do_not_read_keep_no_client_out_and_no_server_from_stopping(
@@ -173,10 +179,8 @@ async def test_clients_that_do_not_read_keep_no_client_out_and_no_server_from_st
 ) -> None:
     door = DOORS[name]
     url = f"{door.url}{tmp_path}/door" if name == "unix" else door.url
-    if url.startswith(("tls", "https")):
-        url += f"?cert={pems().cert}"
     limits = {"connections": PLACES, "write": 0.5}
-    settings = Settings(limits, url=url, wire={"heartbeat": 0.1})
+    settings = Settings(limits, url=with_certificate(url), wire={"heartbeat": 0.1})
     with started(settings) as server, anyio.fail_after(2 * PATIENCE):
         async with deaf_clients(door, server.url), AsyncExitStack() as honest:
             for _ in range(PLACES):
@@ -185,3 +189,85 @@ async def test_clients_that_do_not_read_keep_no_client_out_and_no_server_from_st
             stopped, code = await server.stop(SHUTDOWN + 10)
         assert (code, stopped <= SHUTDOWN) == (0, True), stopped
         assert len(server.log.splitlines()) < LINES
+
+
+FLOOD = "127.0.0.9"
+"""The address of a flood; every address that begins with 127 is this machine."""
+DOORS_WITH_ADDRESSES = [name for name in DOORS if name != "unix"]
+
+
+async def is_served(stream: ByteStream, door: Door) -> bool:
+    """Return whether a client that begins to speak now gets an answer."""
+    try:
+        await stream.send(door.said())
+        answer = await stream.receive()
+    except (OSError, anyio.BrokenResourceError, anyio.EndOfStream):
+        return False
+    return not (b"needs its place" in answer or b"its address" in answer)
+
+
+async def connection_from(
+    stack: AsyncExitStack, url: str, address: str = "127.0.0.1"
+) -> ByteStream:
+    """Return a connection from that address, which the block closes."""
+    stream = await dialed(url, address)
+    stack.push_async_callback(anyio.aclose_forcefully, stream)
+    return stream
+
+
+async def rest_of(stream: ByteStream) -> bytes:
+    """Return what the server still sends, when it has ended the connection."""
+    rest = b""
+    with suppress(OSError, anyio.BrokenResourceError, anyio.EndOfStream):
+        while True:
+            rest += await stream.receive()
+    return rest
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("name", DOORS_WITH_ADDRESSES)
+async def test_a_flood_from_one_address_pushes_out_no_connection_of_another(name: str) -> None:
+    door = DOORS[name]
+    settings = Settings({"connections": PLACES}, url=with_certificate(door.url))
+    with started(settings) as server, anyio.fail_after(PATIENCE):
+        async with AsyncExitStack() as stack:
+            honest = await connection_from(stack, server.url)
+            for _ in range(3 * PLACES):
+                await connection_from(stack, server.url, FLOOD)
+            assert await is_served(honest, door)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("name", ["tcp", "tls", "websocket", "rosbridge"])
+async def test_an_address_has_no_more_connections_in_use_than_its_limit(name: str) -> None:
+    door = DOORS[name]
+    settings = Settings({"per_address": 2}, url=with_certificate(door.url))
+    with started(settings) as server, anyio.fail_after(PATIENCE):
+        async with AsyncExitStack() as stack, AsyncExitStack() as greedy:
+            for _ in range(2):
+                assert await is_served(await connection_from(greedy, server.url, FLOOD), door)
+            refused = await rest_of(await connection_from(stack, server.url, FLOOD))
+            assert b"its address 127.0.0.9 has 2 connections, which are the most" in refused
+            assert await is_served(await connection_from(stack, server.url), door)
+            await greedy.aclose()
+            while not await is_served(await connection_from(stack, server.url, FLOOD), door):
+                pass
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("scheme", ["http", "https"])
+async def test_an_address_at_its_limit_takes_the_place_of_its_own_idle_connection(
+    scheme: str,
+) -> None:
+    door = Door(f"{scheme}://127.0.0.1:0", lambda: b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+    settings = Settings({"per_address": 2}, url=with_certificate(door.url))
+    with started(settings) as server, anyio.fail_after(PATIENCE):
+        async with AsyncExitStack() as stack:
+            honest = await connection_from(stack, server.url)
+            assert await is_served(honest, door)
+            flood = [await connection_from(stack, server.url, FLOOD) for _ in range(2)]
+            for stream in flood:
+                assert await is_served(stream, door)
+            assert await is_served(await connection_from(stack, server.url, FLOOD), door)
+            await rest_of(flood[0])
+            assert await is_served(honest, door)

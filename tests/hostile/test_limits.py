@@ -38,6 +38,7 @@ pytestmark = pytest.mark.asyncio
 
 TESTED = {
     "connections",
+    "per_address",
     "goals",
     "follows",
     "lost",

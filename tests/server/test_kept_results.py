@@ -173,6 +173,13 @@ def test_what_a_log_has_beside_the_result_counts_with_it_for_the_same_client() -
     assert (registry.budget.used, registry.results.size, registry.results.unread_size) == ((0,) * 3)
 
 
+def test_the_bytes_of_a_goal_that_has_not_ended_are_no_result() -> None:
+    registry = GoalRegistry(max_bytes=100)
+    held = kept_results.HeldBytes(registry.budget, 10)
+    held.resize(25)
+    assert (registry.budget.used, registry.results.size) == (25, 0)
+
+
 def test_a_client_without_results_has_no_share() -> None:
     registry = GoalRegistry(max_bytes=100)
     ended(registry, "a", 10)

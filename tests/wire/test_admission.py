@@ -134,16 +134,42 @@ async def test_the_oldest_connection_without_a_hello_makes_room_at_a_full_server
             second = await served.greet(BOB)
             goodbye = await silent[0].hear(Goodbye)
             assert goodbye.why == Why.LIMIT
-            assert goodbye.reason.endswith("the server is full, and it has not said hello")
+            reason = "another client needs its place, and it has not said hello"
+            assert goodbye.reason.endswith(reason)
             await silent[0].hear_the_end()
         assert [(line.levelno, line.getMessage()) for line in lines] == [
-            (logging.WARNING, "silent 0: the server is full, and it has not said hello")
+            (logging.WARNING, f"silent 0: {reason}")
         ]
         await silent[1].ask(Hello(VERSION, LONG), Welcome)
         rejected = await served.connect().hear(Goodbye)
         assert rejected.reason == "the server is full: it has 3 connections"
         for client in (first, second, silent[1]):
             assert await client.is_served()
+
+
+async def test_a_silent_connection_of_the_address_with_the_most_makes_room_first() -> None:
+    async with serving(held(), limits=Limits(connections=3)) as served:
+        honest = served.connect("10.0.0.1:1")
+        await settled()
+        for port in range(5):
+            served.connect(f"10.0.0.2:{port}")
+            await settled()
+        await honest.ask(Hello(VERSION, LONG), Welcome)
+        assert await honest.is_served()
+
+
+async def test_an_address_at_its_limit_has_its_own_silent_connections_ended_and_then_none() -> None:
+    async with serving(held(), limits=Limits(per_address=2)) as served:
+        honest, silent = served.connect("10.0.0.1:1"), served.connect("10.0.0.2:1")
+        await settled()
+        for port in (2, 3):
+            client = served.connect(f"10.0.0.2:{port}")
+            await client.ask(Hello(VERSION, LONG), Welcome)
+        assert (await silent.hear(Goodbye)).why == Why.LIMIT
+        rejected = await served.connect("10.0.0.2:4").hear(Goodbye)
+        assert rejected.why == Why.LIMIT
+        assert rejected.reason == "its address 10.0.0.2 has 2 connections, which are the most"
+        await honest.ask(Hello(VERSION, LONG), Welcome)
 
 
 @in_virtual_time()

@@ -293,6 +293,22 @@ async def test_who_does_not_begin_with_tls_is_not_waited_for(heard: Hearing) -> 
             await anyio.lowlevel.checkpoint()
 
 
+async def test_a_flood_of_unfinished_handshakes_ends_none_of_another_address(
+    heard: Hearing,
+) -> None:
+    limits = Limits(connections=2)
+    transport = TcpTransport(port=0, tls=TlsFiles(cert=pems().cert), limits=limits)
+    async with serve(new_server(), transport) as (url,), AsyncExitStack() as silent:
+        await silent.enter_async_context(raw(url))
+        port = int(url.rpartition(":")[2])
+        for _ in range(3):
+            flood = await anyio.connect_tcp("127.0.0.1", port, local_host="127.0.0.2")
+            await silent.enter_async_context(flood)
+        await heard.until("no TLS: it took too long while 2 others began")
+        assert all(line.startswith("127.0.0.2:") for line in heard.warnings)
+        assert await works(f"{url}?ca={pems().ca}")
+
+
 async def test_clients_that_begin_and_say_nothing_keep_no_other_out(heard: Hearing) -> None:
     limits = Limits(connections=2)
     transport = TcpTransport(port=0, tls=TlsFiles(cert=pems().cert), limits=limits)

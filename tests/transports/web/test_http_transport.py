@@ -318,6 +318,18 @@ async def test_newcomers_push_each_other_out_and_no_client_that_is_known(newcome
             assert (await known.ask("GET", "/actions"))[0] == 200
 
 
+async def test_an_address_at_its_limit_is_told_so_and_others_are_served() -> None:
+    async with served(limits=Limits(per_address=1)) as url, connect(url, FIBONACCI) as client:
+        await client.wait_for_server()
+        answer = await fetch(url, "GET", "/actions")
+        assert (answer.status, answer.headers["retry-after"]) == (503, "1")
+        assert b"its address 127.0.0.1 has 1 connections, which are the most" in answer.body
+        stream = await anyio.connect_tcp("127.0.0.1", port_of(url), local_host="127.0.0.2")
+        async with stream:
+            await stream.send(b"GET /actions HTTP/1.1\r\nHost: [::1]\r\n\r\n")
+            assert (await stream.receive()).startswith(b"HTTP/1.1 200 ")
+
+
 async def test_a_client_that_does_not_read_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server_module, "UNREAD", 0.0)
     async with served(limits=Limits(connections=1)) as url, client_of(url) as deaf:

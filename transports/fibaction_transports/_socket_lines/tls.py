@@ -6,6 +6,7 @@ import ssl
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import anyio
@@ -18,6 +19,7 @@ from fibaction.wire.channel import StreamChannel
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import framed
 from fibaction.wire.messages import Goodbye, Why
+from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, TransportError, text_of
 from fibaction_transports._socket_lines.on_anyio import peer_of
 
@@ -64,14 +66,16 @@ class TlsListener(TLSListener):
     """A listener whose failed handshakes are one line of the log, without a traceback.
 
     So many clients may shake hands at the same time. Each takes memory, so one more ends the oldest
-    of them: clients that begin and then say nothing keep no other out.
+    of the address that has most of them: clients that begin and then say nothing keep no other out.
     """
 
     most: int = 1000
     speaks_tls: bytes = SPEAKS_TLS
     """The answer to a client that does not begin with TLS."""
-    shaking: dict[anyio.CancelScope, None] = field(default_factory=dict)
-    """The handshakes that are not done, the oldest first."""
+    shaking: dict[anyio.CancelScope, str] = field(default_factory=dict)
+    """The handshakes that are not done, with the addresses of the peers, the oldest first."""
+    addresses: Addresses = field(default_factory=partial(Addresses, None))
+    """The handshakes of each address."""
 
     def parts(self) -> list[TlsListener]:
         """Return a listener for each address of the host; together they have one limit."""
@@ -105,13 +109,14 @@ class TlsListener(TLSListener):
         log are told why.
         """
         peer, shaking = peer_of(stream), self.shaking
+        address = self.addresses.enter(peer)
         if len(shaking) >= self.most:
-            oldest = next(iter(shaking))
-            del shaking[oldest]
-            oldest.cancel()
+            self.addresses.make_room(
+                Candidate(other, partial(self._end, scope)) for scope, other in shaking.items()
+            )
         made: Made | None = None
         with anyio.CancelScope() as scope:
-            shaking[scope] = None
+            shaking[scope] = address
             try:
                 with anyio.fail_after(self.handshake_timeout):
                     made = await handshake()
@@ -119,11 +124,16 @@ class TlsListener(TLSListener):
                 await self.handle_handshake_error(exc, stream, self.speaks_tls)
             finally:
                 shaking.pop(scope, None)
+                self.addresses.leave(address)
         if scope.cancelled_caught:
             logger.warning("%s: no TLS: it took too long while %d others began", peer, self.most)
         if made is None:
             return
         await handler(made)
+
+    def _end(self, scope: anyio.CancelScope) -> None:
+        del self.shaking[scope]
+        scope.cancel()
 
     @staticmethod
     async def handle_handshake_error(

@@ -9,9 +9,10 @@ time, and then either hands the stream to the wire protocol, which works on it w
 answers, what the client sends is read when the application asks for it, so it knows at once if the
 client goes. After the answer the connection waits for the next request, for a limited time.
 
-If the limit of connections is reached, the one that has waited for a request for the longest time
-is ended, or one whose client does not read its answer: connections that say or read nothing keep no
-client out. What a client has to read is one answer; its later requests wait in its socket.
+If the limit of connections is reached, one that waits for a request is ended, or one whose client
+does not read its answer: connections that say or read nothing keep no client out. It is one of the
+address that has the most connections, of these one without any request first, and the oldest. What
+a client has to read is one answer; its later requests wait in its socket.
 
 Why not a server of others: with one stream open whose client reads nothing, hypercorn 0.18 does not
 end. On asyncio it left two tasks behind, with tracebacks (Python 3.11), or had not ended after 30 s
@@ -23,11 +24,12 @@ all work. This server ends 1.1 s after the signal, on both, with three such clie
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from socket import socket
+from typing import Any
 
 import anyio
 import h11
@@ -38,7 +40,8 @@ from anyio.streams.buffered import BufferedByteStream
 from fibaction.border.http_access import HttpRules, Refused
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import CHUNK, LEAVE, Line, StreamChannel
-from fibaction.wire.wire_server import WireServer
+from fibaction.wire.server.addresses import Addresses, Candidate
+from fibaction.wire.wire_server import WireServer, too_many
 from fibaction_transports._socket_lines.on_anyio import peer_of
 from fibaction_transports._socket_lines.on_asyncio import LineMaker
 from fibaction_transports._socket_lines.sockets import SocketStream
@@ -75,11 +78,11 @@ class HttpServer:
         self.rules = rules
         self.scheme = scheme
         self._open = 0
-        # Those that wait for a request, their first one or another, in the order of their begin.
-        self._new: dict[CancelScope, None] = {}
-        self._idle: dict[CancelScope, None] = {}
-        # Those whose clients have an answer to take, since when.
-        self._writing: dict[CancelScope, float] = {}
+        # With their addresses, in the order of their begin: those that wait for a request, their
+        # first one or another, and those whose clients have an answer to take, since when.
+        self._new: dict[CancelScope, str] = {}
+        self._idle: dict[CancelScope, str] = {}
+        self._writing: dict[CancelScope, tuple[str, float]] = {}
 
     @cached_property
     def lines(self) -> LineMaker:
@@ -94,11 +97,13 @@ class HttpServer:
         """Serve one client until its connection ends."""
         peer = peer_of(stream)
         self._open += 1
+        place = CountedPlace(self.server.addresses, peer)
         try:
-            if self._open > self.server.settings.limits.connections and not self._make_room():
-                await self._reject(stream, peer)
+            if reason := self._why_not(place.address):
+                logger.warning("%s is rejected: %s", peer, reason)
+                await leave(stream, http_answer(503, reason, ("Retry-After", "1")))
             else:
-                await _Connection(self, stream, peer).run()
+                await _Connection(self, stream, peer, place).run()
         except BROKEN:
             pass
         except Exception as exc:
@@ -106,32 +111,41 @@ class HttpServer:
             logger.error("%s: the connection failed", peer, exc_info=exc)
         finally:
             self._open -= 1
+            place.leave()
             with CancelScope(shield=True), anyio.move_on_after(LEAVE), suppress(*BROKEN):
                 await stream.aclose()
 
-    def _make_room(self) -> bool:
-        """End the oldest connection that has asked for nothing; without one, an idle one, or one
-        whose client does not read.
+    def _why_not(self, address: str) -> str:
+        """Return the reason for which a client of that address is not served; empty if it is."""
+        addresses, most = self.server.addresses, self.server.settings.limits.connections
+        if addresses.has_too_many(address) and not addresses.make_room(self._useless(), address):
+            return too_many(address, addresses.most)
+        if self._open > most and not addresses.make_room(self._useless()):
+            return f"the server is full: it has {most} connections"
+        return ""
+
+    def _useless(self) -> Iterator[Candidate]:
+        """Yield the connections that have asked for nothing, then idle ones, then those whose
+        clients do not read.
         """
-        if _end_oldest(self._new) or self.server.make_room() or _end_oldest(self._idle):
-            return True
-        since = next(iter(self._writing.values()), math.inf)
-        return anyio.current_time() - since > UNREAD and _end_oldest(self._writing)
+        for scope, address in self._new.items():
+            yield Candidate(address, partial(_end, self._new, scope))
+        yield from self.server.silent()
+        for scope, address in self._idle.items():
+            yield Candidate(address, partial(_end, self._idle, scope))
+        now = anyio.current_time()
+        for scope, (address, since) in self._writing.items():
+            if now - since > UNREAD:
+                yield Candidate(address, partial(_end, self._writing, scope))
 
-    async def _reject(self, stream: ByteStream, peer: str) -> None:
-        most = self.server.settings.limits.connections
-        reason = f"the server is full: it has {most} connections"
-        logger.warning("%s is rejected: %s", peer, reason)
-        await leave(stream, http_answer(503, reason, ("Retry-After", "1")))
-
-    async def write(self, stream: ByteStream, data: bytes) -> None:
+    async def write(self, stream: ByteStream, address: str, data: bytes) -> None:
         """Send a piece of an answer, unless its connection has to make room.
 
         Raises:
             anyio.BrokenResourceError: The client has gone, or has to go.
         """
         with CancelScope() as scope:
-            self._writing[scope] = anyio.current_time()
+            self._writing[scope] = address, anyio.current_time()
             try:
                 await stream.send(data)
             finally:
@@ -139,11 +153,11 @@ class HttpServer:
         if scope.cancelled_caught:
             raise anyio.BrokenResourceError
 
-    def waits(self, scope: CancelScope, *, is_new: bool) -> None:
+    def waits(self, scope: CancelScope, address: str, *, is_new: bool) -> None:
         """Note that a connection waits for its first request or another one; its scope may be
         canceled.
         """
-        (self._new if is_new else self._idle)[scope] = None
+        (self._new if is_new else self._idle)[scope] = address
 
     def goes_on(self, scope: CancelScope) -> None:
         """Note that a connection has a request, or has ended."""
@@ -151,22 +165,35 @@ class HttpServer:
         self._idle.pop(scope, None)
 
 
-def _end_oldest(waiting: dict[CancelScope, None] | dict[CancelScope, float]) -> bool:
-    oldest = next(iter(waiting), None)
-    if oldest is None:
-        return False
-    del waiting[oldest]
-    oldest.cancel()
-    return True
+class CountedPlace:
+    """The place of one connection among those of its address."""
+
+    def __init__(self, addresses: Addresses, peer: str) -> None:
+        self.address = addresses.enter(peer)
+        self._addresses: Addresses | None = addresses
+
+    def leave(self) -> None:
+        """Give the place up, if that was not done before."""
+        addresses, self._addresses = self._addresses, None
+        if addresses is not None:
+            addresses.leave(self.address)
+
+
+def _end(waiting: dict[CancelScope, Any], scope: CancelScope) -> None:
+    del waiting[scope]
+    scope.cancel()
 
 
 class _Connection:
     """One connection."""
 
-    def __init__(self, server: HttpServer, stream: ByteStream, peer: str) -> None:
+    def __init__(
+        self, server: HttpServer, stream: ByteStream, peer: str, place: CountedPlace
+    ) -> None:
         self._server = server
         self._stream = stream
         self._peer = peer
+        self._place = place
         self._http = h11.Connection(h11.SERVER, max_incomplete_event_size=LONGEST_HEAD)
         self._root = server.rules.path.rstrip("/")
         self._received = b""  # of the request that is being read
@@ -188,7 +215,7 @@ class _Connection:
                 exchange = HttpExchange(
                     self._http,
                     self._stream,
-                    partial(self._server.write, self._stream),
+                    partial(self._server.write, self._stream, self._place.address),
                     request,
                     self._peer,
                     self._server.scheme,
@@ -222,7 +249,7 @@ class _Connection:
         """
         seconds = self._server.server.settings.limits.handshake
         with anyio.move_on_after(seconds) as scope:
-            self._server.waits(scope, is_new=not self._has_asked)
+            self._server.waits(scope, self._place.address, is_new=not self._has_asked)
             try:
                 while (event := self._http.next_event()) is h11.NEED_DATA:
                     await self._receive()
@@ -238,7 +265,7 @@ class _Connection:
         connection has to make room meanwhile.
         """
         with CancelScope() as scope:
-            self._server.waits(scope, is_new=False)
+            self._server.waits(scope, self._place.address, is_new=False)
             try:
                 async with self._server.server.turn:
                     return True
@@ -276,12 +303,15 @@ class _Connection:
         server = self._server.server
         if "sec-websocket-protocol" in headers:
             framing = WebSocketFraming("the client", server.new_reader(), ServerHandshake(rules))
-            await server.serve(await self._line(framing))
+            line = await self._line(framing)
+            self._place.leave()  # the line takes it
+            await server.serve(line)
         else:
             translator = new_translator(server, self._peer, headers)
             handshake = ServerHandshake(rules, subprotocol="")
             rosbridge = RosbridgeFraming(server, handshake, translator)
             channel = RosbridgeStreamChannel(self._buffered(), self._peer, rosbridge)
+            self._place.leave()  # the channel takes it
             await serve_rosbridge(server, channel)
 
     async def _line(self, framing: WebSocketFraming) -> Line:
