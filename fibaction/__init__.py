@@ -54,6 +54,7 @@ if TYPE_CHECKING:
         GoalID,
         GoalInfo,
         Outcome,
+        Parent,
         Sender,
         WorkerInfo,
     )
@@ -76,7 +77,7 @@ else:
         ),
         "border.goal_store": "GoalStore",
         "words.goals": (
-            "ActionPeers CancelAnswer CancelCode GoalID GoalInfo Outcome Sender WorkerInfo"
+            "ActionPeers CancelAnswer CancelCode GoalID GoalInfo Outcome Parent Sender WorkerInfo"
         ),
         "client.retry": "Retry",
         "server": "ActionServer Executor GoalHandle Schedule",
@@ -137,6 +138,7 @@ __all__ = [
     "LimitReached",
     "Limits",
     "Outcome",
+    "Parent",
     "Peer",
     "Permission",
     "ProtocolError",

@@ -36,6 +36,7 @@ import msgspec
 
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID, Sender, child_id
+from fibaction.words.meta import meta_after_end
 from fibaction.words.statuses import GoalStatus
 
 
@@ -79,8 +80,8 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     """The name of the worker that has the goal; empty if the store has one server for each action.
     """
     meta: dict[str, str] | None = None
-    """The small text map that came with the goal; None if it is empty, and after the end, unless
-    the goal was given up."""
+    """The small text map that came with the goal, of which the parent is left after the end, unless
+    the goal was given up; None if it is empty."""
 
     @property
     def told_status(self) -> GoalStatus:
@@ -94,8 +95,9 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
         return self.status.is_terminal and bool(self.goal)
 
     def drop_request(self) -> None:
-        """Forget what is needed only to run the goal."""
-        self.goal, self.checkpoint, self.meta = b"", None, None
+        """Forget what is needed only to run the goal; of the meta, the parent is left."""
+        self.goal, self.checkpoint = b"", None
+        self.meta = meta_after_end(self.meta)
 
     def as_new(self, stamp: int) -> StoredGoal:
         """Return a goal that was given up as a new one, to run from its last checkpoint.

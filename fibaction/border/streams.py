@@ -16,7 +16,7 @@ import msgspec
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
 from fibaction.words.errors import ActionError
-from fibaction.words.goals import GoalID, GoalInfo, Outcome
+from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
 
@@ -110,6 +110,13 @@ class GoalStream(_Closing):
     def goal(self) -> bytes | None:
         """The payload of the goal itself; None if it is not known. Servers forget it at the end of
         the goal, and ROS 2 does not tell it to observers.
+        """
+        return None
+
+    @property
+    def parent(self) -> Parent | None:
+        """The goal whose executor has sent this one: see `GoalInfo.parent`. The client that sent it
+        is not told.
         """
         return None
 

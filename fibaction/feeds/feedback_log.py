@@ -43,7 +43,7 @@ from fibaction.feeds.feedback_window import (
 from fibaction.feeds.followed_goal import FollowedGoal
 from fibaction.feeds.hold_time import UNLIMITED_TIME, BriefHold, HoldTime
 from fibaction.words.errors import ActionError, UnknownGoal, copy_of
-from fibaction.words.goals import Outcome
+from fibaction.words.goals import Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
 
@@ -267,6 +267,11 @@ class FeedbackCursor(GoalStream):
     @property
     def goal(self) -> bytes | None:
         return self._log.payload
+
+    @property
+    def parent(self) -> Parent | None:
+        goal: FollowedGoal = self._log.goal
+        return goal.parent
 
     @property
     def dropped(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import GoalID, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
 
@@ -24,6 +24,8 @@ class FollowedGoal(Protocol):
     goal_id: GoalID
     stamp: int
     """Time of the acceptance: nanoseconds since 1970."""
+    parent: Parent | None
+    """The goal whose executor has sent this one; None if there is none, or if it is not known."""
     attempt: int
     """Number of the attempt that runs, from 1."""
     feedback_count: int
@@ -45,11 +47,21 @@ class FollowedGoal(Protocol):
 class GoalFacts:
     """A goal that runs in another system, as far as it is known here."""
 
-    __slots__ = ("attempt", "feedback_count", "goal_id", "held", "outcome", "stamp", "told_status")
+    __slots__ = (
+        "attempt",
+        "feedback_count",
+        "goal_id",
+        "held",
+        "outcome",
+        "parent",
+        "stamp",
+        "told_status",
+    )
 
     def __init__(self, goal_id: GoalID, stamp: int) -> None:
         self.goal_id = goal_id
         self.stamp = stamp
+        self.parent: Parent | None = None
         self.attempt = 1
         self.feedback_count = 0
         self.outcome: Outcome[bytes] | None = None

@@ -77,6 +77,7 @@ class MonitoredGoal:
             attempt=attempt,
             feedback_count=max(counts),
             client=info.client or self.info.client,
+            parent=info.parent or self.info.parent,
             place=waiting.place,
             queue_length=waiting.queue_length,
         )

@@ -151,6 +151,14 @@ UNKNOWN_SENDER = Sender()
 """A client that the transport cannot identify."""
 
 
+class Parent(msgspec.Struct, frozen=True, gc=False):
+    """The goal whose executor has sent another one, its child: see `GoalHandle.step`."""
+
+    goal_id: GoalID
+    step: str = ""
+    """The name of the step that the child is; empty if it is not known."""
+
+
 class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     """One line of a server's list of goals."""
 
@@ -174,6 +182,9 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     attempt: int = 1
     """The attempt at the goal, from 1: a server that keeps its goals in a store may run a goal
     again after a restart. 1 also if the transport does not carry it."""
+    parent: Parent | None = None
+    """The goal whose executor has sent this one, as its client says; None if there is none, or if
+    the transport does not carry it."""
     has_worker: bool = True
     """False if the goal is active, and no living worker of its fleet has it. `ActionClient.goals`
     tells it; an event does not."""

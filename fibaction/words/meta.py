@@ -1,4 +1,4 @@
-"""The meta of a goal: a small text map beside it, for traces."""
+"""The meta of a goal: a small text map beside it, for traces, and for the parent of a goal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from contextlib import suppress
 from types import MappingProxyType
 from typing import TypeAlias
 
+from fibaction._runtime.text import shortened
 from fibaction.words.errors import InvalidMessage
+from fibaction.words.goals import GoalID, Parent
 
 Meta: TypeAlias = Mapping[str, str]
 """A small text map that goes with a goal: the keys `traceparent`, `tracestate` and `baggage` of the
@@ -24,6 +26,11 @@ DETACHED = "detached"
 PARENT = "parent"
 """Key of a goal that the executor of another one has sent: the ID of that, as hexadecimal digits.
 """
+
+STEP = "step"
+"""Key of the name of the step that a goal is of its parent."""
+LONGEST_STEP = 100
+"""Characters of the name of a step that are kept and told."""
 
 TRACE_KEYS = ("traceparent", "tracestate", "baggage")
 """Keys of the W3C: headers in HTTP, and environment variables in upper case."""
@@ -69,6 +76,28 @@ def fitting(meta: Meta) -> dict[str, str]:
             size_of({**fits, key: value})
             fits[key] = value
     return fits
+
+
+def parent_in(meta: Meta | None) -> Parent | None:
+    """Return the parent that a meta names; None if it names none."""
+    if not meta or PARENT not in meta:
+        return None
+    try:
+        goal_id = GoalID.parse(meta[PARENT])
+    except ValueError:
+        return None  # it is a key of the client's own
+    return Parent(goal_id, shortened(meta.get(STEP, ""), LONGEST_STEP))
+
+
+def meta_of_child(parent: Parent, meta: Meta = NO_META) -> dict[str, str]:
+    """Return the meta of a goal that has a parent: another meta, as far as both fit."""
+    return fitting({PARENT: str(parent.goal_id), **meta, STEP: parent.step})
+
+
+def meta_after_end(meta: Meta | None) -> dict[str, str] | None:
+    """Return what is kept of the meta of a goal that has ended: its parent; None if it has none."""
+    parent = parent_in(meta)
+    return None if parent is None else meta_of_child(parent)
 
 
 def trace_meta(headers: Mapping[str, str], *, is_detached: bool) -> dict[str, str]:

@@ -14,8 +14,10 @@ from fibaction import (
     ActionServer,
     GoalHandle,
     GoalID,
+    GoalInfo,
     GoalStatus,
     Outcome,
+    Parent,
     Sender,
     Watcher,
 )
@@ -160,3 +162,29 @@ async def test_the_meta_of_a_child_names_its_parent(reach: Reach) -> None:
             assert await goal.result() == [7]
 
     assert parents.ids == [str(goal.goal_id)]
+
+
+@pytest.mark.promise("CHILD-4")
+async def test_lists_and_followers_are_told_the_parent_of_a_child_also_after_its_end(
+    reach: Reach,
+) -> None:
+    child = Held()
+    child.clean.set()
+    async with reach(ActionServer(FIBONACCI, child)) as arm, arm.events() as events:
+        own = await arm.send_goal(Goal(1))
+        async with ActionServer(MISSION, Mission(arm)) as server:
+            goal = await ActionClient(server, MISSION).send_goal(7)
+            told = Parent(goal.goal_id, "pick")
+            expected = child_id(goal.goal_id, "fibonacci", "pick")
+            event = await anext(events)
+            while event.goal_id != expected or not isinstance(event, GoalInfo):
+                event = await anext(events)
+            assert event.parent == told
+            follower = await arm.attach(expected)
+            assert follower.feedback.stream.parent == told
+            await goal.cancel()
+            await follower.outcome()
+        parents = {info.goal_id: info.parent for info in await arm.goals()}
+        assert parents == {own.goal_id: None, expected: told}
+        again = await arm.attach(expected)
+        assert again.feedback.stream.parent == told

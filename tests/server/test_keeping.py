@@ -23,6 +23,7 @@ from fibaction import (
     GoalKept,
     GoalRejected,
     GoalStatus,
+    Parent,
     Schedule,
     ServerNotFound,
     StoreError,
@@ -185,6 +186,20 @@ async def test_the_meta_of_a_goal_is_kept_until_its_end() -> None:
 
     assert kept == meta
     assert store.goals["paint", ID].meta is None
+
+
+async def test_the_parent_of_a_goal_is_kept_after_its_end() -> None:
+    store = MemoryStore()
+    meta = {"parent": str(ID), "step": "first coat", "traceparent": "00-1"}
+    child = GoalID.random()
+    async with server_with(store) as server:
+        stream = await server.send_goal(child, PAINT.goal.encode(1), meta=meta)
+        await stream.outcome()
+
+    assert store.goals["paint", child].meta == {"parent": str(ID), "step": "first coat"}
+    async with server_with(store) as server:
+        (info,) = await client_of(server).goals()
+        assert info.parent == Parent(ID, "first coat")
 
 
 async def test_a_goal_that_is_accepted_just_as_its_sender_leaves_is_not_held_by_it() -> None:

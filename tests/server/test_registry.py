@@ -32,6 +32,7 @@ from fibaction.words.goals import (
     GoalID,
     GoalInfo,
     Outcome,
+    Parent,
     Sender,
     digest_of,
 )
@@ -1215,6 +1216,15 @@ def test_a_restored_goal_is_that_of_the_earlier_process() -> None:
     assert (goal.stamp, goal.sender, goal.deadline) == (7, sender, 5.0)
     assert goal.stored is kept
     assert registry.restore(stored(2)).deadline == math.inf
+
+
+def test_a_restored_goal_has_the_parent_that_its_meta_names() -> None:
+    registry = GoalRegistry()
+    child = registry.restore(stored(1, meta={"parent": str(A), "step": "pick"}))
+    ended = stored(2, status=GoalStatus.ABORTED, meta={"parent": str(B)})
+    assert child.info.parent == Parent(A, "pick")
+    assert registry.restore(ended, until=5.0).info.parent == Parent(B)
+    assert registry.restore(stored(3)).info.parent is None
 
 
 @pytest.mark.parametrize(

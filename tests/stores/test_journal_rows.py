@@ -345,6 +345,18 @@ def test_a_new_checkpoint_makes_the_lost_attempts_count_no_more(state: bytes, lo
     assert (found.checkpoint, found.lost) == (state, lost)
 
 
+def test_the_parent_is_left_of_the_meta_of_a_goal_that_has_ended() -> None:
+    parent = {"parent": "0" * 31 + "1", "step": "pick"}
+    goal = StoredGoal(
+        GoalID(bytes(16)), 1, Sender(), b"", b"", meta={**parent, "traceparent": "00-1"}
+    )
+    goals = KeptGoals()
+    goals.read(1, encode_row(1, [StartRecord(), WholeRecord("paint", goal)]))
+    goals.read(2, encode_row(2, [ended("paint", after_end(copy(goal)))]))
+    (found,) = goals.of("paint").ended.values()
+    assert found.meta == parent
+
+
 def test_goals_of_an_older_file_are_read_which_have_no_worker_and_no_meta() -> None:
     row = bytes.fromhex(
         "f33900cf9291009301a57061696e74dc0010c410000102030405060708090a0b0c0d0e0f"

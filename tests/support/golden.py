@@ -45,6 +45,7 @@ from fibaction.words.statuses import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
 STAMP = 1_700_000_000_000_000_000
+PARENT = (bytes(range(16)), "pick")
 GOAL = bytes.fromhex("81a56f726465720a")
 """`{"order": 10}` in msgpack, like all payloads."""
 FEEDBACK = bytes.fromhex("81b07061727469616c5f73657175656e636593000101")
@@ -124,8 +125,11 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952001cb3ff0000000000000ce00010000cb402e000000000000",
     ),
     (
-        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL),
-        "982101cf17979cfe362a000001c20001c40881a56f726465720a",
+        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL, PARENT),
+        (
+            "992101cf17979cfe362a000001c20001c40881a56f726465720a92c410000102030405060708090a"
+            "0b0c0d0e0fa47069636b"
+        ),
     ),
     (
         Rejected(1, "the order is negative"),
@@ -152,8 +156,11 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952703009193c410000102030405060708090a0b0c0d0e0fcf17979cfe362a000003a0",
     ),
     (
-        GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5, 1),
-        "9b2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d020501",
+        GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5, 1, PARENT),
+        (
+            "9c2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d020501"
+            "92c410000102030405060708090a0b0c0d0e0fa47069636b"
+        ),
     ),
     (
         Done(5),

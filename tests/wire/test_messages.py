@@ -150,7 +150,7 @@ def test_the_garbage_collector_need_not_look_at_a_message(
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     goal_id = GoalID(bytes(range(16)))
     assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
-        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1)
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1, None)
     ]
 
 
@@ -177,6 +177,7 @@ NUMBERS = strategies.integers(-(2**63), 2**64 - 1)
 TEXT = strategies.text()
 BYTES = strategies.binary()
 GOAL_IDS = strategies.binary(min_size=16, max_size=16).map(GoalID)
+PARENTS = strategies.none() | strategies.tuples(GOAL_IDS, TEXT)
 SCHEMAS = strategies.dictionaries(
     TEXT,
     strategies.recursive(
@@ -215,6 +216,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     Following: builds(
         *(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS, ATTEMPTS),
         strategies.none() | BYTES,
+        PARENTS,
     ),
     Rejected: builds(Rejected, IDS, TEXT),
     Failed: builds(Failed, IDS, NUMBERS, TEXT),
@@ -229,6 +231,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     GoalChanged: builds(
         *(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT, STAMPS, STAMPS),
         ATTEMPTS,
+        PARENTS,
     ),
     Done: builds(Done, IDS),
     Finished: builds(Finished, IDS),
@@ -323,6 +326,8 @@ NULLABLE = {
     (CancelGoals, "stamp"),
     (Ended, "result"),
     (Following, "goal"),
+    (Following, "parent"),
+    (GoalChanged, "parent"),
 }
 
 
@@ -429,6 +434,7 @@ def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, gol
         "goal": b"",
         "timeout": 1.5,
         "meta": {},
+        "parent": (bytes(16), ""),
     }
     for name in message.__struct_fields__:
         if (type(message), name) in NULLABLE:

@@ -6,12 +6,15 @@ from typing import Any, cast
 
 import pytest
 
-from fibaction import InvalidMessage
+from fibaction import GoalID, InvalidMessage, Parent
 from fibaction.words.meta import (
     MAX_KEYS,
     MAX_META_BYTES,
     checked_meta,
     fitting,
+    meta_after_end,
+    meta_of_child,
+    parent_in,
     size_of,
     trace_meta,
 )
@@ -64,3 +67,40 @@ def test_only_the_headers_of_a_trace_go_with_a_goal() -> None:
 
     assert trace_meta(headers, is_detached=False) == {"traceparent": "00-1"}
     assert trace_meta({}, is_detached=True) == {"detached": "1"}
+
+
+PARENT_ID = GoalID(bytes(range(16)))
+
+
+def test_the_meta_of_a_child_names_its_parent_and_its_step_beside_the_trace() -> None:
+    parent = Parent(PARENT_ID, "pick")
+
+    meta = meta_of_child(parent, {"traceparent": "00-1"})
+
+    assert meta == {"parent": str(PARENT_ID), "traceparent": "00-1", "step": "pick"}
+    assert parent_in(meta) == parent
+
+
+def test_a_step_with_a_name_that_is_too_long_leaves_the_trace_in_the_meta() -> None:
+    meta = meta_of_child(Parent(PARENT_ID, "x" * MAX_META_BYTES), {"traceparent": "00-1"})
+
+    assert meta == {"parent": str(PARENT_ID), "traceparent": "00-1"}
+    assert parent_in(meta) == Parent(PARENT_ID)
+
+
+def test_a_long_name_of_a_step_is_kept_and_told_in_part() -> None:
+    found = parent_in({"parent": str(PARENT_ID), "step": "x" * 101})
+
+    assert found == Parent(PARENT_ID, "x" * 99 + "…")
+
+
+@pytest.mark.parametrize("meta", [None, {}, {"step": "pick"}, {"parent": "me", "step": "pick"}])
+def test_a_meta_without_the_id_of_a_goal_names_no_parent(meta: dict[str, str] | None) -> None:
+    assert parent_in(meta) is None
+    assert meta_after_end(meta) is None
+
+
+def test_the_parent_is_left_of_the_meta_after_the_end() -> None:
+    meta = meta_of_child(Parent(PARENT_ID, "pick"), {"traceparent": "00-1"})
+
+    assert meta_after_end(meta) == {"parent": str(PARENT_ID), "step": "pick"}

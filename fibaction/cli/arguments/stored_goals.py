@@ -11,6 +11,7 @@ from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.outcomes import with_outcome
 from fibaction.words.goals import GoalInfo, Outcome
+from fibaction.words.meta import parent_in
 
 
 async def rows_of_store(path: str, name: str | None) -> list[GoalRow]:
@@ -38,6 +39,7 @@ def _info(goal: StoredGoal) -> GoalInfo:
         goal.feedback_count,
         str(goal.sender),
         attempt=max(goal.attempt, 1),
+        parent=parent_in(goal.meta),
     )
 
 

@@ -53,7 +53,7 @@ from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ConnectionLost, GoalRejected, ProtocolError, StoreError
 from fibaction.words.goals import GoalID
-from fibaction.words.meta import NO_META
+from fibaction.words.meta import NO_META, parent_in
 
 DRAINING = "busy: the server drains"
 WITHDRAWN = "the call was canceled before the decision"
@@ -215,6 +215,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         record = offer.record = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )
+        record.parent = parent_in(offer.meta) if offer.meta else None
         self._writing[goal_id] = offer
         write = self._keeper.accept(
             record,

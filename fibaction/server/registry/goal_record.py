@@ -10,7 +10,8 @@ import msgspec
 
 from fibaction.server.life import LIFE, Event, Phase
 from fibaction.words.errors import GoalRejected
-from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
+from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender
+from fibaction.words.meta import parent_in
 from fibaction.words.statuses import INITIAL, GoalStatus
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class GoalRecord:
         "held",
         "is_given_up",
         "outcome",
+        "parent",
         "phase",
         "place",
         "remember_until",
@@ -69,6 +71,8 @@ class GoalRecord:
         """Time of the acceptance: nanoseconds since 1970, different for each goal."""
         self.sender = sender
         """The client that sent the goal, and owns it."""
+        self.parent: Parent | None = None
+        """The goal whose executor has sent this one; None if there is none."""
         self.deadline = deadline
         """Time at which the client gives the goal up, by the event loop's clock."""
         self.attempt = 1
@@ -104,6 +108,15 @@ class GoalRecord:
         self.is_given_up = False
         """True if the server ends the goal instead of running it again."""
 
+    @classmethod
+    def of_stored(cls, stored: StoredGoal, held: HeldBytes, deadline: float) -> GoalRecord:
+        """Make the record of a goal that was accepted by an earlier process."""
+        goal_id = GoalID(stored.goal_id)
+        goal = cls(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
+        goal.attempt = max(stored.attempt, 1)
+        goal.parent = parent_in(stored.meta)
+        return goal
+
     @property
     def is_kept(self) -> bool:
         """True if this attempt is interrupted and the goal goes on: see `GoalHandle.is_kept`."""
@@ -127,7 +140,15 @@ class GoalRecord:
         place, length = self.place if status is INITIAL else NO_PLACE
         sender, count = str(self.sender), self.feedback_count
         return GoalInfo(
-            self.goal_id, self.stamp, status, count, sender, place, length, self.attempt
+            self.goal_id,
+            self.stamp,
+            status,
+            count,
+            sender,
+            place,
+            length,
+            self.attempt,
+            self.parent,
         )
 
 

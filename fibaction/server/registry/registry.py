@@ -200,13 +200,13 @@ class GoalRegistry:
         Its outcome is remembered until the time `until`, and that of a goal that has not ended yet
         at least so long.
         """
-        goal_id, status = GoalID(stored.goal_id), stored.status
+        status = stored.status
         self._last_stamp = max(stored.stamp, self._last_stamp)
         goal_size = 0 if status.is_terminal else len(stored.goal)
         size = goal_size + len(stored.result or b"") + len(stored.reason)
         held = HeldBytes(self.budget, size)
-        goal = GoalRecord(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
-        goal.attempt, goal.remember_until = max(stored.attempt, 1), until
+        goal = GoalRecord.of_stored(stored, held, deadline)
+        goal_id, goal.remember_until = goal.goal_id, until
         self._listing = None
         if status.is_terminal:
             goal.happen(Event.RESTORE_ENDED)

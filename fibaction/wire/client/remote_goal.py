@@ -57,6 +57,7 @@ from fibaction.wire.messages import (
     SendGoal,
     StatusChanged,
 )
+from fibaction.wire.messages.fields import parent_from
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
@@ -64,7 +65,7 @@ from fibaction.words.errors import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
+from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
 OnLost: TypeAlias = "Callable[[RemoteGoal, ActionError], None]"
@@ -100,6 +101,7 @@ class RemoteGoal(Call, UnreadFeedback):
         self._deadline = deadline
         self._status = GoalStatus.UNKNOWN
         self._goal = opening.goal if isinstance(opening, SendGoal) else None
+        self._parent: Parent | None = None
         self._outcome: Outcome[bytes] | None = None
         self._statuses: deque[GoalStatus] = deque()
         self._credit = Credits(opening.id, window, post)
@@ -114,6 +116,10 @@ class RemoteGoal(Call, UnreadFeedback):
     @property
     def goal(self) -> bytes | None:
         return self._goal
+
+    @property
+    def parent(self) -> Parent | None:
+        return self._parent
 
     @property
     def is_own(self) -> bool:
@@ -256,6 +262,8 @@ class RemoteGoal(Call, UnreadFeedback):
             self.cursor = self._start = self._last = message.place
             if message.goal is not None:
                 self._goal = message.goal
+            if message.parent is not None:
+                self._parent = parent_from(message.parent)
 
     # Messages of the server
 

@@ -37,6 +37,7 @@ from fibaction.wire.client.calls import Call, Credits, Post, unfitting
 from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import Close, Failed, Finished, GoalChanged, Watching, WatchStatus
+from fibaction.wire.messages.fields import parent_from
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
@@ -176,6 +177,7 @@ class StatusWatch(Call):
             message.place,
             message.queue_length,
             message.attempt,
+            parent_from(message.parent),
         )
         self._learn(info)
         for statuses in self._followers:

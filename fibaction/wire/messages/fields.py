@@ -6,6 +6,10 @@ from typing import Annotated, TypeAlias, final
 
 import msgspec
 
+from fibaction._runtime.text import shortened
+from fibaction.words.goals import GoalID, Parent
+from fibaction.words.meta import LONGEST_STEP
+
 VERSION = 1
 """Version of the protocol. A peer of another version is rejected."""
 LARGEST = 2**63 - 1
@@ -14,6 +18,8 @@ LARGEST = 2**63 - 1
 ID: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 """ID of a request and of all messages that belong to it; the client uses each number once."""
 GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=16)]
+ParentFields: TypeAlias = tuple[GoalBytes, str]
+"""ID of the goal whose executor has sent another one, and the name of the step that this is."""
 Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 AttemptNumber: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=LARGEST)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
@@ -42,3 +48,14 @@ class Goodbye(WireMessage, tag=1):
     reason: str
     why: int = 0
     """One of the `Why` numbers; 0 if there is no error."""
+
+
+def parent_fields(parent: Parent | None) -> ParentFields | None:
+    """Return the parent of a goal as the field of a message."""
+    # Of bytes, because other classes take several times as long to encode.
+    return None if parent is None else (bytes(parent.goal_id), parent.step)
+
+
+def parent_from(fields: ParentFields | None) -> Parent | None:
+    """Return the parent of a goal that the field of a message names."""
+    return None if fields is None else Parent(GoalID(fields[0]), shortened(fields[1], LONGEST_STEP))

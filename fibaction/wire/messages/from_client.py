@@ -56,7 +56,8 @@ class SendGoal(WireMessage, tag=17):
     meta: dict[str, str] | None = None
     """Text that goes with the goal, for traces: at most 8 keys, and 4096 bytes of keys and values
     together. The keys `traceparent`, `tracestate` and `baggage` are those of the W3C; `detached`
-    says that the client does not wait for the goal. Nil if there is none."""
+    says that the client does not wait for the goal, and `parent` and `step` of which goal it is a
+    step. Nil if there is none."""
 
 
 @final

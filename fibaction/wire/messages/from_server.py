@@ -14,6 +14,7 @@ from fibaction.wire.messages.fields import (
     AttemptNumber,
     FrameSize,
     GoalBytes,
+    ParentFields,
     Seconds,
     Stamp,
     WireMessage,
@@ -53,6 +54,9 @@ class Following(WireMessage, tag=33):
     goal: bytes | None = None
     """The goal's payload, for a client that did not send it: in the first answer to `Follow`, if
     the goal is active and fits into a frame that the client accepts."""
+    parent: ParentFields | None = None
+    """The goal whose executor has sent this one, and the name of the step, as in `GoalChanged`: in
+    the first answer to `Follow`, for a client that did not send it."""
 
 
 @final
@@ -164,6 +168,9 @@ class GoalChanged(WireMessage, tag=40):
     """Goals that wait in the same queue."""
     attempt: AttemptNumber = 1
     """Attempt at the goal, from 1."""
+    parent: ParentFields | None = None
+    """ID of the goal whose executor has sent this one, and the name of the step; nil if the meta of
+    the goal names none."""
 
 
 @final

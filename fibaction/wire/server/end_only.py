@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import GoalStream, GoalUpdate
 from fibaction.words.errors import ActionError
-from fibaction.words.goals import Outcome
+from fibaction.words.goals import Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
 
@@ -30,6 +30,10 @@ class EndOnly(GoalStream):
     @property
     def attempt(self) -> int:
         return self._stream.attempt
+
+    @property
+    def parent(self) -> Parent | None:
+        return self._stream.parent
 
     @property
     def dropped(self) -> int:

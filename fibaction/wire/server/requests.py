@@ -42,6 +42,7 @@ from fibaction.wire.messages import (
     Watching,
     WatchStatus,
 )
+from fibaction.wire.messages.fields import parent_fields
 from fibaction.wire.server.subscriptions import RequestSubscription
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import NO_GOAL, GoalID
@@ -184,6 +185,7 @@ class RequestHandlers:
                 info.place,
                 info.queue_length,
                 info.attempt,
+                parent_fields(info.parent),
             )
             await self._say(changed)
             await slices.pause()

@@ -39,6 +39,7 @@ from fibaction.wire.messages import (
     SendGoal,
     StatusChanged,
 )
+from fibaction.wire.messages.fields import parent_fields
 from fibaction.words.errors import ActionError, GoalKept
 from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
@@ -191,7 +192,7 @@ class GoalSubscription(Subscription):
         # sent: the frames of many followers would each hold a copy of the goal.
         self._opening = self._following(stream, stream.cursor)
         if self._is_follow and not own:
-            self._opening.goal = stream.goal
+            self._opening.goal, self._opening.parent = stream.goal, parent_fields(stream.parent)
         if self.closed:
             self._close(stream)
         self._tell()

@@ -38,6 +38,7 @@ from fibaction.words.errors import (
     ProtocolError,
 )
 from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.meta import parent_in
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
@@ -250,6 +251,7 @@ class FleetStatuses:
             goal.feedback_count,
             str(goal.sender),
             attempt=max(goal.attempt, 1),
+            parent=parent_in(goal.meta),
         )
         self._owners[goal.goal_id] = goal.worker, entry.incarnation
         before = self._goals.get(goal.goal_id)
