@@ -224,6 +224,24 @@ class Monitor(ActionListener):
         """Return one goal as the last snapshot found it; None if its server has forgotten it."""
         return self._goal(key) if key in self._goals else None
 
+    def find(self, goal_id: GoalID) -> GoalSnapshot | None:
+        """Return the goal of that ID, of any action; None if it is not known here."""
+        for action in self._actions:
+            if (key := GoalKey(action, goal_id)) in self._goals:
+                return self._goal(key)
+        return None
+
+    def children(self, goal_id: GoalID) -> list[GoalSnapshot]:
+        """Return the goals that the executor of a goal has sent, in the order of acceptance, as far
+        as they are known here.
+        """
+        keys = [
+            key
+            for key, goal in self._goals.items()
+            if goal.info.parent is not None and goal.info.parent.goal_id == goal_id
+        ]
+        return sorted(map(self._goal, keys), key=lambda goal: goal.info.stamp)
+
     def _goal(self, key: GoalKey) -> GoalSnapshot:
         record = self._goals[key]
         return GoalSnapshot(key.action, record.info, record.rate.per_second, record.latest)

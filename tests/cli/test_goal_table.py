@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from fibaction import GoalID, GoalInfo, GoalStatus, Outcome
+from fibaction import GoalID, GoalInfo, GoalStatus, Outcome, Parent
 from fibaction.cli.output.goal_table import (
     GoalRow,
     duration,
@@ -81,6 +81,20 @@ def test_with_little_room_ids_are_cut_then_clients_then_actions() -> None:
     assert narrow[1] == "aaaaaaaa  EXECUTING  1.0 s         0  somebody"
 
 
+def test_steps_are_cut_after_clients_and_ids_differ_from_those_of_parents() -> None:
+    info = GoalInfo(C, 10**9, GoalStatus(2), 0, "a long name", parent=Parent(B, "to the shelf"))
+    rows = [row(client="me"), GoalRow("arm/pick", info)]
+
+    def child(width: int) -> str:
+        heading, _, line = in_columns(rows, actions=True, width=width, now=2.0)
+        assert "PARENT, CHILDREN" in heading
+        return line
+
+    assert child(95).startswith("cccccccc0  /arm/pick  EXECUTING  to the shelf of aaaaaaaa1  ")
+    assert child(86).endswith("  to the shelf of aaaaaaaa1  1.0 s         0  a long n…")
+    assert child(60) == "cccccccc0  /arm/pi…  EXECUTING  to the …  1.0 s         0  a long …"
+
+
 def test_a_reason_or_a_result_is_shown_as_far_as_there_is_room() -> None:
     aborted = row(C, status=6)
     rows = [row(client="me"), GoalRow("arm/pick", aborted.info, end="the arm is stuck " * 9)]
@@ -125,6 +139,7 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "queue_length": 0,
         "attempt": 1,
         "has_worker": True,
+        "parent": None,
     }
     ended = GoalRow("a", WAITING, Outcome(GoalStatus.ABORTED, {"n": 1}, "stuck")).json()
     assert (ended["reason"], ended["result"]) == ("stuck", {"n": 1})

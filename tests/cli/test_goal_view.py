@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus
+from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, Parent
 from fibaction.cli.output.goal_view import ORDERS, GoalView
 from fibaction.client.events import GoalFeedback
 from fibaction.observe.monitor import GoalKey, Monitor
@@ -32,7 +32,9 @@ def a_view(most: int = 10) -> tuple[GoalView, Monitor, Clock]:
         (3, "arm/pick", GoalStatus.EXECUTING, "office"),
         (4, "base/drive", GoalStatus.ABORTED, "office"),
     ):
-        monitor.on_event(action, GoalInfo(goal_id(number), number, status, 0, client))
+        parent = Parent(goal_id(1), "to the shelf") if number == 4 else None
+        info = GoalInfo(goal_id(number), number, status, 0, client, parent=parent)
+        monitor.on_event(action, info)
     return GoalView(monitor, most), monitor, clock
 
 
@@ -70,6 +72,8 @@ def test_the_orders_follow_each_other_and_begin_again() -> None:
         ("drive abort", [4]),
         ("office", [3, 4]),
         ("0303", [3]),
+        ("0101", [1, 4]),
+        ("shelf", [4]),
         ("nothing", []),
     ],
 )

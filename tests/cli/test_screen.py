@@ -11,7 +11,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable
 
-from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo, Outcome
+from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo, Outcome, Parent
 from fibaction.cli.output import screen
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.screen import TopScreen
@@ -278,6 +278,21 @@ async def test_a_goal_that_is_followed_shows_what_was_sent() -> None:
                 while not any("77" in line for line in lines(pilot)):
                     await pilot.pause()
             assert find(pilot, "Goal:")
+
+
+@pytest.mark.asyncio
+async def test_a_goal_that_is_followed_shows_its_parent_and_its_children() -> None:
+    monitor = filled()
+    monitor.on_event(
+        "arm/pick", GoalInfo(SECOND, 1, GoalStatus.EXECUTING, parent=Parent(FIRST, "reach"))
+    )
+    async with shown(monitor) as pilot:
+        await pilot.press("f")
+        await pilot.press("end")
+        with anyio.fail_after(PATIENCE):
+            while not any(f"reach: {SECOND}" in line for line in lines(pilot)):
+                pilot.app.query_one("#followed").scroll_end(animate=False)
+                await pilot.pause()
 
 
 @pytest.mark.asyncio

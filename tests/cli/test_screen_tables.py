@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, Outcome
+from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, Outcome, Parent
 from fibaction.cli.output.goal_details import GoalDetails
 from fibaction.cli.output.screen_tables import FeedbackText, GoalTable
 from fibaction.client.events import GoalFeedback
@@ -81,3 +81,14 @@ async def test_a_goal_that_has_ended_shows_its_end_in_place_of_its_feedback() ->
     found = cells(monitor, table)
     assert found["LATEST"] == "the cup is gone"
     assert "DONE" not in found
+
+
+def test_a_wide_screen_has_a_column_of_steps_if_there_are_some() -> None:
+    monitor = a_monitor()
+    table = GoalTable(GoalDetails(monitor))
+    assert "PARENT, CHILDREN" not in cells(monitor, table, 120)
+    parent = Parent(GoalID(b"\x22" * 16), "reach")
+    monitor.on_event("pick", GoalInfo(ID, 0, GoalStatus.EXECUTING, parent=parent))
+
+    assert cells(monitor, table, 120)["PARENT, CHILDREN"] == "reach of 22222222"
+    assert "PARENT, CHILDREN" not in cells(monitor, table, 80)

@@ -75,15 +75,17 @@ def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> No
     ]
 
 
-def test_a_goal_that_runs_again_tells_its_attempt(here: Run, tmp_path: Path) -> None:
+def test_a_goal_that_runs_again_tells_its_attempt_and_its_parent(here: Run, tmp_path: Path) -> None:
     anyio.run(begin_twice, tmp_path / "goals.db")
     [goal] = here("goals", "--store", str(tmp_path / "goals.db"), "--json").json
 
     assert (goal["status"], goal["attempt"]) == ("EXECUTING", 2)
+    assert goal["parent"] == {"goal_id": "1" * 32, "step": "paint"}
 
 
 async def begin_twice(path: Path) -> None:
-    goal = a_goal(status=GoalStatus.EXECUTING, attempt=2)
+    meta = {"parent": "1" * 32, "step": "paint"}
+    goal = a_goal(status=GoalStatus.EXECUTING, attempt=2, meta=meta)
     store = SqliteStore(path)
     async with store.open("paint", max_results=1, claim=print, lose=print) as journal:
         journal.accept(goal, lambda error: None)

@@ -9,7 +9,16 @@ import msgspec
 import pytest
 
 import fibaction.observe.action_listener
-from fibaction import ActionInfo, CancelCode, ConnectionLost, GoalID, GoalInfo, GoalStatus, Outcome
+from fibaction import (
+    ActionInfo,
+    CancelCode,
+    ConnectionLost,
+    GoalID,
+    GoalInfo,
+    GoalStatus,
+    Outcome,
+    Parent,
+)
 from fibaction.client.events import GoalFeedback
 from fibaction.observe import monitor as monitor_module
 from fibaction.observe.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
@@ -318,3 +327,19 @@ async def test_the_goal_itself_is_told_while_it_is_active(monitor: Monitor) -> N
 
         assert await monitor.request(GoalKey("one", ID)) == 8
         assert await monitor.request(GoalKey("one", OTHER)) is None
+
+
+def test_a_goal_is_found_by_its_id_and_has_its_children_in_their_order(monitor: Monitor) -> None:
+    for number in (3, 2):
+        child = GoalID(bytes([number] * 16))
+        told = info(2, goal_id=child, stamp=number)
+        monitor.on_event("one", msgspec.structs.replace(told, parent=Parent(ID, "lift")))
+        monitor.on_event("one", told)  # a change over a line that does not tell parents
+    monitor.on_event("one", info(2))
+
+    assert [goal.info.stamp for goal in monitor.children(ID)] == [2, 3]
+    assert monitor.children(OTHER) == []
+    found = monitor.find(ID)
+    assert found is not None
+    assert found.key == KEY
+    assert monitor.find(GoalID(bytes(16))) is None

@@ -11,6 +11,7 @@ import msgspec
 
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.family import Family, parent_json
 from fibaction.observe.monitor import newest_active_first
 from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
@@ -31,6 +32,10 @@ NO_WORKER = "no worker"
 """The status of an active goal that no living worker of a fleet has."""
 LONGEST_END = 100
 """Characters of a reason or a result where the width is not limited."""
+
+ACTION = "ACTION"
+FAMILY = "PARENT, CHILDREN"
+"""Heading of the steps and the numbers of children, which is there if a goal has some."""
 
 STYLES = {
     GoalStatus.ACCEPTED: "cyan",
@@ -98,6 +103,7 @@ class GoalRow(msgspec.Struct, frozen=True):
             "queue_length": info.queue_length,
             "attempt": info.attempt,
             "has_worker": info.has_worker,
+            "parent": parent_json(info.parent),
             **end,
         }
 
@@ -123,15 +129,15 @@ def in_columns(
 ) -> list[str]:
     """Return the rows as lines below a line of headings. With `width`, they are made to fit."""
     now = time.time() if now is None else now
-    digits = 32
-    table = _cells(rows, digits, now, actions=actions)
+    digits, family = 32, Family(row.info for row in rows)
+    table = _cells(rows, family, digits, now, actions=actions)
     needed = _width(table) + (GOOD_END if any(row.end for row in rows) else 0)
     if width is not None and needed > width:
-        digits = unambiguous(row.goal_id for row in rows)
-        table = _cells(rows, digits, now, actions=actions)
+        digits = unambiguous([*(row.goal_id for row in rows), *family.parents])
+        table = _cells(rows, family, digits, now, actions=actions)
     spare = None if width is None else width - _width(table)
     if spare is not None and spare < 0:
-        table = _narrowed(table, -spare, actions=actions)
+        table = _narrowed(table, -spare)
     return _with_ends(aligned(table), [row.end for row in rows], width)
 
 
@@ -194,13 +200,18 @@ def unambiguous(goal_ids: Iterable[str]) -> int:
     return digits
 
 
-def _cells(rows: Iterable[GoalRow], digits: int, now: float, *, actions: bool) -> list[list[str]]:
-    table = [["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]]
+def _cells(
+    rows: Iterable[GoalRow], family: Family, digits: int, now: float, *, actions: bool
+) -> list[list[str]]:
+    heads = ["ID", ACTION, "STATUS", FAMILY, "AGE", "FEEDBACK", "CLIENT"]
+    table = [heads]
     for row in rows:
-        action = excerpt(shown(row.action))
-        cells = [row.goal_id[:digits], action, row.status, row.age(now)]
+        action, kin = excerpt(shown(row.action)), family.text(row.info, digits)
+        cells = [row.goal_id[:digits], action, row.status, kin, row.age(now)]
         table.append([*cells, row.feedback, row.client])
-    return table if actions else [[cells[0], *cells[2:]] for cells in table]
+    left_out = ({ACTION} if not actions else set()) | ({FAMILY} if not family else set())
+    kept = [column for column, head in enumerate(heads) if head not in left_out]
+    return [[cells[column] for column in kept] for cells in table]
 
 
 def _widths(table: Sequence[Sequence[str]]) -> list[int]:
@@ -212,12 +223,15 @@ def _width(table: Sequence[Sequence[str]]) -> int:
     return sum(widths) + len(GAP) * (len(widths) - 1)
 
 
-def _narrowed(table: list[list[str]], excess: int, *, actions: bool) -> list[list[str]]:
-    """Return the table, with the clients and then the actions shortened by the excess."""
+def _narrowed(table: list[list[str]], excess: int) -> list[list[str]]:
+    """Return the table, with the clients, the steps and the actions shortened by the excess."""
     widths = _widths(table)
     narrowed = [list(cells) for cells in table]
     # The client first: people look for the name of the action.
-    for column in (-1, 1) if actions else (-1,):
+    for head in ("CLIENT", FAMILY, ACTION):
+        if head not in table[0]:
+            continue
+        column = table[0].index(head)
         room = max(widths[column] - excess, SHORT)
         excess -= widths[column] - room
         for cells in narrowed:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.output.family import step_of
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.observe.monitor import GoalKey, GoalSnapshot, Monitor, Snapshot, newest_active_first
 
@@ -50,8 +51,8 @@ class GoalView:
         self._orders: Sequence[str] = tuple(ORDERS)
         self._settling = SETTLING
         self.filter = ""
-        """The words that a goal must have, in its action, ID, status or client. One that begins
-        with `/` is one or several whole parts of the action's name."""
+        """The words that a goal must have, in its action, ID, status, client, step or parent's ID.
+        One that begins with `/` is one or several whole parts of the action's name."""
         self.keys: list[GoalKey] = []
         """The goals of the last snapshot, from above."""
 
@@ -73,7 +74,8 @@ class GoalView:
                 return True
             row = GoalRow(goal.action, goal.info)
             action = shown(row.action).lower()
-            text = f"{row.goal_id} {action} {row.status} {row.client}".lower()
+            step = step_of(row.info.parent) if row.info.parent else ""
+            text = f"{row.goal_id} {action} {row.status} {row.client} {step}".lower()
             return all(
                 _has_parts(action, word) if word.startswith("/") else word in text for word in words
             )

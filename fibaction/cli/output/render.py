@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from fibaction.border.abc import FeedbackItem, GoalStream
 from fibaction.cli.output.escape import clean
+from fibaction.cli.output.family import parent_json, step_of
 from fibaction.cli.output.lines import console, note, on_terminal, say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.process.logs import log_connection
 from fibaction.types.action import Action
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import GoalID, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
@@ -43,8 +44,8 @@ class GoalPrinter(ABC):
         """Print the goal, before it is sent."""
 
     @abstractmethod
-    def accepted(self, goal_id: GoalID, stamp: int) -> None:
-        """Print that the server has accepted it."""
+    def accepted(self, goal_id: GoalID, stamp: int, parent: Parent | None = None) -> None:
+        """Print that the server has accepted it, and the goal whose step it is, if it is one."""
 
     @abstractmethod
     def rejected(self, goal_id: GoalID, reason: str) -> None:
@@ -74,8 +75,9 @@ class TextPrinter(GoalPrinter):
     def sending(self, goal: Any) -> None:
         self._say("Sending goal:", goal)
 
-    def accepted(self, goal_id: GoalID, stamp: int) -> None:
-        say(f"Goal accepted with ID: {goal_id}\n")
+    def accepted(self, goal_id: GoalID, stamp: int, parent: Parent | None = None) -> None:
+        step = f"It is the step {step_of(parent)}\n" if parent else ""
+        say(f"Goal accepted with ID: {goal_id}\n{step}")
 
     def rejected(self, goal_id: GoalID, reason: str) -> None:
         say(f"Goal was rejected: {clean(reason)}" if reason else "Goal was rejected.")
@@ -110,8 +112,9 @@ class JsonPrinter(GoalPrinter):
     def sending(self, goal: Any) -> None:
         pass
 
-    def accepted(self, goal_id: GoalID, stamp: int) -> None:
-        say_json({"event": "accepted", "goal_id": str(goal_id), "stamp": stamp})
+    def accepted(self, goal_id: GoalID, stamp: int, parent: Parent | None = None) -> None:
+        more = {"parent": parent_json(parent)} if parent else {}
+        say_json({"event": "accepted", "goal_id": str(goal_id), "stamp": stamp, **more})
 
     def rejected(self, goal_id: GoalID, reason: str) -> None:
         say_json({"event": "rejected", "goal_id": str(goal_id), "reason": reason})

@@ -13,6 +13,7 @@ from textual.widgets import DataTable, Footer, Input, Static
 
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.family import family_of
 from fibaction.cli.output.goal_details import DetailQuestion, GoalDetails
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.goal_view import GoalView
@@ -155,6 +156,7 @@ class TopScreen(App[None]):
         if goal.latest:
             latest = f"Feedback:\n{goal.latest.yaml}"
         parts = [self._details.end(goal.key).text, self._details.request(goal.key).text, latest]
+        parts.append(family_of(self._monitor, goal))
         self.query_one("#details", Static).update("\n\n".join(filter(None, parts)))
 
     def _draw_question(self) -> None:

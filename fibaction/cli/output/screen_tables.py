@@ -9,15 +9,16 @@ from rich.text import Text
 
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.family import Family
 from fibaction.cli.output.goal_details import GoalDetails
-from fibaction.cli.output.goal_table import STYLES, GoalRow, unambiguous
+from fibaction.cli.output.goal_table import FAMILY, STYLES, GoalRow, unambiguous
 from fibaction.cli.output.progress import Meter, on_one_line
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import message_of
 from fibaction.observe.monitor import ActionSnapshot, GoalKey, GoalSnapshot
 
 WIDE = 110
-"""Width of a screen with room for the client, too."""
+"""Width of a screen with room for the client, the parent and the children, too."""
 BARS = {100: 10, 0: 0}
 """Widths of a bar, by the least width of the screen: a narrow one has room for the figure only."""
 NUMBERS = ("ACTIVE", "ENDED", "FEEDBACK/S", "AGE", "FEEDBACK", "/S")
@@ -97,9 +98,11 @@ class GoalTable:
         self._meters = {goal.key: self._meters.get(goal.key) or Meter() for goal in goals}
         done = [self._progress(goal) for goal in goals]
         has_bars = any(fraction is not None for fraction in done)
-        digits = unambiguous(str(goal.info.goal_id) for goal in goals)
-        heads = ["ID", "ACTION", "STATUS", *(["DONE"] if has_bars else [])]
-        heads += ["AGE", "FEEDBACK", "/S", *(["CLIENT"] if width >= WIDE else []), "LATEST"]
+        family, is_wide = Family(goal.info for goal in goals), width >= WIDE
+        digits = unambiguous([*(str(goal.info.goal_id) for goal in goals), *family.parents])
+        heads = ["ID", "ACTION", "STATUS", *([FAMILY] if family and is_wide else [])]
+        heads += [*(["DONE"] if has_bars else []), "AGE", "FEEDBACK", "/S"]
+        heads += [*(["CLIENT"] if is_wide else []), "LATEST"]
         bar = next(cells for least, cells in BARS.items() if width >= least)
         rows: list[list[Text]] = []
         for goal, fraction in zip(goals, done, strict=True):
@@ -109,6 +112,7 @@ class GoalTable:
                 "ID": Text(row.goal_id[:digits]),
                 "ACTION": Text(excerpt(shown(row.action))),
                 "STATUS": Text(row.status, STYLES.get(row.info.status, "")),
+                FAMILY: Text(family.text(row.info, digits)),
                 "DONE": _bar(fraction, bar),
                 "AGE": _right(row.age(now)),
                 "FEEDBACK": _right(row.feedback),

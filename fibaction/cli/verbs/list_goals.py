@@ -17,6 +17,7 @@ from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.arguments.stored_goals import rows_of_store
+from fibaction.cli.output.family import Family
 from fibaction.cli.output.goal_table import GoalRow, in_color, in_columns, picture
 from fibaction.cli.output.lines import console, note, on_terminal, say, say_json
 from fibaction.cli.output.outcomes import Outcomes
@@ -115,8 +116,9 @@ def _print_once(
     rows: list[GoalRow], name: str | None, namespace: Namespace, *, as_json: bool
 ) -> None:
     if as_json:
+        family = Family(row.info for row in rows)
         for row in rows:
-            say_json(row.json())
+            say_json(row.json() | {"children": family.children(row.info.goal_id)})
     elif not rows:
         where = "" if namespace == ROOT else f" in {namespace.path}"
         note(f"There are no goals{f' of {shown(name)}' if name else where}.")
