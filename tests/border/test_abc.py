@@ -493,6 +493,7 @@ def test_a_stream_of_a_server_without_a_store_is_of_the_first_attempt() -> None:
 
 def test_a_stream_does_not_know_the_goal_itself_unless_it_says_so() -> None:
     assert OneEnd().goal is None
+    assert OneEnd().parent is None
 
 
 class Held(OneEnd):

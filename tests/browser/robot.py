@@ -17,6 +17,7 @@ import msgspec
 
 from fibaction import (
     Action,
+    ActionClient,
     ActionServer,
     CancelRejected,
     GoalAborted,
@@ -97,6 +98,7 @@ class Cleaned(msgspec.Struct):
 DRIVE = Action("arm/drive", goal=Drive, feedback=Driving, result=Driven)
 FLOOD = Action("flood", goal=Load, feedback=Wave, result=int)
 CLEAN = Action("clean", goal=Cleaning, feedback=Cleaned, result=str)
+MISSION = Action("mission", goal=Goal, feedback=Feedback, result=Result)
 STUBBORN = Action("stubborn", goal=Goal, feedback=Feedback, result=Result)
 BREAK = Action("break", goal=Goal, feedback=Feedback, result=Result)
 
@@ -171,10 +173,25 @@ def keep_on(goal: GoalHandle[Goal]) -> None:
         raise CancelRejected("the arm must not stop here")
 
 
+class Mission:
+    """The executor of a mission: it computes two sequences, each as a step."""
+
+    def __init__(self, sequences: ActionClient[Goal, Feedback, Result]) -> None:
+        self._sequences = sequences
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        """Compute the sequence of the order, and a short one."""
+        first = await self._sequences.call(goal.request, step=goal.step("the long one"))
+        yield Feedback(first.sequence)
+        yield await self._sequences.call(Goal(1), step=goal.step("the short one"))
+
+
 def servers() -> list[ActionServer[Any, Any, Any]]:
     """Return all servers of the robot."""
+    sequences = ActionServer(FIBONACCI, fibonacci, on_goal=check_order, result_timeout=600)
     return [
-        ActionServer(FIBONACCI, fibonacci, on_goal=check_order, result_timeout=600),
+        sequences,
+        ActionServer(MISSION, Mission(ActionClient(sequences, FIBONACCI))),
         ActionServer(DRIVE, drive, result_timeout=600),
         ActionServer(FLOOD, flood),
         ActionServer(CLEAN, clean, schedule=Schedule(concurrency=1, queue=10)),

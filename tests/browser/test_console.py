@@ -340,14 +340,69 @@ def test_the_keyboard_reaches_everything_that_matters(page: Page, robot: RobotPr
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
+# Parents and children
+
+
+def test_a_mission_leads_to_its_children_and_they_lead_back(
+    context: BrowserContext, page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "mission")
+    mission = send(page, order="3")
+    expect(goal(page).locator(".badge").first).to_have_text("✓ succeeded")
+    children = goal(page).get_by_role("list", name="Children").get_by_role("listitem")
+    expect(children).to_have_text(
+        [
+            re.compile(r"the long one: fibonacci [0-9a-f]{8} ✓ succeeded"),
+            re.compile(r"the short one: fibonacci [0-9a-f]{8} ✓ succeeded"),
+        ]
+    )
+    children.first.get_by_role("link").click()
+    expect(page.get_by_role("heading", name="fibonacci")).to_be_visible()
+    facts = goal(page).locator(".family")
+    expect(facts).to_have_text(f"Step the long one of goal mission {mission}")
+    child = goal(page).locator("header code").inner_text()
+    expect(row(page, child)).to_contain_text(f"the long one of {mission}")
+    page.get_by_label("Search goals").fill(f"{mission} short")
+    expect(page.get_by_role("row").filter(has_text="the short one")).to_have_count(1)
+    expect(row(page, child)).to_have_count(0)
+    facts.get_by_role("link").click()
+    expect(page.get_by_role("heading", name="mission")).to_be_visible()
+    expect(goal(page).locator("header code")).to_have_text(mission)
+    other = context.new_page()
+    other.goto(f"{robot.url}/#/fibonacci/{child}")
+    expect(goal(other).locator(".family")).to_have_text(
+        f"Step the long one of goal mission {mission}"
+    )
+
+
+def test_a_parent_that_is_not_known_here_is_no_link_and_a_step_is_text(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot)
+    child = page.evaluate(
+        """async () => {
+            const { Connection } = await import("/fibaction.js");
+            const meta = { parent: "ab".repeat(16), step: "<b>lift</b>" };
+            const goal = await new Connection("/").sendGoal("fibonacci", { order: 2 }, { meta });
+            await goal.outcome;
+            return goal.id;
+        }"""
+    )
+    page.get_by_role("link", name=child[:8], exact=True).click()
+    family = goal(page).locator(".family")
+    expect(family).to_have_text("Step <b>lift</b> of goal abababab (not known here)")
+    expect(family.get_by_role("link")).to_have_count(0)
+    expect(family.get_by_role("list")).to_have_count(0)
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["", "fibonacci", "arm/drive"])
+@pytest.mark.parametrize("name", ["", "fibonacci", "arm/drive", "mission"])
 def test_axe_finds_no_violation(page: Page, robot: RobotProcess, name: str, theme: Any) -> None:
     # Without transitions, in the middle of which a colour has no contrast yet.
     page.emulate_media(color_scheme=theme, reduced_motion="reduce")
     open_action(page, robot, name or "fibonacci")
     send(page)
-    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    expect(goal(page).locator(".badge").first).to_have_text("✓ succeeded")
     if not name:
         page.goto(f"{robot.url}/#/")
         expect(page.get_by_role("heading", name="All actions")).to_be_visible()

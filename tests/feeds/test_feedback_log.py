@@ -18,7 +18,7 @@ from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.feeds.hold_time import MOST, SHARE
 from fibaction.words.errors import ConnectionLost, GoalKept, UnknownGoal
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import GoalID, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 from tests.support.virtual_time import in_virtual_time
 
@@ -70,6 +70,14 @@ async def while_waiting(waiting: Callable[[], Awaitable[object]], then: Callable
             await anyio.wait_all_tasks_blocked()
             assert not done.is_set()
             then()
+
+
+def test_a_stream_knows_the_parent_of_its_goal() -> None:
+    log = new_log()
+    stream = log.follow()
+    assert stream.parent is None
+    log.goal.parent = Parent(GoalID(bytes(16)), "pick")
+    assert stream.parent == log.goal.parent
 
 
 # What a follower reads

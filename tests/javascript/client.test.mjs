@@ -177,6 +177,7 @@ test("every goal of an action is told to each watcher, until it stops", async ()
   const [info] = first.filter(({ id }) => id === "aa".repeat(16));
   assert.equal(typeof info.stamp, "bigint");
   assert.match(info.client, /^127\.0\.0\.1/);
+  assert.equal(info.parent, null);
   await new Promise((resolve) => stopSecond = connection.watch(COUNT, (one) =>
     second.push(one) && one.id === info.id && resolve()));
   stopSecond();
@@ -184,6 +185,14 @@ test("every goal of an action is told to each watcher, until it stops", async ()
   const other = await connection.sendGoal(COUNT, { to: 0 });
   await other.outcome;
   assert.equal(second.length, count);
+});
+
+test("the goal of an executor is told with its parent and its step", async () => {
+  const connection = connect(), meta = { parent: "ab".repeat(16), step: "count" };
+  const goal = await connection.sendGoal(COUNT, { to: 0 }, { meta });
+  const info = await new Promise((resolve) => connection.watch(COUNT, (one) =>
+    one.id === goal.id && resolve(one)));
+  assert.deepEqual(info.parent, { id: meta.parent, step: "count" });
 });
 
 test("a watch that the server rejects tells its error", async () => {

@@ -1,4 +1,4 @@
-"""The payload of a goal in `Following`: who is told it, and when it is left out."""
+"""The payload and the parent of a goal in `Following`: who is told them, and when."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import anyio
 import msgspec
 import pytest
 
+from fibaction import GoalID, Parent
 from fibaction.wire.frames import LEAST_FRAME
 from fibaction.wire.messages import Follow, Following, SendGoal
 from tests.wire.ends import (
@@ -71,3 +72,23 @@ async def test_a_stream_of_a_client_knows_its_goal_also_after_another_connection
         await server.say(again)
         await anyio.wait_all_tasks_blocked()
         assert stream.goal == GOAL
+
+
+async def test_a_client_that_follows_the_child_of_another_goal_is_told_its_parent() -> None:
+    child = SendGoal(1, "fibonacci", A, GOAL, ANY, None, {"parent": "07" * 16, "step": "pick"})
+    async with serving(held()) as served:
+        sender, observer = await served.greet(), await served.greet(BOB)
+        assert (await sender.ask(child, Following)).parent is None
+        told = await observer.ask(follow(None, own=False), Following)
+        assert told.parent == (bytes([7] * 16), "pick")
+
+
+async def test_a_stream_of_a_client_knows_the_parent_that_it_was_told() -> None:
+    async with reached() as (connection, server):
+        endpoint = endpoint_of(connection)
+        async with Running(lambda: endpoint.feedback(GOAL_ID)) as following:
+            asked = await server.hear(Follow)
+            parent = (bytes([7] * 16), "x" * 200)
+            await server.say(Following(asked.id, 7, EXECUTING, False, 0, 1, None, parent))
+            stream = await following.answer()
+    assert stream.parent == Parent(GoalID(bytes([7] * 16)), "x" * 99 + "…")

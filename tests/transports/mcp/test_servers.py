@@ -26,7 +26,7 @@ from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection, Endpoint, GoalRequest, Transport
 from fibaction.client.goal import ClientGoal
 from fibaction.observe import followed_servers
-from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
+from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import AgentPolicy, McpBridge
@@ -440,3 +440,14 @@ async def test_a_goal_is_reported_with_its_client_if_that_is_known() -> None:
         told = overview({}, [action], {action: [info]})
         assert told["actions"][0]["goals"][0]["client"] == "kitchen"
         assert DRIVE.name == told["actions"][0]["action"]
+        assert "parent" not in told["actions"][0]["goals"][0]
+
+
+async def test_a_child_is_reported_with_its_parent_and_its_step() -> None:
+    async with robot_and_talk("auto") as (_, made):
+        (action, _) = made.bridge._tools._actions.tools.values()
+        parent = Parent(GoalID(bytes(16)), "lift\n")
+        info = GoalInfo(GoalID.random(), 10**18, GoalStatus.EXECUTING, parent=parent)
+        told = overview({}, [action], {action: [info]})
+        found = told["actions"][0]["goals"][0]["parent"]
+        assert found == {"goal_id": "0" * 32, "step": "lift\\x0a"}

@@ -7,11 +7,12 @@ from typing import Any
 
 import anyio
 import anyio.lowlevel
+import msgspec
 import pytest
 
 from fibaction.border.http_access import Refused
 from fibaction.feeds.status_broadcast import StatusBroadcast
-from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.goals import GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest import goal_list
 from fibaction_transports.web.rest.goal_list import Page, listed, page_of
@@ -56,6 +57,23 @@ async def test_pages_follow_each_other_without_a_goal_twice_or_left_out() -> Non
     assert found == [1, 2, 3, 5, 7]
 
 
+async def test_the_children_of_a_goal_are_listed_in_pages_too() -> None:
+    parent = GoalID.random()
+    listed_goals = [Listed(number) for number in range(1, 6)]
+    for number, of in ((0, parent), (2, parent), (3, GoalID.random()), (4, parent)):
+        child = listed_goals[number]
+        child.info = msgspec.structs.replace(child.info, parent=Parent(of, f"step {number}"))
+
+    async def page(page: Page) -> tuple[list[str], str]:
+        stream: Any = StatusBroadcast().follow(listed_goals)
+        body, cursor = await listed(stream, page, anyio.Lock())
+        return [one["parent"]["step"] for one in json.loads(body)], cursor
+
+    first, cursor = await page(page_of("2", None, str(parent)))
+    assert first == ["step 0", "step 2"]
+    assert await page(page_of("2", cursor, str(parent))) == (["step 4"], "")
+
+
 async def test_a_cursor_holds_when_its_goal_is_forgotten() -> None:
     _, cursor = await numbers_in(Page(2), 1, 2, 3)
     assert await numbers_in(page_of("2", cursor), 1, 3) == ([3], "")
@@ -75,6 +93,11 @@ async def test_a_stream_that_ends_ends_the_list() -> None:
 def test_wrong_parameters_are_refused(limit: str | None, after: str | None) -> None:
     with pytest.raises(Refused, match=r"between 1 and 10000|a cursor of the header Link"):
         page_of(limit, after)
+
+
+def test_a_parent_that_is_not_the_id_of_a_goal_is_refused() -> None:
+    with pytest.raises(Refused, match=r"^parent is the ID of a goal: a goal ID has 32 hexadecimal"):
+        page_of(None, None, "me")
 
 
 def test_a_page_has_a_size_that_the_server_bounds() -> None:

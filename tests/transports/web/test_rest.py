@@ -665,3 +665,37 @@ async def test_goals_are_listed_in_pages() -> None:
         assert len(stamps) == 3
         assert stamps == sorted(stamps)
         assert (await fetch(url, "GET", f"{GOALS}?limit=none")).status == 400
+
+
+async def test_a_child_has_its_parent_wherever_it_is_described() -> None:
+    parent, meta = GoalID.random(), {"step": "pick"}
+    told = {"goal_id": str(parent), "step": "pick"}
+    server = new_server()
+    async with served(server) as url:
+        child, payload = GoalID.random(), FIBONACCI.goal.encode(Goal(1))
+        await server.send_goal(child, payload, meta={**meta, "parent": str(parent)})
+        await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 1})
+        one = await fetch(url, "GET", f"{GOALS}/{child}?wait=10")
+        assert one.json["parent"] == told
+        (listed,) = (await fetch(url, "GET", f"{GOALS}?limit=1&parent={parent}")).json
+        assert (listed["goal_id"], listed["parent"]) == (str(child), told)
+        assert len((await fetch(url, "GET", GOALS)).json) == 2
+        events = (await fetch(url, "GET", f"{GOALS}/{child}/events", accept=EVENTS)).events
+        assert events[0][2]["parent"] == told
+
+
+async def test_the_next_page_of_children_has_the_same_parent() -> None:
+    parent, server = GoalID.random(), new_server()
+    async with served(server) as url:
+        for _ in range(2):
+            child, payload = GoalID.random(), FIBONACCI.goal.encode(Goal(1))
+            await server.send_goal(child, payload, meta={"parent": str(parent)})
+        first = await fetch(url, "GET", f"{GOALS}?limit=1&parent={parent}")
+        address = re.fullmatch(
+            r'<(\?limit=1&after=\S+&parent=\S+)>; rel="next"', first.headers["link"]
+        )
+        assert address
+        second = await fetch(url, "GET", f"{GOALS}{address[1]}")
+        assert [len(first.json), len(second.json)] == [1, 1]
+        assert first.json != second.json
+        assert (await fetch(url, "GET", f"{GOALS}?parent=me")).status == 400

@@ -50,4 +50,7 @@ def _goal(info: GoalInfo) -> dict[str, Any]:
         "accepted": accepted.isoformat(),
         "feedback_count": info.feedback_count,
     }
+    if info.parent is not None:
+        step = excerpt(info.parent.step)
+        told["parent"] = {"goal_id": str(info.parent.goal_id), "step": step}
     return {**told, "client": excerpt(info.client)} if info.client else told

@@ -45,6 +45,7 @@ export class ActionPage {
       this.place.replaceChildren();
     } else if (this.view?.record.key !== record.key) {
       this.view = new GoalView(record, {
+        store: this.store,
         oncancel: (one) => this.cancel(one),
         onagain: (one) => this.useAgain(one),
       });

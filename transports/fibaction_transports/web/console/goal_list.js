@@ -1,7 +1,7 @@
 /** A table of goals, with a search and a filter. */
 
 import { arrange, h, setText, show } from "./dom.js";
-import { durationOf, linkTo, shortId, showBadge, stateOf, timeOf } from "./goal_text.js";
+import { durationOf, linkTo, shortId, showBadge, stateOf, stepOf, timeOf } from "./goal_text.js";
 import { summaryOf } from "./values.js";
 
 const MOST_ROWS = 100;
@@ -16,6 +16,7 @@ const FILTERS = {
 class Row {
   constructor(record, { withAction, oncancel }) {
     this.link = h("a", { href: linkTo(record.action, record.id) }, shortId(record.id));
+    this.step = h("small", { class: "step" });
     this.badge = h("span", { class: "badge" });
     this.bar = h("progress", { max: 1, "aria-label": `Progress of ${shortId(record.id)}` });
     this.goal = h("td", { class: "value" });
@@ -28,7 +29,7 @@ class Row {
     this.element = h(
       "tr",
       {},
-      h("td", { class: "id" }, this.link),
+      h("td", { class: "id" }, this.link, this.step),
       action,
       h("td", { class: "state" }, this.badge, this.bar),
       this.goal,
@@ -45,6 +46,10 @@ class Row {
 
   update(record, isShown) {
     this.record = record;
+    show(this.step, Boolean(record.parent));
+    if (record.parent) {
+      setText(this.step, `${stepOf(record.parent)} of ${shortId(record.parent.id)}`);
+    }
     showBadge(this.badge, record);
     show(this.bar, record.isActive && record.progress !== null);
     this.bar.value = record.progress ?? 0;
@@ -125,7 +130,8 @@ function matches(goal, words) {
   if (!words.length) {
     return true;
   }
-  const text = [goal.id, goal.action, stateOf(goal), goal.client, goal.reason, summaryOf(goal.goal, 500)]
+  const { id, action, client, reason, parent } = goal;
+  const text = [id, action, stateOf(goal), client, reason, summaryOf(goal.goal, 500), parent?.step, parent?.id]
     .join(" ")
     .toLowerCase();
   return words.every((word) => text.includes(word));

@@ -23,6 +23,7 @@ export class GoalRecord {
     this.isMine = false;
     this.place = 0;
     this.queueLength = 0;
+    this.parent = null;
     this.goal = undefined;
     this.result = undefined;
     this.reason = "";
@@ -94,10 +95,10 @@ export class GoalRecord {
   kept() {
     const { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason } =
       this;
-    const { feedback, feedbackCount, feedbackDropped } = this;
+    const { parent, feedback, feedbackCount, feedbackDropped } = this;
     const points = this.series.kept(MOST_KEPT_POINTS);
     return { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason,
-      feedback, feedbackCount, feedbackDropped, points };
+      parent, feedback, feedbackCount, feedbackDropped, points };
   }
 
   /** Return the record of a goal in the history. */

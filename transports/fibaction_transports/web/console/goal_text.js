@@ -62,6 +62,11 @@ export function shortId(id) {
   return id.slice(0, 8);
 }
 
+/** Return the name of the step that a goal with this parent is. */
+export function stepOf(parent) {
+  return parent.step || "without a name";
+}
+
 /** Return the address of a goal within the page. */
 export function linkTo(action, id = "") {
   const name = action.split("/").map(encodeURIComponent).join("/");

@@ -2,11 +2,13 @@
 
 import { Chart } from "./chart.js";
 import { h, setText, show } from "./dom.js";
+import { GoalFamily } from "./goal_family.js";
 import { durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
 import { textOf } from "./values.js";
 
 export class GoalView {
-  constructor(record, { oncancel, onagain }) {
+  constructor(record, { store, oncancel, onagain }) {
+    this.family = new GoalFamily(store);
     this.badge = h("span", { class: "badge" });
     this.facts = h("p", { class: "facts" });
     this.reason = h("p", { class: "reason" });
@@ -27,6 +29,7 @@ export class GoalView {
       { class: "card goal", "aria-label": "Goal" },
       h("header", {}, h("h2", {}, "Goal ", h("code", {}, shortId(record.id))), this.badge, h("span", { class: "space" }), this.again, this.cancel),
       this.facts,
+      this.family.element,
       this.bar,
       this.reason,
       h("div", { class: "pair" }, h("div", {}, h("h3", {}, "Goal"), this.goal), h("div", {}, h("h3", {}, "Result"), this.result)),
@@ -50,6 +53,7 @@ export class GoalView {
     this.record = record;
     showBadge(this.badge, record);
     setText(this.facts, factsOf(record));
+    this.family.update(record);
     setText(this.reason, record.reason);
     show(this.reason, Boolean(record.reason));
     show(this.bar, record.progress !== null);

@@ -139,6 +139,17 @@ export class Store {
     return goals.sort((one, other) => other.sentAt - one.sentAt);
   }
 
+  /** Return the goal of that ID, of any action; undefined if it is not known here. */
+  goalOf(id) {
+    return [...this.goals.values()].find((goal) => goal.id === id);
+  }
+
+  /** Return the goals that the executor of a goal has sent, the first one first. */
+  childrenOf(record) {
+    const children = [...this.goals.values()].filter((goal) => goal.parent?.id === record.id);
+    return children.sort((one, other) => one.sentAt - other.sentAt);
+  }
+
   takeStatus(info, told) {
     if (told.status === "UNKNOWN") {
       this.takeForgotten(`${info.name}/${told.id}`);
@@ -150,6 +161,7 @@ export class Store {
     record.client = told.client;
     record.place = told.place;
     record.queueLength = told.queueLength;
+    record.parent = told.parent ?? record.parent;
     if (!record.handle) {
       record.feedbackCount = Math.max(record.feedbackCount, Number(told.feedbackCount));
       record.setStatus(told.status);

@@ -86,6 +86,8 @@ export interface GoalInfo extends CanceledGoal {
   place: number;
   queueLength: number;
   attempt: number;
+  /** The goal whose executor has sent this one, and the name of the step; null if there is none. */
+  parent: { id: string; step: string } | null;
   /** Changes that were left out so far, because the client read too slowly. */
   dropped: number;
 }

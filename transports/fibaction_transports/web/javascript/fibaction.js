@@ -1,7 +1,7 @@
 // A client for goals; README.md says how it works. Apache-2.0
 
-const WINDOW = 256; // unread feedback of a goal
-const HEARTBEAT = 30; // seconds
+const WINDOW = 256; // unread feedback
+const HEARTBEAT = 30; // s
 const MISSED = 4; // heartbeats of a dead server
 const FIRST_PAUSE = 20, LONGEST_PAUSE = 2000; // ms
 
@@ -9,8 +9,8 @@ const PING = 0, GOODBYE = 1, HELLO = 16, SEND_GOAL = 17, FOLLOW = 18, CANCEL_GOA
   WATCH_STATUS = 20, LIST_ACTIONS = 22, CREDIT = 23, CLOSE = 24, RECEIVED = 25, WELCOME = 32,
   FOLLOWING = 33, REJECTED = 34, FAILED = 35, FEEDBACK = 36, STATUS_CHANGED = 37, ENDED = 38,
   GOAL_CHANGED = 40, WATCHING = 44;
-const STATUSES =
-  ["UNKNOWN", "ACCEPTED", "EXECUTING", "CANCELING", "SUCCEEDED", "CANCELED", "ABORTED"];
+const STATUSES = ["UNKNOWN", "ACCEPTED", "EXECUTING", "CANCELING", "SUCCEEDED", "CANCELED",
+  "ABORTED"];
 const ERRORS = ["ConnectionLost", "UnknownGoal", "ServerNotFound", "ConnectionLost",
   "AuthenticationFailed", "LimitReached", "ProtocolError"];
 
@@ -312,12 +312,12 @@ class Watch {
   }
 
   [GOAL_CHANGED](id, stamp, status, dropped, feedbackCount = 0, client = "", place = 0,
-    queueLength = 0, attempt = 1) {
+    queueLength = 0, attempt = 1, parent) {
     this._connection._grant(this, 1);
     id = hexOf(id);
     this._before.delete(id);
     this._tell({ id, stamp: BigInt(stamp), status: STATUSES[status], dropped, feedbackCount, client,
-      place, queueLength, attempt });
+      place, queueLength, attempt, parent: parent && { id: hexOf(parent[0]), step: parent[1] } });
     this._forget();
   }
 
@@ -406,7 +406,7 @@ export class Connection {
   watch(action, callback, onerror) {
     const follower = { callback, onerror };
     const open = [...this._calls.values()].find((call) =>
-      call instanceof Watch && call.action === action);
+      call.followers && call.action === action);
     const watch = open ?? new Watch(this, action);
     const goals = [...watch.goals.values()];
     queueMicrotask(() => goals.forEach((info) => tell(callback, info)));
@@ -568,7 +568,7 @@ export class Connection {
       this.#timer = setTimeout(() => this.#dial(), this.#pause * (0.5 + Math.random() / 2));
       this.#pause = Math.min(2 * this.#pause, LONGEST_PAUSE);
     }
-    // a machine that has slept tries first
+    // after a sleep, try first
     if (isFinal || performance.now() - this.#lostAt >= 1000 * this.#options.reconnectTimeout) {
       this.#error = error;
       this.#ready.reject(error);

@@ -18,6 +18,7 @@ from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.schema.payload import JsonCodec
 from fibaction.words.goals import Outcome
 from fibaction_transports.web.http.problems import Problem
+from fibaction_transports.web.rest.goal_list import parent_members
 
 END = "end"
 """The ID of the last event of a goal."""
@@ -109,6 +110,7 @@ def goal_members(stream: GoalStream) -> dict[str, object]:
         "stamp": str(stream.stamp),
         "status": stream.status.name,
         "attempt": stream.newest_attempt,
+        **parent_members(stream.parent),
     }
 
 

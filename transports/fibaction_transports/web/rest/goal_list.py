@@ -21,7 +21,7 @@ import msgspec
 from fibaction.border.abc import StatusStream
 from fibaction.border.event_loop import SLICE
 from fibaction.border.http_access import Refused
-from fibaction.words.goals import GoalInfo
+from fibaction.words.goals import GoalID, GoalInfo, Parent
 
 LARGEST_PAGE = 10_000
 """Goals of the largest page."""
@@ -36,9 +36,17 @@ class Page(NamedTuple):
     """The number of goals; None for all."""
     after: tuple[int, bytes] = (-1, b"")
     """The stamp and the ID of the goal before the first one."""
+    parent: GoalID | None = None
+    """The goal whose children are listed; None for all goals."""
+
+    def has(self, info: GoalInfo) -> bool:
+        """Return whether a goal is on this page or on one after it."""
+        if self.parent is not None and (info.parent is None or info.parent.goal_id != self.parent):
+            return False
+        return _place_of(info) > self.after
 
 
-def page_of(limit: str | None, after: str | None) -> Page:
+def page_of(limit: str | None, after: str | None, parent: str | None = None) -> Page:
     """Return the page that the parameters of a request name.
 
     Raises:
@@ -47,12 +55,18 @@ def page_of(limit: str | None, after: str | None) -> Page:
     if limit is not None and not (limit.isascii() and limit.isdecimal() and int(limit[:9]) > 0):
         raise Refused(400, f"limit is a number of goals between 1 and {LARGEST_PAGE}")
     size = None if limit is None else min(int(limit[:9]), LARGEST_PAGE)
+    whole = Page(size)
+    if parent is not None:
+        try:
+            whole = whole._replace(parent=GoalID.parse(parent))
+        except ValueError as exc:
+            raise Refused(400, f"parent is the ID of a goal: {exc}") from None
     if after is None:
-        return Page(size)
+        return whole
     found = _PAGE_CURSOR.fullmatch(after)
     if found is None:
         raise Refused(400, "after is a cursor of the header Link of the page before")
-    return Page(size, (int(found[1]), bytes.fromhex(found[2])))
+    return whole._replace(after=(int(found[1]), bytes.fromhex(found[2])))
 
 
 def members_of(info: GoalInfo) -> dict[str, object]:
@@ -66,7 +80,15 @@ def members_of(info: GoalInfo) -> dict[str, object]:
         "client": info.client,
         "place": info.place,
         "queue_length": info.queue_length,
+        **parent_members(info.parent),
     }
+
+
+def parent_members(parent: Parent | None) -> dict[str, object]:
+    """Return the parent of a goal as a member of an object; none if the goal has no parent."""
+    if parent is None:
+        return {}
+    return {"parent": {"goal_id": str(parent.goal_id), "step": parent.step}}
 
 
 async def listed(statuses: StatusStream, page: Page, turn: anyio.Lock) -> tuple[bytes, str]:
@@ -81,7 +103,7 @@ async def listed(statuses: StatusStream, page: Page, turn: anyio.Lock) -> tuple[
         info = await statuses.receive()
         if info is None:
             break
-        if _place_of(info) > page.after:
+        if page.has(info):
             found.append(info)
         await pause()
     has_more = page.limit is not None and len(found) > page.limit

@@ -135,10 +135,12 @@ class RestInterface:
 
     async def _list_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
-        page = page_of(exchange.parameter("limit"), exchange.parameter("after"))
+        parent = exchange.parameter("parent")
+        page = page_of(exchange.parameter("limit"), exchange.parameter("after"), parent)
         with await endpoint.status() as statuses:
             body, cursor = await listed(statuses, page, self._turn)
-        next_page = f'<?limit={page.limit}&after={cursor}>; rel="next"'
+        of_parent = "" if page.parent is None else f"&parent={page.parent}"
+        next_page = f'<?limit={page.limit}&after={cursor}{of_parent}>; rel="next"'
         await exchange.answer(200, body, *([("Link", next_page)] if cursor else ()))
 
     async def _post_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:

@@ -37,6 +37,12 @@ _SHARED_SCHEMAS: Json = {
             "stamp": _STAMP,
             "status": _STATUS,
             "attempt": {"type": "integer"},
+            "parent": {
+                "type": "object",
+                "description": "The goal whose executor has sent this one, and the step.",
+                "properties": {"goal_id": _ID, "step": {"type": "string"}},
+                "required": ["goal_id", "step"],
+            },
         },
         "required": ["goal_id", "stamp", "status"],
     },
@@ -77,6 +83,12 @@ _AFTER_PAGE = {
     "in": "query",
     "description": "The cursor in the header Link of the page before.",
     "schema": {"type": "string"},
+}
+_PARENT = {
+    "name": "parent",
+    "in": "query",
+    "description": "Only goals that the executor of this goal has sent.",
+    "schema": _ID,
 }
 _NEXT = {
     "Link": {
@@ -140,7 +152,9 @@ def _add(info: ActionInfo, paths: Json, schemas: Json) -> None:
     described = _operation("Describe the action.", f"describe.{name}", _anything("The action."))
     paths.setdefault(base, {"get": described})  # a list of goals at this address comes before it
     paths[f"{base}/goals"] = {
-        "get": _operation("List the goals.", f"list.{name}", {"200": listed}, _LIMIT, _AFTER_PAGE),
+        "get": _operation(
+            *("List the goals.", f"list.{name}", {"200": listed}), _LIMIT, _AFTER_PAGE, _PARENT
+        ),
         "post": _operation("Send a goal.", f"send.{name}", {"201": sent}, _WAIT)
         | {"requestBody": body},
         "delete": _operation("Cancel goals.", f"cancel_all.{name}", {"202": cancel}, _BEFORE),
