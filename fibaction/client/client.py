@@ -87,8 +87,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         waits some seconds at most for the answer to that, and raises `GoalTimeout`. A goal that no
         task waits for is not canceled. The executor finds the time in `GoalHandle.deadline`.
 
-        `step` makes it the child of the goal of an executor, which has the ID: see
-        `GoalHandle.step`. It is for blocks of `async with`.
+        `step`, for blocks only, makes it the child of an executor's goal: see `GoalHandle.step`.
 
         Raises:
             GoalTimeout: The server did not accept the goal within `timeout` seconds.
@@ -291,7 +290,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = step.child_id(self.action.name)
         endpoint = StepEndpoint(self.endpoint, step, goal_id)
         attempts = self._attempts(endpoint, goal_id, timeout, retry)
-        sending = self._send(endpoint, goal, goal_id, attempts, feedback=feedback)
+        sending = self._send(endpoint, goal, goal_id, attempts, feedback=feedback, step=step)
         return SendingStep(endpoint, goal_id, sending, self._blocks, attempts)
 
     def _attempts(
@@ -312,12 +311,14 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         attempts: Attempts | None,
         *,
         feedback: bool = True,
+        step: GoalStep | None = None,
     ) -> ClientGoal[FeedbackT, ResultT]:
         self._thread.check()
         payload = self.action.goal.encode(goal)
         span = NO_SPAN
         if self._tracing is not None:
-            span = self._tracing.sending(self.action.name, goal_id)
+            parent = None if step is None else step.parent
+            span = self._tracing.sending(self.action.name, goal_id, parent)
         request = GoalRequest(goal_id, payload, feedback, meta=span.meta)
         try:
             if attempts is not None:

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from typing import Any, Protocol
 
 from fibaction.border.abc import GoalStream, Meta
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import GoalID, Outcome, Parent
 
 
 class GoalSpan:
@@ -38,5 +38,7 @@ class GoalTracer(Protocol):
     """A maker of spans for goals that are sent, such as `fibaction.otel.Tracing`."""
 
     @abstractmethod
-    def sending(self, action: str, goal_id: GoalID) -> GoalSpan:
-        """Return the span of a goal that is about to be sent. It raises no error."""
+    def sending(self, action: str, goal_id: GoalID, parent: Parent | None = None) -> GoalSpan:
+        """Return the span of a goal that is about to be sent, perhaps by the executor of a parent.
+        It raises no error.
+        """

@@ -18,7 +18,7 @@ from fibaction.client.goal import Blocks, ClientGoal, SendingGoal
 from fibaction.types.action import FeedbackT, ResultT
 from fibaction.words.errors import ActionError, ConnectionLost, TransportError, UnknownGoal
 from fibaction.words.goal_steps import GoalStep
-from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, Parent
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import NO_META, meta_of_child
 
 logger = clean_logger("fibaction.client")
@@ -48,8 +48,7 @@ class StepEndpoint(ForwardingEndpoint):
                 if not request.feedback:
                     stream.close()
                 return stream
-        parent = Parent(self.step.parent, self.step.name)
-        meta = meta_of_child(parent, request.meta or NO_META)
+        meta = meta_of_child(self.step.parent, request.meta or NO_META)
         return await super().offer_goal(replace(request, meta=meta))
 
     async def cancel_goals(

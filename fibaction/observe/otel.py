@@ -23,8 +23,8 @@ from fibaction.border.abc import GoalStream, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.words.errors import ActionError, GoalRejected, GoalTimeout, text_of
-from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
-from fibaction.words.meta import DETACHED, fitting
+from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender
+from fibaction.words.meta import DETACHED, fitting, parent_in
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ STATUS = "fibaction.goal.status"
 REASON_KEY = "fibaction.goal.reason"
 ATTEMPT = "fibaction.goal.attempt"
 SENDER = "fibaction.sender"
+PARENT_ID = "fibaction.parent.id"
+STEP = "fibaction.parent.step"
 FEEDBACK = "fibaction.feedback.count"
 ERROR_TYPE = "error.type"
 
@@ -82,14 +84,16 @@ class Tracing(Watcher):
 
     # At a client
 
-    def sending(self, action: str, goal_id: GoalID) -> GoalSpan:
-        """Return the span of a goal that is about to be sent. `ActionClient` calls this."""
+    def sending(self, action: str, goal_id: GoalID, parent: Parent | None = None) -> GoalSpan:
+        """Return the span of a goal that is about to be sent, perhaps by the executor of a parent.
+        `ActionClient` calls this.
+        """
         with self._harmless:
             trace = self._trace
             span = self._tracer.start_span(
                 f"goal {action}",
                 kind=trace.SpanKind.CLIENT,
-                attributes={ACTION: action, GOAL_ID: str(goal_id)},
+                attributes=_names(action, goal_id, parent),
             )
             meta: dict[str, str] = {}
             self._propagate.inject(meta, trace.set_span_in_context(span))
@@ -115,7 +119,7 @@ class Tracing(Watcher):
         self, action: str, goal_id: GoalID, sender: Sender, meta: Meta, parent: Context
     ) -> None:
         trace = self._trace
-        attributes = {ACTION: action, GOAL_ID: str(goal_id)}
+        attributes = _names(action, goal_id, parent_in(meta))
         if text := str(sender):
             attributes[SENDER] = text
         links: list[Any] = []
@@ -156,6 +160,14 @@ class Tracing(Watcher):
         if span is not None:
             span.set_attribute(FEEDBACK, info.feedback_count)
             _end(span, info.status.name, reason)
+
+
+def _names(action: str, goal_id: GoalID, parent: Parent | None) -> dict[str, str]:
+    """Return the attributes that name a goal, and the parent whose step it is."""
+    attributes = {ACTION: action, GOAL_ID: str(goal_id)}
+    if parent is not None:
+        attributes |= {PARENT_ID: str(parent.goal_id), STEP: parent.step}
+    return attributes
 
 
 def _error_of(outcome: Outcome[Any]) -> str:

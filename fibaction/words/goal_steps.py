@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Protocol, TypeAlias
 
-from fibaction.words.goals import GoalID, child_id
+from fibaction.words.goals import GoalID, Parent, child_id
 
 Cancel: TypeAlias = Callable[[], Awaitable[None]]
 """A function that cancels a child."""
@@ -75,9 +75,9 @@ class GoalStep:
         """True if the end of a child that is canceled is waited for."""
 
     @property
-    def parent(self) -> GoalID:
-        """The ID of the goal whose step it is."""
-        return self._steps.goal.goal_id
+    def parent(self) -> Parent:
+        """The goal whose step it is, with the name of the step."""
+        return Parent(self._steps.goal.goal_id, self.name)
 
     @property
     def is_first(self) -> bool:
@@ -91,7 +91,7 @@ class GoalStep:
 
     def child_id(self, action: str) -> GoalID:
         """Return the ID of the child, a goal of that action."""
-        return child_id(self.parent, action, self.name)
+        return child_id(self._steps.goal.goal_id, action, self.name)
 
     def take(self, child: GoalID) -> None:
         """Note that a child is sent.
@@ -101,8 +101,8 @@ class GoalStep:
         """
         if child in self._steps.taken:
             raise ValueError(
-                f"the step {self.name!r} of goal {self.parent} was taken before: give each step a"
-                f" name of its own, such as {self.name + ' 2'!r}"
+                f"the step {self.name!r} of goal {self.parent.goal_id} was taken before: give each"
+                f" step a name of its own, such as {self.name + ' 2'!r}"
             )
         self._steps.taken.add(child)
 

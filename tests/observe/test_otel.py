@@ -24,6 +24,7 @@ from opentelemetry.sdk.trace.sampling import ALWAYS_OFF
 
 import fibaction.blocking
 from fibaction import (
+    Action,
     ActionClient,
     ActionServer,
     GoalAborted,
@@ -569,6 +570,48 @@ async def test_goals_go_on_without_an_sdk_and_without_a_sample(
     async with ActionServer(FIBONACCI, fibonacci, watchers=[tracing]) as server:
         client = ActionClient(server, FIBONACCI, tracing=tracing)
         assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+
+
+# Children
+
+
+@asynchronous
+async def test_the_spans_of_a_child_are_below_its_parent_and_name_it(spans: Spans) -> None:
+    async def mission(goal: GoalHandle[Goal]) -> Items:
+        yield await child.call(Goal(2), step=goal.step("count"))
+
+    parents = Action("mission", goal=Goal, feedback=Feedback, result=Result)
+    tracing = spans.tracing
+    async with (
+        reached(spans) as child,
+        ActionServer(parents, mission, watchers=[tracing]) as server,
+    ):
+        sent = await ActionClient(server, parents, tracing=tracing).send_goal(Goal(1))
+        await sent.result()
+
+    assert spans.path(SERVER) == [
+        "CLIENT: goal mission",
+        "SERVER: goal mission",
+        CLIENT,
+        SERVER,
+    ]
+    for span in (spans.named(CLIENT), spans.named(SERVER)):
+        assert facts(span)["parent.id"] == str(sent.goal_id)
+        assert facts(span)["parent.step"] == "count"
+    assert "parent.id" not in facts(spans.named("SERVER: goal mission"))
+
+
+@asynchronous
+async def test_a_child_of_a_client_without_spans_names_its_parent_at_its_server(
+    spans: Spans,
+) -> None:
+    meta = {"parent": "07" * 16}
+    async with ActionServer(FIBONACCI, fibonacci, watchers=[spans.tracing]) as server:
+        stream = await server.send_goal(GoalID.random(), PAYLOAD, meta=meta)
+        await stream.outcome()
+
+    found = facts(spans.named(SERVER))
+    assert (found["parent.id"], found["parent.step"]) == ("07" * 16, "")
 
 
 def test_events_of_a_goal_that_has_no_span_are_left_out(spans: Spans) -> None:

@@ -40,6 +40,8 @@ _ABOUT: dict[str, Any] = {
     "attempt": _COUNT,
     "number": _COUNT,
     "client": _TEXT,
+    "parent": _TEXT,
+    "step": _TEXT,
     "reason": _TEXT,
 }
 

@@ -29,7 +29,8 @@ from fibaction.border.abc import FeedbackItem, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.observe.recordings.recording_file import Record
 from fibaction.types.action import ActionInfo
-from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Parent, Sender
+from fibaction.words.meta import parent_in
 
 __all__ = ["Recorder"]
 
@@ -79,7 +80,7 @@ class Recorder(Watcher):
         self._put = self._taken = 0
         self._dropped_before = 0
         self._is_slow = False
-        self._undecided: dict[GoalID, tuple[bytes, str]] = {}
+        self._undecided: dict[GoalID, tuple[bytes, str, Parent | None]] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
@@ -111,16 +112,17 @@ class Recorder(Watcher):
     def offered(
         self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
     ) -> None:
-        self._undecided[goal_id] = (goal, str(sender))
+        self._undecided[goal_id] = (goal, str(sender), parent_in(meta))
 
     def rejected(self, action: str, goal_id: GoalID, reason: str) -> None:
-        goal, client = self._undecided.pop(goal_id)
-        at, text = time.time_ns(), str(goal_id)
-        self._add(Record(at, "rejected", action, text, reason=reason, client=client, data=goal))
+        goal, client, parent = self._undecided.pop(goal_id)
+        facts: dict[str, Any] = {"reason": reason, "client": client, "data": goal}
+        text, named = str(goal_id), _named(parent)
+        self._add(Record(time.time_ns(), "rejected", action, text, **facts, **named))
 
     def accepted(self, action: str, info: GoalInfo, goal: bytes) -> None:
         self._undecided.pop(info.goal_id, None)
-        self._add(_record("accepted", action, info, data=goal))
+        self._add(_record("accepted", action, info, data=goal, **_named(info.parent)))
 
     def changed(self, action: str, info: GoalInfo) -> None:
         self._add(_record("status", action, info))
@@ -205,6 +207,11 @@ def _opened(path: Path) -> BinaryIO:
         if file.read(1) != b"\n":
             file.write(b"\n")
     return cast("BinaryIO", file)
+
+
+def _named(parent: Parent | None) -> dict[str, Any]:
+    """Return the fields of a record that name the parent of a goal and its step."""
+    return {} if parent is None else {"parent": str(parent.goal_id), "step": parent.step}
 
 
 def _record(event: Any, action: str, info: GoalInfo, **more: Any) -> Record:

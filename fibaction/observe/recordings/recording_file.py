@@ -48,6 +48,11 @@ class Record(msgspec.Struct, omit_defaults=True):
     attempt: Number = 1
     client: str = ""
     """The client that sent the goal, for people to read."""
+    parent: str = ""
+    """The ID of the goal whose executor has sent this one, in the line of its acceptance or its
+    rejection; empty if there is none."""
+    step: str = ""
+    """The name of the step that the goal is of its parent."""
     reason: str = ""
     data: Any = msgspec.UNSET
     """The goal, the feedback or the result as JSON data, with bytes as base64 text."""

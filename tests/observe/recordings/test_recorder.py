@@ -217,3 +217,19 @@ def test_feedback_that_has_not_reached_the_recorder_is_counted_in_the_recording(
 
     assert recording.dropped == 3
     assert [(one.event, one.number) for one in read_records(path)] == [("dropped", 3)]
+
+
+async def test_the_parent_and_the_step_of_a_goal_are_recorded_once(path: Path) -> None:
+    parent, payload = GoalID(bytes([7]) * 16), FIBONACCI.goal.encode
+    meta = {"parent": str(parent), "step": "count"}
+    with Recorder(path) as recording:
+        options: Any = {"on_goal": not_seven, "watchers": [recording]}
+        async with ActionServer(FIBONACCI, fibonacci, **options) as server:
+            stream = await server.send_goal(GoalID.random(), payload(Goal(1)), meta=meta)
+            await stream.outcome()
+            with pytest.raises(GoalRejected):
+                await server.send_goal(GoalID.random(), payload(Goal(7)), meta=meta)
+            await ActionClient(server, FIBONACCI).call(Goal(1))
+
+    named = [(one.event, one.parent, one.step) for one in read_records(path) if one.parent]
+    assert named == [(event, str(parent), "count") for event in ("accepted", "rejected")]
