@@ -28,6 +28,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     Outcome,
+    Parent,
     connect,
     serve,
 )
@@ -44,6 +45,7 @@ import durable_print
 import exclusive_arm
 import fibonacci_client
 import fibonacci_server
+import mission
 import picking
 import worker_pool
 from fibonacci import (
@@ -62,6 +64,7 @@ WATCHED = (
     "exclusive_arm.py",
     "fibonacci_demo.py",
     "inprocess.py",
+    "mission.py",
     "pick_pen.py",
     "worker_pool.py",
 )
@@ -234,13 +237,60 @@ def test_the_farm_starts_the_urgent_shot_first_and_finds_room_for_all_in_time(
     assert attempts[0].endswith(" was rejected: busy: 4 of 4 running, 6 of 6 waiting")
 
 
-@pytest.mark.parametrize("script", ["exclusive_arm.py", "worker_pool.py"])
+def test_a_mission_takes_its_steps_and_compensates_for_one_that_fails(
+    stories: Mapping[tuple[str, str], str], where: str
+) -> None:
+    way = [f"          {meter} m on the way to the shelf" for meter in (1, 2, 3)]
+    assert stories["mission.py", where].splitlines() == [
+        "fetch     cup",
+        *way,
+        "          at the shelf",
+        "          holding the cup",
+        "done      the cup is on the table",
+        "step      drive: SUCCEEDED",
+        "step      pick: SUCCEEDED",
+        "step      place: SUCCEEDED",
+        "fetch     anvil",
+        *way,
+        "          at the shelf",
+        "          driving back",
+        "aborted   the anvil is too heavy; the robot is at the dock",
+        "step      drive: SUCCEEDED",
+        "step      pick: ABORTED",
+        "step      drive back: SUCCEEDED",
+    ]
+
+
+def test_a_mission_for_nothing_is_rejected_in_one_sentence(tmp_path: Path) -> None:
+    done = ended(start("mission.py", " ", cwd=tmp_path))
+    assert (done.code, done.err) == (0, "")
+    assert done.out.splitlines()[1:] == ["rejected  name the thing to fetch"]
+
+
+@pytest.mark.parametrize("script", ["exclusive_arm.py", "mission.py", "worker_pool.py"])
 def test_ctrl_c_ends_a_demonstration_with_no_traceback(tmp_path: Path, script: str) -> None:
     process = start(script, cwd=tmp_path)
-    lines_until("brakes|trailer", process)
+    lines_until("brakes|trailer|1 m on the way", process)
     process.send_signal(SIGINT)
     code, _, err = ended(process)
     assert (code, err) == (0, "")
+
+
+# The mission
+
+
+@pytest.mark.anyio
+async def test_a_cancel_of_a_mission_reaches_the_step_that_runs() -> None:
+    async with mission.robot() as (drives, _, _, missions), missions:
+        client = ActionClient(missions, mission.FETCH)
+        async with client.send_goal(mission.Goal("cup")) as fetching:
+            await anext(fetching.feedback)
+            assert (await fetching.cancel()).accepted
+            assert (await fetching.outcome()).status is GoalStatus.CANCELED
+        (driving,) = await ActionClient(drives, mission.DRIVE).goals()
+        follower = await ActionClient(drives, mission.DRIVE).attach(driving.goal_id)
+        assert (await follower.outcome()).status is GoalStatus.CANCELED
+    assert driving.parent == Parent(fetching.goal_id, "drive")
 
 
 # The arm
@@ -751,6 +801,19 @@ def test_a_signal_stops_the_server_with_no_traceback(
     assert err.endswith(f" action server '{action}' has stopped\n")
 
 
+def test_a_signal_stops_missions_before_the_servers_of_their_steps(tmp_path: Path) -> None:
+    process = start("mission.py", "--url", "inproc://here", cwd=tmp_path)
+    assert process.stdout is not None
+    announced = process.stdout.readline()
+    process.send_signal(SIGTERM)
+    code, _, err = ended(process)
+    assert announced == "serving drive, pick, place, fetch at inproc://here, Ctrl-C stops them\n"
+    assert code == 0
+    stopped = re.findall(r"action server '(\w+)' has stopped\n", err)
+    assert stopped == ["fetch", "place", "pick", "drive"]
+    assert len(err.splitlines()) == 4
+
+
 # Both, over TCP
 
 
@@ -854,6 +917,8 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
         ("worker_pool.py --workers 0", 2, "concurrency is 1 or more, not 0"),
         ("worker_pool.py --queue=-1 --url inproc://x", 2, "queue is 0 or more, not -1"),
         ("worker_pool.py --queue many", 2, "argument --queue: invalid int value: 'many'"),
+        ("mission.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
+        ("mission.py --url inproc://x cup", 2, "leave out --url, or the things"),
         ("durable_print.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
         ("durable_print.py --store nowhere/print.db", 2, "there is no folder "),
         ("durable_print.py --folder nowhere", 2, "argument --folder: invalid folder value"),
