@@ -154,8 +154,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         if step is not None:
             block = self._sending_step(goal, step, timeout, retry, feedback=follow)
         else:
-            goal_id = GoalID.random()
-            attempts = self._attempts(self.endpoint, goal_id, timeout, retry)
+            goal_id, attempts = GoalID.random(), None
+            if timeout is not None or retry is not None:
+                attempts = self._attempts(self.endpoint, goal_id, timeout, retry)
             sending = self._send(self.endpoint, goal, goal_id, attempts, feedback=follow)
             block = SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
         async with block as sent:
@@ -289,16 +290,16 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """Return the child to be sent as a step."""
         goal_id = step.child_id(self.action.name)
         endpoint = StepEndpoint(self.endpoint, step, goal_id)
-        attempts = self._attempts(endpoint, goal_id, timeout, retry)
+        attempts = None
+        if timeout is not None or retry is not None:
+            attempts = self._attempts(endpoint, goal_id, timeout, retry)
         sending = self._send(endpoint, goal, goal_id, attempts, feedback=feedback, step=step)
         return SendingStep(endpoint, goal_id, sending, self._blocks, attempts)
 
     def _attempts(
         self, endpoint: Endpoint, goal_id: GoalID, timeout: float | None, retry: Retry | None
-    ) -> Attempts | None:
-        """Return what limits and repeats the waits for a goal; None if nothing does."""
-        if timeout is None and retry is None:
-            return None
+    ) -> Attempts:
+        """Return what limits and repeats the waits for a goal; one of both is given."""
         check_timeout(timeout)
         check_is_retry(retry)
         return Attempts(endpoint, goal_id, timeout, retry)

@@ -21,7 +21,8 @@ from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.keeper import NoStoreKeeper
 from fibaction.server.execution.executor import Execution, Executor
-from fibaction.server.execution.interruption import EXECUTOR_SLICE, CancelOnce, Steps
+from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER

@@ -17,9 +17,9 @@ import anyio.lowlevel
 import pytest
 
 from fibaction.server.execution.executor_life import ScopesPhase
-from fibaction.server.execution.interruption import EXECUTOR_SLICE, MOST_KILLS, CancelOnce, Steps
+from fibaction.server.execution.interruption import MOST_KILLS, CancelOnce, Steps
 from fibaction.server.execution.task_pool import GRACE, MOST_IDLE, TaskPool
-from fibaction.server.execution.turns import Turns
+from fibaction.server.execution.turns import EXECUTOR_SLICE, Turns
 from tests.support.processes import PATIENCE
 from tests.support.refusing import REFUSING, SHUTDOWN_TIMEOUT
 

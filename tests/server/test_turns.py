@@ -11,7 +11,7 @@ import anyio.lowlevel
 import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalID, Sender
-from fibaction.server.execution.turns import FEW, Turns
+from fibaction.server.execution.turns import EXECUTOR_SLICE, FEW, Turns
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
@@ -82,14 +82,14 @@ async def test_the_more_wait_the_shorter_is_a_slice() -> None:
     async with anyio.create_task_group() as tasks:
         for number in range(1 + 4 * FEW):
             tasks.start_soon(turns.pause, number)
-        most = 0.0
-        while turns.cut == 0.0:
+        shortest = turns.slice
+        while turns.slice == EXECUTOR_SLICE:
             await anyio.lowlevel.checkpoint()
-        while turns.cut > 0.0:
-            most = max(most, turns.cut)
+        while turns.slice < EXECUTOR_SLICE:
+            shortest = min(shortest, turns.slice)
             await anyio.lowlevel.checkpoint()
-    assert 0.7 < most <= 0.75
-    assert turns.cut == 0.0
+    assert 0.25 <= shortest / EXECUTOR_SLICE < 0.3
+    assert turns.slice == EXECUTOR_SLICE
 
 
 async def test_executors_that_are_woken_at_once_go_on_one_after_another() -> None:

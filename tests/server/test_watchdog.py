@@ -24,7 +24,8 @@ from anyio.lowlevel import checkpoint
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID
 from fibaction.server.execution import watchdog as watchdog_module
-from fibaction.server.execution.interruption import EXECUTOR_SLICE, CancelOnce, Steps
+from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.execution.watchdog import ADVICE, CHECKS, POLL, Watch, Watchdog
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from fibaction.border.abc import FeedbackItem
-from fibaction.server.execution import interruption
+from fibaction.server.execution import turns
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.frames import LEAST_FRAME
@@ -62,7 +62,7 @@ def sizes(*lengths: int) -> list[fib.Feedback]:
 @pytest.fixture(autouse=True)
 def one_slice(monkeypatch: pytest.MonkeyPatch) -> None:
     """An executor that does not wait yields all at once, also on a busy machine."""
-    monkeypatch.setattr(interruption, "EXECUTOR_SLICE", 60.0)
+    monkeypatch.setattr(turns, "EXECUTOR_SLICE", 60.0)
 
 
 async def test_feedback_that_is_there_at_once_is_one_message() -> None:

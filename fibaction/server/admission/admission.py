@@ -215,7 +215,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         record = offer.record = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )
-        record.parent = parent_in(offer.meta) if offer.meta else None
+        if offer.meta:
+            record.parent = parent_in(offer.meta)
         self._writing[goal_id] = offer
         write = self._keeper.accept(
             record,

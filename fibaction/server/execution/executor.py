@@ -260,7 +260,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             if feedback.holds(item):
                 log = self._log
                 log.append(feedback.encode(item))
-                if steps.pending or log.is_full or perf_counter() >= steps.pause_at:
+                if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
                     try:
                         await self._pause()
                     except get_cancelled_exc_class() as exc:

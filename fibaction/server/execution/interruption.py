@@ -56,10 +56,6 @@ from fibaction.server.execution.turns import Turns
 
 T = TypeVar("T")
 
-EXECUTOR_SLICE = 0.005
-"""Seconds that a task may run without awaiting before other tasks run: short for people and for
-heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
-
 MOST_KILLS = 100
 """The cancellations that a killed coroutine gets before it is given up: each of its nested blocks
 may await something in its clean-up, and needs one of them."""
@@ -171,7 +167,6 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         "_on_spared",
         "_scopes",
         "fence",
-        "pause_at",
         "pending",
         "slice_end",
     )
@@ -204,9 +199,8 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         """The function that interrupts the coroutine, and returns True, if it may not go on."""
         self._detour: Coroutine[Any, Any, None] | None = None
         self._delayed: Any = None  # the value of the step that is not taken
-        self.slice_end = self.pause_at = 0.0
-        """The time by which the coroutine should have waited, by `perf_counter`. It lets others run
-        from `pause_at` on, which is earlier if many wait for their slices."""
+        self.slice_end = 0.0
+        """The time from which the coroutine lets others run, by `perf_counter`."""
         scopes.steps = self
 
     def interrupt(self) -> None:
@@ -244,8 +238,8 @@ class Steps(Generator[Any, Any, T], Generic[T]):
                 self._detour = self.fence = None
         current = self._current
         outer = current.steps  # an eager task begins in the step of another one
-        self.slice_end = perf_counter() + EXECUTOR_SLICE  # before the watchdog can see this step
-        self.pause_at = self.slice_end - self._scopes.turns.cut * EXECUTOR_SLICE
+        # Before the watchdog can see this step.
+        self.slice_end = perf_counter() + self._scopes.turns.slice
         current.steps = self
         try:
             return self._suspend(self._context.run(self._coroutine.send, value))
@@ -264,7 +258,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._note_arrival(typ)
         current = self._current
         outer = current.steps
-        self.pause_at = self.slice_end = perf_counter() + EXECUTOR_SLICE
+        self.slice_end = perf_counter() + self._scopes.turns.slice
         current.steps = self
         # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
         error = type(typ)() if self._arrived else typ

@@ -13,6 +13,10 @@ from anyio.lowlevel import checkpoint
 
 from fibaction.server.execution.fair_queue import FairQueue
 
+EXECUTOR_SLICE = 0.005
+"""Seconds that a task may run without awaiting before other tasks run: short for people and for
+heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
+
 FEW = 20
 """Executors that may wait with whole slices: 0.1 s until each has had its turn."""
 
@@ -29,8 +33,8 @@ class Turns:
         self._waiting: FairQueue[Event] = FairQueue()
         self._gone: set[Event] = set()  # those that were canceled, and are still in the queue
         self._is_passing = False
-        self.cut = 0.0
-        """The part of a slice that executors may not use now, since many wait."""
+        self.slice = EXECUTOR_SLICE
+        """The seconds of a slice that begins now: fewer if many wait."""
 
     async def pause(self, key: Hashable) -> None:
         """Let other tasks run, and wait for the next slice."""
@@ -54,7 +58,7 @@ class Turns:
 
     def _cut(self) -> None:
         count = self._waiting.count
-        self.cut = 0.0 if count <= FEW else 1.0 - FEW / count
+        self.slice = EXECUTOR_SLICE if count <= FEW else EXECUTOR_SLICE * FEW / count
 
     def _pass_on(self) -> None:
         while self._waiting.count:

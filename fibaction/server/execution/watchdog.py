@@ -35,7 +35,8 @@ from types import FrameType
 from typing import Any, NamedTuple, Protocol
 
 from fibaction._runtime.log import clean_logger
-from fibaction.server.execution.interruption import EXECUTOR_SLICE, Current, Steps
+from fibaction.server.execution.interruption import Current, Steps
+from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.words.goals import GoalID
 
@@ -166,7 +167,9 @@ class Watch:
 
 
 def _beginning(slice_end: float) -> float:
-    """Return the time at which a step began."""
+    """Return the time at which a step began, if it has a whole slice; else some milliseconds
+    before.
+    """
     return slice_end - EXECUTOR_SLICE
 
 
