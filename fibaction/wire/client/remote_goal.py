@@ -56,8 +56,8 @@ from fibaction.wire.messages import (
     Rejected,
     SendGoal,
     StatusChanged,
+    parent_from,
 )
-from fibaction.wire.messages.fields import parent_from
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,

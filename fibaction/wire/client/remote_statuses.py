@@ -36,8 +36,15 @@ from fibaction.border.abc import StatusStream
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
 from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
-from fibaction.wire.messages import Close, Failed, Finished, GoalChanged, Watching, WatchStatus
-from fibaction.wire.messages.fields import parent_from
+from fibaction.wire.messages import (
+    Close,
+    Failed,
+    Finished,
+    GoalChanged,
+    Watching,
+    WatchStatus,
+    parent_from,
+)
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus

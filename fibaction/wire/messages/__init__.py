@@ -17,6 +17,8 @@ from fibaction.wire.messages.fields import (
     Goodbye,
     Ping,
     Seconds,
+    parent_fields,
+    parent_from,
 )
 from fibaction.wire.messages.from_client import (
     AskPeers,
@@ -89,4 +91,6 @@ __all__ = [
     "Watching",
     "Welcome",
     "Why",
+    "parent_fields",
+    "parent_from",
 ]

@@ -41,8 +41,8 @@ from fibaction.wire.messages import (
     Places,
     Watching,
     WatchStatus,
+    parent_fields,
 )
-from fibaction.wire.messages.fields import parent_fields
 from fibaction.wire.server.subscriptions import RequestSubscription
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import NO_GOAL, GoalID

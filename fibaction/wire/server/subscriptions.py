@@ -38,8 +38,8 @@ from fibaction.wire.messages import (
     Following,
     SendGoal,
     StatusChanged,
+    parent_fields,
 )
-from fibaction.wire.messages.fields import parent_fields
 from fibaction.words.errors import ActionError, GoalKept
 from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus

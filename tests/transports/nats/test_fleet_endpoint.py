@@ -12,10 +12,12 @@ from fibaction import (
     Action,
     CancelCode,
     ConnectionLost,
+    GoalID,
     GoalRejected,
     GoalStatus,
     InvalidMessage,
     Outcome,
+    Parent,
     Schedule,
     ServerFailed,
     ServerNotFound,
@@ -228,7 +230,7 @@ async def test_a_goal_that_was_sent_before_has_the_same_answer(fleet: FakeFleet)
 
 async def test_a_goal_that_has_ended_is_answered_without_its_worker(fleet: FakeFleet) -> None:
     gone = FakeWorker(fleet.broker, "gone")
-    gone.own(GOAL_ID, **ENDED)
+    gone.own(GOAL_ID, **ENDED, meta={"parent": "07" * 16, "step": "count"})
     async with fleet.connect() as connection:
         endpoint = connection.endpoint(COUNT)
         again = await endpoint.send_goal(GOAL_ID, THREE)
@@ -237,6 +239,7 @@ async def test_a_goal_that_has_ended_is_answered_without_its_worker(fleet: FakeF
             await endpoint.send_goal(GOAL_ID, MINUS_THREE)
         followed = await endpoint.feedback(GOAL_ID, after=-1)
         assert (followed.stamp, followed.cursor, followed.dropped) == (7, 3, 0)
+        assert followed.parent == Parent(GoalID(b"\7" * 16), "count")
         assert (await endpoint.get_result(GOAL_ID)).status is GoalStatus.SUCCEEDED
         answer = await endpoint.cancel_goals(GOAL_ID)
         assert answer == CancelAnswer(CancelCode.GOAL_TERMINATED)

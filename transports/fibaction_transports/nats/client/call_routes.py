@@ -33,9 +33,10 @@ from anyio.abc import TaskGroup
 from fibaction.border.goal_store import StoredGoal
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.client.remote_goal import RemoteGoal
-from fibaction.wire.messages import Follow, Following, SendGoal
+from fibaction.wire.messages import Follow, Following, SendGoal, parent_fields
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError, UnknownGoal
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
+from fibaction.words.meta import parent_in
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
 from fibaction_transports.nats.names import FleetNames
@@ -197,8 +198,9 @@ def finish(goal: RemoteGoal, stored: StoredGoal) -> None:
 def ended_goal(opening: SendGoal | Follow, stored: StoredGoal) -> RemoteGoal:
     """Return a goal that has ended, and whose owner is gone, by its record."""
     goal = RemoteGoal(stored.goal_id, opening, 1, lambda message: None, math.inf)
-    place = stored.feedback_count
-    attempt = max(stored.attempt, 1)
-    goal.on_message(Following(opening.id, stored.stamp, stored.status, False, place, attempt))
+    place, attempt = stored.feedback_count, max(stored.attempt, 1)
+    following = Following(opening.id, stored.stamp, stored.status, False, place, attempt)
+    following.parent = parent_fields(parent_in(stored.meta))
+    goal.on_message(following)
     finish(goal, stored)
     return goal
