@@ -2,7 +2,8 @@
 
 `MemoryBrokers` is what all members of a fleet share; each member has a `MemoryBroker`. What a
 member sends is carried out in its order, in a later turn of the event loop. A test chooses faults:
-brokers that a member does not reach (`is_away`), lost answers, delays and restarts.
+brokers that a member does not reach (`is_away`), lost and old answers, delays and restarts, and
+what happens before a call is carried out (`before`).
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from heapq import heappop, heappush
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from anyio import current_time, move_on_after
 
@@ -43,6 +44,12 @@ MARKER_TIME = 60.0
 """Seconds after which a marker is forgotten."""
 NOTE_TIMEOUT = 5.0
 """Seconds after which a note that was not removed comes again."""
+Before: TypeAlias = Callable[[str, str], Awaitable[None]]
+"""What happens before a call, of that name and subject, is carried out; it may raise."""
+
+
+async def nothing(_call: str, _subject: str) -> None:
+    """Do nothing before a call."""
 
 
 def matches(pattern: str, subject: str) -> bool:
@@ -287,6 +294,10 @@ class MemoryBroker(Broker):
         self._watches: list[MemoryWatch] = []
         self.watch_delay = 0.0
         """Seconds until the watches are told of a new record."""
+        self.before: Before = nothing
+        """What happens before a call that waits for the brokers."""
+        self.old: dict[str, list[BrokerRecord | None]] = {}
+        """The answers of a broker that is behind to `get`, by subject, the last first."""
         self._is_away = False
         self._inboxes = itertools.count()
         self._sent_until = -math.inf
@@ -348,6 +359,7 @@ class MemoryBroker(Broker):
         self, subject: str, on_message: OnMessage, queue: str = ""
     ) -> BrokerSubscription:
         """See `Broker.subscribe`."""
+        await self.before("subscribe", subject)
         self._check_there()
         subscription = MemorySubscription(self, subject, on_message, queue)
         self.subscriptions.append(subscription)
@@ -387,6 +399,7 @@ class MemoryBroker(Broker):
 
     async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
         """See `Broker.create_streams`."""
+        await self.before("create_streams", "")
 
     async def find_stream(self, stream: str) -> BrokerStream | None:
         """See `Broker.find_stream`."""
@@ -429,6 +442,9 @@ class MemoryBroker(Broker):
 
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
         """See `Broker.get`."""
+        await self.before("get", subject)
+        if old := self.old.get(subject):
+            return old.pop()
         with move_on_after(ANSWER_TIMEOUT):
             await self.flush()
             return self.shared.newest(subject)
@@ -437,6 +453,7 @@ class MemoryBroker(Broker):
     @asynccontextmanager
     async def watch(self, stream: str, subject: str) -> AsyncGenerator[MemoryWatch, None]:
         """See `Broker.watch`."""
+        await self.before("watch", subject)
         self._check_there()
         watch = MemoryWatch(self, subject)
         self._watches.append(watch)

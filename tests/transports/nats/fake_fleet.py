@@ -58,6 +58,7 @@ from fibaction_transports.nats.records import (
     encode,
     goal_entry,
 )
+from tests.support.memory_broker import Before, nothing
 from tests.wire.memory import MemoryChannel, pair
 
 NAMES = FleetNames("test")
@@ -103,6 +104,8 @@ class FakeBroker(Broker):
         """The answer about each stream."""
         self.sequence = 0
         self.is_away = False
+        self.before: Before = nothing
+        """What happens before a stream is looked for, or a record is read."""
         self.news = Notifier()
         self.gets = 0
         self.watches = 0
@@ -115,6 +118,7 @@ class FakeBroker(Broker):
         return not self.is_away
 
     async def find_stream(self, stream: str) -> BrokerStream | None:
+        await self.before("find_stream", stream)
         await anyio.lowlevel.checkpoint()
         if self.is_away:
             raise BrokerAway("away")
@@ -166,6 +170,7 @@ class FakeBroker(Broker):
         return self.sequence
 
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
+        await self.before("get", subject)
         await anyio.lowlevel.checkpoint()
         self.gets += 1
         if self.is_away:

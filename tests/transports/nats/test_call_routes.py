@@ -13,9 +13,10 @@ from fibaction import (
     Outcome,
     ProtocolError,
 )
-from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, BrokerStream
+from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.client import worker_connections
 from fibaction_transports.nats.records import goal_entry
+from tests.support.memory_broker import nothing
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
     ENDED,
@@ -34,8 +35,9 @@ def fleet() -> FakeFleet:
     return FakeFleet()
 
 
-async def away(_stream: str) -> BrokerStream | None:
-    raise BrokerAway("on purpose")
+async def away(call: str, _subject: str) -> None:
+    if call == "find_stream":
+        raise BrokerAway("on purpose")
 
 
 async def read_three(goal: ClientGoal[int, str]) -> None:
@@ -88,9 +90,7 @@ async def test_a_goal_whose_record_is_gone_is_unknown(fleet: FakeFleet) -> None:
         assert (await goal.outcome()).status is GoalStatus.UNKNOWN
 
 
-async def test_a_goal_whose_record_may_be_written_again_is_waited_for(
-    fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_goal_whose_record_may_be_written_again_is_waited_for(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         goal = await client_of(connection).send_goal(-3)
         subject = NAMES.goal("count", goal.goal_id)
@@ -99,9 +99,9 @@ async def test_a_goal_whose_record_may_be_written_again_is_waited_for(
         a.hang_up()
         a.end_lease()
         await anyio.sleep(2)
-        with monkeypatch.context() as patch:
-            patch.setattr(fleet.broker, "find_stream", away)
-            await anyio.sleep(2)
+        fleet.broker.before = away
+        await anyio.sleep(2)
+        fleet.broker.before = nothing
         assert goal.status.is_active
         fleet.broker.records[subject] = record
         a.own(goal.goal_id, **ENDED)
@@ -250,17 +250,17 @@ async def test_connections_that_are_not_used_are_closed(fleet: FakeFleet) -> Non
 
 
 async def test_a_goal_whose_record_is_being_read_ends_when_the_client_leaves(
-    fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+    fleet: FakeFleet,
 ) -> None:
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         goal = await client_of(connection).send_goal(-3)
-        get, gate = fleet.broker.get, anyio.Event()
+        gate = anyio.Event()
 
-        async def slow(stream: str, subject: str) -> BrokerRecord | None:
-            await gate.wait()
-            return await get(stream, subject)
+        async def slow(call: str, _subject: str) -> None:
+            if call == "get":
+                await gate.wait()
 
-        monkeypatch.setattr(fleet.broker, "get", slow)
+        fleet.broker.before = slow
         a.die()
         a.own(goal.goal_id, **ENDED)
         await settled()

@@ -247,9 +247,7 @@ async def test_a_write_that_did_not_arrive_is_written_again() -> None:
         assert len(writes(shared)) == 1
 
 
-async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         one = goal()
         robot.write("accept", one)
@@ -257,12 +255,8 @@ async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away(
         name = NAMES.goal("count", one.goal_id)
         robot.write("checkpoint", one)
         await robot.answered(2)
-        get, old = robot.broker.get, [None, BrokerRecord(name, b"old", 1)]
-
-        async def behind(stream: str, subject: str) -> BrokerRecord | None:
-            return old.pop() if old and subject == name else await get(stream, subject)
-
-        monkeypatch.setattr(robot.broker, "get", behind)
+        old = [None, BrokerRecord(name, b"old", 1)]
+        robot.broker.old = {name: old}
         shared.loses_answer = lambda write: write.subject == name
         robot.write("end", ended(one))
         await robot.answered(3)
@@ -288,19 +282,16 @@ async def test_the_next_worker_s_write_is_told_from_a_lost_answer() -> None:
         assert robot.errors == [None, GoalTaken]
 
 
-async def test_a_record_is_read_again_while_the_brokers_do_not_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_record_is_read_again_while_the_brokers_do_not_answer() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
-        get, failures = robot.broker.get, [1, 2, 3]
+        failures = [1, 2, 3]
 
-        async def away(stream: str, subject: str) -> BrokerRecord | None:
-            if failures and ".goal." in subject:
+        async def away(call: str, subject: str) -> None:
+            if failures and call == "get" and ".goal." in subject:
                 failures.pop()
                 raise BrokerAway("on purpose")
-            return await get(stream, subject)
 
-        monkeypatch.setattr(robot.broker, "get", away)
+        robot.broker.before = away
         shared.loses_answer = lambda write: ".goal." in write.subject
         robot.write("accept", goal())
         await robot.answered(1)
@@ -671,24 +662,23 @@ async def test_a_frozen_worker_clears_no_doubt() -> None:
 
 
 @pytest.mark.parametrize("when", ["while its record is read", "before it is written again"])
-async def test_a_goal_in_doubt_can_be_lost(monkeypatch: pytest.MonkeyPatch, when: str) -> None:
+async def test_a_goal_in_doubt_can_be_lost(when: str) -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
-        get = robot.broker.get
 
         async def lose_soon() -> None:
             await sleep(FIRST_PAUSE / 2)
             robot.journal.lose(goal().goal_id)
 
-        async def lose(stream: str, subject: str) -> BrokerRecord | None:
-            if ".goal." not in subject:
-                return await get(stream, subject)
+        async def lose(call: str, subject: str) -> None:
+            if call != "get" or ".goal." not in subject:
+                return
             if when == "before it is written again":
                 robot.store.tasks.start_soon(lose_soon)
-                return None
-            robot.journal.lose(goal().goal_id)
-            return await get(stream, subject)
+                robot.broker.old = {subject: [None]}
+            else:
+                robot.journal.lose(goal().goal_id)
 
-        monkeypatch.setattr(robot.broker, "get", lose)
+        robot.broker.before = lose
         shared.loses_answer = lambda write: ".goal." in write.subject
         robot.write("accept", goal())
         await robot.answered(1)

@@ -13,7 +13,7 @@ from anyio import create_task_group, current_time, fail_after, sleep
 
 from fibaction._runtime.tasks import Background
 from fibaction.words.errors import TransportError
-from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
+from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
 from fibaction_transports.nats.worker.lease import Membership
@@ -139,23 +139,19 @@ async def test_a_renewal_whose_answer_is_lost_counts_from_when_it_was_sent() -> 
         assert member.valid_until == pytest.approx(lost[0] + LEASE - MARGIN)
 
 
-async def test_a_lease_that_cannot_be_read_is_no_reason_to_give_it_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_lease_that_cannot_be_read_is_no_reason_to_give_it_up() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
         async with joined(broker) as member:
-            get = broker.get
-            record = shared.newest(NAMES.worker("robot"))
-            old = [record, None, BrokerAway("on purpose")]
+            subject, cuts = NAMES.worker("robot"), [1]
+            old = [shared.newest(subject), None]
 
-            async def behind(stream: str, subject: str) -> BrokerRecord | None:
-                found = old.pop() if old else await get(stream, subject)
-                if isinstance(found, BrokerAway):
-                    raise found
-                return found
+            async def away(call: str, _subject: str) -> None:
+                if call == "get" and cuts:
+                    cuts.pop()
+                    raise BrokerAway("on purpose")
 
-            monkeypatch.setattr(broker, "get", behind)
+            broker.before, broker.old = away, {subject: old}
             shared.loses_answer = lambda _: len(shared.writes) == 2
             await sleep(LEASE)
             assert not old
@@ -387,20 +383,17 @@ async def test_leaving_without_brokers_takes_no_longer_than_a_lease() -> None:
 # Time that passes in between
 
 
-async def test_a_worker_that_is_fenced_while_it_reads_its_lease_joins_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_worker_that_is_fenced_while_it_reads_its_lease_joins_again() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
         async with joined(broker) as member:
-            first, get = member.incarnation, broker.get
+            first = member.incarnation
 
-            async def fence(stream: str, subject: str) -> BrokerRecord | None:
-                if not member.fences:
+            async def fence(call: str, _subject: str) -> None:
+                if call == "get" and not member.fences:
                     member._fence("on purpose")
-                return await get(stream, subject)
 
-            monkeypatch.setattr(broker, "get", fence)
+            broker.before = fence
             shared.loses_answer = lambda _: len(shared.writes) == 2
             await sleep(3 * LEASE)
             assert len(member.fences) == len(member.joins) == 1

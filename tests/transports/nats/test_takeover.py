@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
-from typing import Any
 
 import pytest
 from anyio import sleep
@@ -125,23 +122,20 @@ async def test_another_survivor_clears_up_if_the_first_one_is_lost_too() -> None
         assert len(claims) == 2, "it is done"
 
 
-async def test_clearing_up_that_was_interrupted_is_done_when_its_claim_ends(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_clearing_up_that_was_interrupted_is_done_when_its_claim_ends() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         lost = Membership(shared.member("a"), NAMES, "a", LEASE)
         await lost.join()
         other = NAMES.goal("other", goal().goal_id)
         shared.put(other, encode(GoalEntry(goal(worker="a"), lost.incarnation, b"")), 0, 9e9)
-        watch, cuts = b.broker.watch, [1]
+        cuts = [1]
 
-        def away(stream: str, subject: str) -> Any:
-            if subject == NAMES.all_goals() and cuts:
+        async def away(call: str, subject: str) -> None:
+            if (call, subject) == ("watch", NAMES.all_goals()) and cuts:
                 cuts.pop()
                 raise BrokerAway("on purpose")
-            return watch(stream, subject)
 
-        monkeypatch.setattr(b.broker, "watch", away)
+        b.broker.before = away
         await sleep(LEASE + 3)
         assert not cuts
         assert not shared.notes
@@ -149,47 +143,36 @@ async def test_clearing_up_that_was_interrupted_is_done_when_its_claim_ends(
         assert [note.subject for note in shared.notes] == [NAMES.left("other")]
 
 
-async def test_clearing_up_that_takes_longer_than_a_lease_ends(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_clearing_up_that_takes_longer_than_a_lease_ends() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         lost = Membership(shared.member("a"), NAMES, "a", LEASE)
         await lost.join()
-        watch, scans = b.broker.watch, []
+        scans = []
 
-        @asynccontextmanager
-        async def slow(stream: str, subject: str) -> AsyncGenerator[Any, None]:
-            if subject == NAMES.all_goals():
+        async def slow(call: str, subject: str) -> None:
+            if (call, subject) == ("watch", NAMES.all_goals()):
                 scans.append(subject)
                 await sleep(2.5 * LEASE)
-            async with watch(stream, subject) as found:
-                yield found
 
-        monkeypatch.setattr(b.broker, "watch", slow)
+        b.broker.before = slow
         await sleep(30 * LEASE)
         assert 1 < len(scans) <= 4
 
 
-async def test_the_claim_of_a_name_that_is_used_again_is_not_touched(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_the_claim_of_a_name_that_is_used_again_is_not_touched() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         lost = Membership(shared.member("a"), NAMES, "a", LEASE)
         await lost.join()
-        watch = b.broker.watch
         records: list[BrokerRecord | None] = []
 
-        @asynccontextmanager
-        async def other(stream: str, subject: str) -> AsyncGenerator[Any, None]:
-            if subject == NAMES.all_goals():
+        async def other(call: str, subject: str) -> None:
+            if (call, subject) == ("watch", NAMES.all_goals()):
                 claim = shared.newest(NAMES.worker("a"))
                 assert claim is not None
                 shared.put(claim.subject, b"of a later version", claim.sequence, 9e9)
                 records.append(shared.newest(claim.subject))
-            async with watch(stream, subject) as found:
-                yield found
 
-        monkeypatch.setattr(b.broker, "watch", other)
+        b.broker.before = other
         await sleep(2 * LEASE)
         assert records == [shared.newest(NAMES.worker("a"))]
 
@@ -197,20 +180,17 @@ async def test_the_claim_of_a_name_that_is_used_again_is_not_touched(
 # Scans
 
 
-async def test_a_scan_is_tried_again_while_the_brokers_do_not_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_scan_is_tried_again_while_the_brokers_do_not_answer() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         await sleep(1)
-        watch, cuts = b.broker.watch, [1, 2]
+        cuts = [1, 2]
 
-        def away(stream: str, subject: str) -> Any:
-            if cuts:
+        async def away(call: str, _subject: str) -> None:
+            if call == "watch" and cuts:
                 cuts.pop()
                 raise BrokerAway("on purpose")
-            return watch(stream, subject)
 
-        monkeypatch.setattr(b.broker, "watch", away)
+        b.broker.before = away
         keep(shared, goal(worker="gone"), b"gone")
         first = Membership(shared.member("a"), NAMES, "a", LEASE)
         await first.join()
@@ -427,16 +407,15 @@ async def test_a_hint_alone_takes_no_goal_away() -> None:
         assert not a.lost
 
 
-async def test_a_hint_is_ignored_while_the_brokers_do_not_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def get(_stream: str, _subject: str) -> BrokerRecord | None:
-        raise BrokerAway("on purpose")
+async def test_a_hint_is_ignored_while_the_brokers_do_not_answer() -> None:
+    async def away(call: str, _subject: str) -> None:
+        if call == "get":
+            raise BrokerAway("on purpose")
 
     async with MemoryBrokers() as shared, member(shared, "a") as a:
         a.accept(waiting())
         await sleep(0.1)
-        monkeypatch.setattr(a.broker, "get", get)
+        a.broker.before = away
         shared.member().publish(NAMES.taken("a"), NAMES.goal("count", waiting().goal_id).encode())
         await sleep(1)
         assert not a.lost

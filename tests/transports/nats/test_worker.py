@@ -25,7 +25,7 @@ from fibaction_transports.nats.records import (
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.worker.worker import Worker, open_worker
 from tests.simulation.loop import VirtualLoop
-from tests.support.memory_broker import MemoryBroker, MemoryBrokers
+from tests.support.memory_broker import MemoryBroker, MemoryBrokers, nothing
 from tests.transports.hearing import Hearing
 
 VIRTUAL = ("asyncio", {"loop_factory": VirtualLoop})  # lines need asyncio
@@ -181,18 +181,15 @@ async def test_a_worker_without_brokers_says_so_in_one_sentence() -> None:
                     await sleep_forever()
 
 
-async def test_a_worker_that_loses_the_brokers_as_it_joins_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_worker_that_loses_the_brokers_as_it_joins_says_so() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
-        subscribe = broker.subscribe
 
-        async def away(*args: Any) -> Any:
-            broker.is_away = True
-            return await subscribe(*args)
+        async def away(call: str, _subject: str) -> None:
+            if call == "subscribe":
+                broker.is_away = True
 
-        monkeypatch.setattr(broker, "subscribe", away)
+        broker.before = away
         with pytest.raises(TransportError, match="cannot join the fleet"):
             async with open_worker(broker, NAMES, settings()):
                 await sleep_forever()
@@ -213,20 +210,17 @@ async def test_a_worker_listens_again_when_the_brokers_are_back() -> None:
                 assert await caller.call(1) == 1
 
 
-async def test_listening_is_tried_again_when_the_brokers_did_not_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_listening_is_tried_again_when_the_brokers_did_not_answer() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
-        subscribe, cuts = broker.subscribe, [1]
+        cuts = [1]
 
-        async def away(subject: str, *rest: Any) -> Any:
+        async def away(_call: str, subject: str) -> None:
             if subject == NAMES.offer("count") and cuts:
                 cuts.pop()
                 raise BrokerAway("on purpose")
-            return await subscribe(subject, *rest)
 
-        monkeypatch.setattr(broker, "subscribe", away)
+        broker.before = away
         async with serving(broker, ActionServer(COUNT, count)):
             assert not cuts
             await sleep(1)
@@ -296,11 +290,10 @@ async def test_a_worker_of_another_version_leaves_goals_to_those_that_can_run_th
 
 
 @pytest.mark.promise("FLEET-8")
-async def test_a_worker_fills_the_streams_again_as_soon_as_they_can_be_made(
-    log: Hearing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def no_space(*_: Any, **__: Any) -> None:
-        raise TransportError("there is no space left")
+async def test_a_worker_fills_the_streams_again_as_soon_as_they_can_be_made(log: Hearing) -> None:
+    async def no_space(call: str, _subject: str) -> None:
+        if call == "create_streams":
+            raise TransportError("there is no space left")
 
     async with MemoryBrokers() as shared:
         broker = shared.member()
@@ -309,9 +302,9 @@ async def test_a_worker_fills_the_streams_again_as_soon_as_they_can_be_made(
             goals = [await caller.send_goal(seconds) for seconds in (10, 1)]
             await sleep(1)
             shared.lose_streams()
-            with monkeypatch.context() as patch:
-                patch.setattr(broker, "create_streams", no_space)
-                await sleep(LEASE / 4)
+            broker.before = no_space
+            await sleep(LEASE / 4)
+            broker.before = nothing
             broker.is_away = True
             await sleep(LEASE / 4)
             broker.is_away = False
