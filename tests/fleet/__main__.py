@@ -60,8 +60,8 @@ def report_of(scenario: str, settings: Run) -> Report:
     return report
 
 
-def main() -> int:
-    """Run as the arguments say, and return the exit code."""
+def main(*words: str) -> int:
+    """Run as the arguments say, or those of the command line, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.fleet",
         description=__doc__,
@@ -73,7 +73,7 @@ def main() -> int:
     parser.add_argument("--recovery", choices=RECOVERY, default="both")
     parser.add_argument("--lease", type=float, help="seconds; default: that of fibaction")
     parser.add_argument("--seed", type=int, default=random.randrange(2**32))
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words or None)
     for name in ("goals", "times"):
         if getattr(arguments, name) < 1:
             parser.error(f"--{name} is 1 or more")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Literal
 
@@ -95,13 +94,9 @@ def test_a_worker_that_stops_hands_its_goals_over(
     assert report.moves > 0
 
 
-def test_the_help_is_laid_out(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["fleet", "--help"])
-
+def test_the_help_is_laid_out(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit:
-        program.main()
+        program.main("--help")
 
     assert exit.value.code == 0
     assert program.__doc__ is not None

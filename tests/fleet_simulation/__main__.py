@@ -14,8 +14,8 @@ SEEDS = 2**32
 """The number of seeds that a fresh one is chosen from."""
 
 
-def main() -> int:
-    """Run the command `python -m tests.fleet_simulation`, and return the exit code."""
+def main(*words: str) -> int:
+    """Run `python -m tests.fleet_simulation` with these arguments, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.fleet_simulation",
         description="Run fleets from a fresh seed on until the time is up, or one fails.",
@@ -23,7 +23,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="by the real clock (60)")
     parser.add_argument("--seed", type=int, help="begin with this seed")
     parser.add_argument("--once", action="store_true", help="run one seed only")
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(words or None)
     seed = secrets.randbelow(SEEDS) if chosen.seed is None else chosen.seed
     print(f"first seed: {seed}", flush=True)
     begun = time.perf_counter()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from typing import Any
 
 import pytest
@@ -119,12 +118,8 @@ def test_a_mistake_is_found(mistake: Any, monkeypatch: pytest.MonkeyPatch) -> No
     assert any(simulate(seed).violations for seed in range(FIRST, FIRST + MOST))
 
 
-def test_the_program_tells_what_it_has_seen(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["fleet", "--seed", "1000", "--once"])
-
-    assert program.main() == 0
+def test_the_program_tells_what_it_has_seen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert program.main("--seed", "1000", "--once") == 0
     assert "'seeds': 1" in capsys.readouterr().out
 
 
@@ -132,7 +127,5 @@ def test_the_program_tells_what_is_wrong(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stores_whatever_comes(monkeypatch)
-    monkeypatch.setattr(sys, "argv", ["fleet", "--seed", "2000"])
-
-    assert program.main() == 1
+    assert program.main("--seed", "2000") == 1
     assert "seed 2" in capsys.readouterr().out

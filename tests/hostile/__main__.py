@@ -73,8 +73,8 @@ async def run(names: list[str], seconds: float, *, looks: bool) -> int:
     return broken
 
 
-def main() -> int:
-    """Run the attacks that the command line names."""
+def main(*words: str) -> int:
+    """Run the attacks that the arguments name, or the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.hostile",
         description=__doc__,
@@ -87,7 +87,7 @@ def main() -> int:
     parser.add_argument(
         "--looks", action="store_true", help="print in which functions the longest turn was"
     )
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words or None)
     if not 0 <= arguments.seconds < math.inf:
         parser.error("--seconds is 0 or more")
     names = [

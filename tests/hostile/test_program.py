@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from tests.hostile import __main__ as program
@@ -16,13 +14,9 @@ READING = Reading(0.01, 0, 100, 1.0, 40 * 2**20, 40 * 2**20, 0.0, "")
 FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], [0.001], 0.1, 0, "2026-01-01 a: line\n")
 
 
-def test_the_help_is_laid_out_and_says_what_there_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["attack", "--help"])
-
+def test_the_help_is_laid_out_and_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit:
-        program.main()
+        program.main("--help")
 
     assert exit.value.code == 0
     out = capsys.readouterr().out
@@ -50,11 +44,9 @@ def test_each_broken_bound_is_told(changed: dict[str, object], said: str) -> Non
     assert said in told
 
 
-def test_a_name_that_no_attack_has_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["attack", "no such attack"])
-
+def test_a_name_that_no_attack_has_is_an_error() -> None:
     with pytest.raises(SystemExit) as exit:
-        program.main()
+        program.main("no such attack")
 
     assert exit.value.code == 2
 

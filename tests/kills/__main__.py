@@ -23,8 +23,8 @@ import msgspec
 from tests.kills.harness import run
 
 
-def main() -> int:
-    """Run as the arguments say, and return the exit code."""
+def main(*words: str) -> int:
+    """Run as the arguments say, or those of the command line, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.kills",
         description=__doc__,
@@ -34,7 +34,7 @@ def main() -> int:
     parser.add_argument("--clients", type=int, default=20, help="default: %(default)d")
     parser.add_argument("--recovery", choices=("abort", "rerun"), default="abort")
     parser.add_argument("--seed", type=int, default=random.randrange(2**32))
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words or None)
     if not 0 < arguments.seconds < math.inf:
         parser.error("--seconds is more than 0")
     if arguments.clients < 1:

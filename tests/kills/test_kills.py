@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -28,13 +27,9 @@ def test_what_was_told_is_there_after_each_kill(tmp_path: Path, recovery: str) -
     assert report.goals > 0
 
 
-def test_the_help_is_laid_out(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["kills", "--help"])
-
+def test_the_help_is_laid_out(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit:
-        program.main()
+        program.main("--help")
 
     assert exit.value.code == 0
     assert program.__doc__ is not None

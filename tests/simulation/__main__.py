@@ -20,8 +20,8 @@ COLLECTED = 100
 """Scenarios after which their garbage is collected."""
 
 
-def main() -> int:
-    """Run the command `python -m tests.simulation`, and return the exit code."""
+def main(*words: str) -> int:
+    """Run `python -m tests.simulation` with these arguments, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.simulation",
         description="Run scenarios from a fresh seed on until the time is up, or one fails.",
@@ -34,7 +34,7 @@ def main() -> int:
     which.add_argument("--from", type=int, dest="first", help="begin with this seed, and count on")
     parser.add_argument("--store", action="store_true", help="give all servers a store")
     parser.add_argument("--trace", action="store_true", help="with --seed: print all events")
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(words or None)
     if chosen.trace and chosen.seed is None:
         parser.error("--trace needs --seed: it prints the events of one scenario")
     if chosen.seed is not None:

@@ -232,27 +232,22 @@ def test_the_log_is_left_as_it_was() -> None:
 # The command
 
 
-def test_the_command_replays_a_seed(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
-    monkeypatch.setattr(sys, "argv", ["simulation", "--seed", "3", "--trace"])
-    assert command.main() == 0
+def test_the_command_replays_a_seed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main("--seed", "3", "--trace") == 0
     printed = capsys.readouterr().out
     assert "server 1 starts" in printed
     assert simulate(scenario_of(3)).digest in printed
 
 
-def test_a_trace_is_of_one_scenario(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
-    monkeypatch.setattr(sys, "argv", ["simulation", "--trace"])
+def test_a_trace_is_of_one_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        command.main()
+        command.main("--trace")
     error = capsys.readouterr().err
     assert error.endswith("--trace needs --seed: it prints the events of one scenario\n")
 
 
-def test_the_command_counts_what_it_has_run(
-    capsys: pytest.CaptureFixture[str], monkeypatch: Any
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["simulation", "--seconds", "0.3", "--from", "0"])
-    assert command.main() == 0
+def test_the_command_counts_what_it_has_run(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main("--seconds", "0.3", "--from", "0") == 0
     printed = capsys.readouterr().out
     assert "first seed: 0" in printed
     assert '"scenarios": ' in printed
@@ -266,8 +261,7 @@ def test_the_command_tells_how_to_see_a_failure_again(
         return Report(scenario, [wrong], ["a", "b"], 0, 0, 0, 0, 1.0, {}, {}, {})
 
     monkeypatch.setattr(command, "simulate", failing)
-    monkeypatch.setattr(sys, "argv", ["simulation", "--seconds", "5", "--from", "77"])
-    assert command.main() == 1
+    assert command.main("--seconds", "5", "--from", "77") == 1
     printed = capsys.readouterr().out
     assert "it ran twice" in printed
     assert "python -m tests.simulation --seed 77 --trace" in printed

@@ -20,7 +20,7 @@ from tests.soak.trial import Soak, faults, run
 from tests.tools import figures
 
 
-def main() -> int:
+def main(*words: str) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tests.soak",
         description=__doc__,
@@ -41,7 +41,7 @@ def main() -> int:
     parser.add_argument(
         "--keep", action="store_true", help="write the report, its picture and the page of the docs"
     )
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words or None)
     if not 0 < arguments.seconds < math.inf:
         parser.error("--seconds is more than 0")
     if arguments.load < 0:

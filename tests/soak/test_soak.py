@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import sys
 from typing import Any
 from xml.etree import ElementTree
 
@@ -18,13 +17,9 @@ REPORTS = figures.read()
 every_soak = pytest.mark.parametrize("name", figures.SOAKS)
 
 
-def test_the_help_is_laid_out_and_says_what_there_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["soak", "--help"])
-
+def test_the_help_is_laid_out_and_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit:
-        program.main()
+        program.main("--help")
 
     assert exit.value.code == 0
     out = capsys.readouterr().out

@@ -47,10 +47,10 @@ def compile_in(folder: Path) -> None:
         subprocess.run([mypyc, "--ignore-missing-imports", module], cwd=folder, check=True)
 
 
-def main() -> None:
+def main(*words: str) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.compiled")
     parser.add_argument("folder", type=Path, help="a folder that does not exist yet")
-    folder = parser.parse_args().folder.resolve()
+    folder = parser.parse_args(words or None).folder.resolve()
     if folder.exists():
         parser.error(f"{folder} exists already: name a new folder, or remove it")
     copy_to(folder)

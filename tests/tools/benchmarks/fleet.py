@@ -190,7 +190,7 @@ async def measure(parts: list[str], rounds: int) -> None:
         await PARTS[part](rounds)
 
 
-def main() -> None:
+def main(*words: str) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tests.tools.benchmarks.fleet",
         description=__doc__,
@@ -198,7 +198,7 @@ def main() -> None:
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
     parser.add_argument("--rounds", type=int, default=5)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words or None)
     for part in arguments.parts:
         if part not in PARTS:
             parser.error(f"unknown part {part!r}; the parts are {', '.join(PARTS)}")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools.benchmarks import compiled
 from tests.tools.benchmarks.compiled import MODULES, copy_to, main
 
 
@@ -18,11 +17,9 @@ def test_the_code_is_copied_with_all_modules_that_are_compiled(tmp_path: Path) -
 
 
 def test_a_folder_that_exists_is_left_as_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sys.argv", [compiled.__name__, str(tmp_path)])
-
     with pytest.raises(SystemExit, match="2"):
-        main()
+        main(str(tmp_path))
     assert "exists already: name a new folder, or remove it" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

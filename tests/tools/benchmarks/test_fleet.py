@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from tests.support.nats_server import IS_LEFT_OUT
@@ -42,12 +40,10 @@ async def test_a_worker_that_runs_few_at_once_does_all_goals_that_wait() -> None
 
 
 def test_a_part_that_there_is_not_is_one_sentence_with_those_that_there_are(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["fleet", "horse"])
-
     with pytest.raises(SystemExit) as exit:
-        fleet.main()
+        fleet.main("horse")
 
     assert exit.value.code == 2
     said = capsys.readouterr().err.splitlines()[-1]
