@@ -182,18 +182,24 @@ PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.ver
 # line. Left to `make test` is what would be the same again:
 # - the contract but over one transport of each kind, and trio but over TCP: the rest of its ways
 #   combines parts that have tests of their own;
-# - rules without I/O, virtual time, and most examples of property tests;
-# - trials, attacks and floods of servers, browsers and Node, which load what is tested already;
-# - pages, examples and the project itself.
+# - rules without I/O, virtual time, and most examples of property tests; of RTPS and CDR, what uses
+#   sockets and the messages of actions stay;
+# - trials, attacks and floods of servers, tests marked `load`, browsers and Node, which load what is
+#   tested already;
+# - pages, pictures, examples, the files of the console, the tests' own support and the project itself.
 test_elsewhere = FIBACTION_EXAMPLES=10 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
-    -o cache_dir=$(1)/.pytest_cache $(ways_elsewhere) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
-ways_elsewhere := -k "(not trio or trio-tcp) and not asyncio-gateway and not asyncio-unix and not asyncio-wss and not asyncio-asgi"
-NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak tools \
-    interfaces/test_parser.py server/test_registry.py server/test_scheduler.py server/test_fair_queue.py \
+    -o cache_dir=$(1)/.pytest_cache -m "not load" $(ways_elsewhere) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
+ways_elsewhere := -k "(not trio or trio-tcp) and not asyncio-gateway and not asyncio-unix and not asyncio-wss and not asyncio-asgi and not [virtual and not -virtual"
+NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak support tools \
+    cli/test_hostile.py cli/test_pictures.py interfaces/test_parser.py \
+    server/test_registry.py server/test_schedule_load.py server/test_scheduler.py server/test_fair_queue.py \
     schema/test_check.py schema/test_keywords.py schema/test_json_schema.py schema/test_steps.py \
-    support/test_page_parts.py support/test_walks.py words/test_goals.py words/test_statuses.py \
+    transports/cdr/test_codec.py transports/cdr/test_hostile.py transports/cdr/test_type_hashes.py \
+    transports/mcp/test_page.py $(RTPS_WITHOUT_SOCKETS) transports/web/test_assets.py \
+    words/test_goals.py words/test_statuses.py \
     test_answers.py test_contributing.py test_cookbook.py test_docs.py test_examples.py test_guarantees.py \
     test_notebook_page.py test_project.py test_structure.py test_style.py test_way_of_a_goal.py
+RTPS_WITHOUT_SOCKETS := $(patsubst tests/%,%,$(filter-out %/test_network.py,$(wildcard tests/transports/rtps/test_*.py)))
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
 	@for version in $(PYTHONS); do \

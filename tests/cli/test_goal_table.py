@@ -185,6 +185,7 @@ def test_a_picture_has_the_active_goals_first_and_says_what_is_left_out() -> Non
     assert away[1] == "The server is away: gone\\x1b"
 
 
+@pytest.mark.load
 def test_the_time_for_a_table_grows_with_its_rows() -> None:
     rows = [GoalRow("a", GoalInfo(GoalID.random(), 1, GoalStatus.EXECUTING, 0, "x" * 200))] * 50_000
 

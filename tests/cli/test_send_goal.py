@@ -346,6 +346,7 @@ def test_a_server_that_is_silent_is_not_waited_for(invoke: Invoke) -> None:
     assert result.stderr == "The server has not answered within 0.5 s.\n"
 
 
+@pytest.mark.load
 def test_50_000_numbers_and_5_megabytes_are_cut_unless_all_is_wanted(
     invoke: Invoke, tcp: str
 ) -> None:

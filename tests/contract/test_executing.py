@@ -165,6 +165,7 @@ async def test_the_executor_knows_its_goal(reach: Reach) -> None:
     }
 
 
+@pytest.mark.load
 @pytest.mark.promise("GOAL-1", "GOAL-3", "GOAL-4", "STOP-9")
 async def test_a_thousand_goals_at_once_all_end_once_though_a_third_is_canceled(
     reach: Reach,

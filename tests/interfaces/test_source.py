@@ -136,7 +136,7 @@ def parts(draw: strategies.DrawFn) -> str:
     return "\n".join([about, f'string TEXT="{draw(names)}"\n', *fields])
 
 
-@settings(max_examples=60)
+@settings(max_examples=min(60, settings().max_examples))
 @given(strategies.lists(parts(), min_size=3, max_size=3).map("---\n".join))
 def test_any_module_agrees_with_the_loaded_action(text: str) -> None:
     with TemporaryDirectory() as folder:

@@ -1298,7 +1298,7 @@ async def several(statuses: StatusStream, count: int) -> AsyncIterator[GoalInfo]
     ),
     max_bytes=strategies.sampled_from([0, 30, 200, 10_000]),
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=min(30, settings().max_examples), deadline=None)
 def test_when_all_has_ended_and_is_forgotten_no_bytes_are_counted(
     steps: list[tuple[str, int]], max_bytes: int, result_timeout: float
 ) -> None:

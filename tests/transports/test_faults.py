@@ -170,6 +170,7 @@ async def test_feedback_that_the_server_no_longer_has_after_a_cut_is_counted() -
     assert goal.feedback_dropped == 89
 
 
+@pytest.mark.load
 @pytest.mark.promise("GOAL-1", "GOAL-3", "LOSS-3", "LOSS-5")
 async def test_500_goals_run_once_each_over_a_line_that_is_cut_every_50_ms() -> None:
     executor = Counting(pause=0.01)
