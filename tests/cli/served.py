@@ -4,7 +4,7 @@ come, go and fall silent as they are told.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -13,12 +13,15 @@ from fibaction import (
     Action,
     ActionError,
     ActionInfo,
-    ActionServer,
+    CancelAnswer,
     ClientConnection,
+    GoalID,
+    Outcome,
     TransportError,
 )
 from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.abc import Connection, Endpoint, StatusStream
+from fibaction.border.endpoints import ForwardingEndpoint
 from fibaction.testing import ScriptedServer
 
 
@@ -28,11 +31,38 @@ def counter(name: str, *scripts: Any) -> ScriptedServer[int, int, str]:
     return ScriptedServer(action, *(scripts or ([11, anyio.Event()],)))
 
 
+class Altered(ForwardingEndpoint):
+    """An endpoint in front of a server, some of whose calls are those of a test."""
+
+    def __init__(self, inner: Endpoint, **calls: Callable[..., Awaitable[Any]]) -> None:
+        super().__init__(inner)
+        self.calls = calls
+
+    async def status(self) -> StatusStream:
+        statuses: StatusStream = await self.calls.get("status", super().status)()
+        return statuses
+
+    async def wait_for_server(self) -> None:
+        await self.calls.get("wait_for_server", super().wait_for_server)()
+
+    async def get_result(self, goal_id: GoalID) -> Outcome[bytes]:
+        call = self.calls.get("get_result", super().get_result)
+        outcome: Outcome[bytes] = await call(goal_id)
+        return outcome
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        call = self.calls.get("cancel_goals", super().cancel_goals)
+        answer: CancelAnswer = await call(goal_id, stamp)
+        return answer
+
+
 class Served(Connection):
     """What can be reached is what `servers` holds."""
 
-    def __init__(self, *servers: ActionServer[Any, Any, Any]) -> None:
-        self.servers: dict[str, Endpoint] = {one.action.name: one for one in servers}
+    def __init__(self, *servers: Endpoint) -> None:
+        self.servers: dict[str, Endpoint] = {one.info.name: one for one in servers}
         self.unusable: set[str] = set()
         self.error: ActionError | None = None
         self.silent = False

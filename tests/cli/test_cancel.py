@@ -21,7 +21,7 @@ from fibaction.cli.verbs import cancel
 from fibaction.cli.verbs.cancel import cancel_many
 from tests.cli.conftest import Invoke, Run, detached
 from tests.cli.robot import WAIT
-from tests.cli.served import counter
+from tests.cli.served import Altered, counter
 
 ID = GoalID(b"\x01" * 16)
 
@@ -137,14 +137,13 @@ def test_what_cannot_be_meant_is_one_sentence(
 
 @pytest.mark.asyncio
 async def test_a_server_that_is_lost_does_not_delay_the_others(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    lost, other, url = counter("a"), counter("b"), "inproc://cancel"
-
     async def lose(*_: object) -> None:
         raise ConnectionLost("the line is dead")
 
-    monkeypatch.setattr(lost, "cancel_goals", lose)
+    lost, other = Altered(counter("a"), cancel_goals=lose), counter("b")
+    url = "inproc://cancel"
     async with serve([lost, other], url), connect(url, other.action) as client:
         await client.send_goal(1, goal_id=ID)
         assert await cancel_many(url, None, None, as_json=True) == ExitCode.UNREACHABLE

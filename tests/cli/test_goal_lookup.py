@@ -8,7 +8,7 @@ import pytest
 from fibaction import ActionClient, ConnectionLost, GoalID, ServerNotFound
 from fibaction.cli.arguments.goal_lookup import ActionClients, find_goal, goal_digits, goals_of
 from fibaction.cli.process.exit_codes import ExitCode, Failure
-from tests.cli.served import Served, counter
+from tests.cli.served import Altered, Served, counter
 
 A = GoalID.parse("aaaaaaaa" + "0" * 24)
 B = GoalID.parse("aaaaaaaa" + "1" * 24)
@@ -73,9 +73,7 @@ async def test_the_one_that_is_asked_for_is_looked_up_once() -> None:
 
 
 @pytest.mark.asyncio
-async def test_servers_that_are_gone_are_left_out_unless_it_is_all_of_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_servers_that_are_gone_are_left_out_unless_it_is_all_of_them() -> None:
     one, other = counter("one"), counter("other")
     async with one:
         clients = await ActionClients(Served(one, other).connection).now()
@@ -141,12 +139,10 @@ def test_an_id_may_be_written_as_a_uuid_and_in_capitals() -> None:
 
 
 @pytest.mark.asyncio
-async def test_a_connection_that_is_lost_is_no_empty_list(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = counter("one")
-
-    async def lost(*_: object) -> None:
+async def test_a_connection_that_is_lost_is_no_empty_list() -> None:
+    async def lost() -> None:
         raise ConnectionLost("the line is dead")
 
-    monkeypatch.setattr(one, "status", lost)
+    one = Altered(counter("one"), status=lost)
     with pytest.raises(ConnectionLost):
         await goals_of(await ActionClients(Served(one).connection).now())

@@ -21,7 +21,7 @@ from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import list_goals
 from fibaction.observe.monitor import AnyClient
 from tests.cli.conftest import Open, Robot, Run, Start, detached, interrupt
-from tests.cli.served import Heard, Served, counter
+from tests.cli.served import Altered, Heard, Served, counter
 from tests.cli.test_echo import echoed
 from tests.support.processes import ended, lines_until
 from tests.support.virtual_time import in_virtual_time
@@ -318,9 +318,10 @@ async def test_a_watched_namespace_has_no_changes_of_others(
 
 @pytest.mark.anyio
 @in_virtual_time()
-async def test_the_connection_is_checked_for_a_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_connection_is_checked_for_a_moment() -> None:
     server = counter("one")
-    client = Served(server).connection.client(server.action)
+    altered = Altered(server)
+    client = Served(altered).connection.client(server.action)
 
     async def seconds(clients: list[AnyClient]) -> float:
         start = anyio.current_time()
@@ -332,9 +333,9 @@ async def test_the_connection_is_checked_for_a_moment(monkeypatch: pytest.Monkey
     async with server:
         assert await seconds([client]) == 0
 
-    async def lost(*_: object) -> None:
+    async def lost() -> None:
         raise ConnectionLost("the line is dead")
 
-    monkeypatch.setattr(server, "wait_for_server", lost)
+    altered.calls["wait_for_server"] = lost
     with pytest.raises(ConnectionLost):
         await seconds([client])

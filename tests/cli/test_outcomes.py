@@ -10,7 +10,7 @@ from fibaction.cli.arguments.goal_lookup import goals_of
 from fibaction.cli.output import outcomes
 from fibaction.cli.output.outcomes import Outcomes
 from fibaction.observe.monitor import AnyClient
-from tests.cli.served import counter
+from tests.cli.served import Altered, counter
 
 pytestmark = pytest.mark.asyncio
 
@@ -47,7 +47,8 @@ async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list(
 ) -> None:
     monkeypatch.setattr(outcomes, "ENDS_TIMEOUT", 0.01)
     async with counter("count", ["done"]) as server:
-        client = ActionClient(server, server.action)
+        altered = Altered(server)
+        client = ActionClient(altered, server.action)
         await client.call(1)
         rows = await goals_of({"count": client})
 
@@ -58,15 +59,14 @@ async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list(
             await anyio.sleep_forever()
 
         for answer in (forgotten, silent):
-            monkeypatch.setattr(server, "get_result", answer)
+            altered.calls["get_result"] = answer
             assert await Outcomes().of({"count": client}, rows) == rows
 
 
-async def test_an_outcome_is_asked_for_once_while_its_goal_is_listed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_outcome_is_asked_for_once_while_its_goal_is_listed() -> None:
     async with counter("count", ["one"], ["two"]) as server:
-        client = ActionClient(server, server.action)
+        altered = Altered(server)
+        client = ActionClient(altered, server.action)
         await client.call(1)
         await client.call(1)
         clients: dict[str, AnyClient] = {"count": client}
@@ -77,7 +77,7 @@ async def test_an_outcome_is_asked_for_once_while_its_goal_is_listed(
         async def forgotten(goal_id: object) -> None:
             raise UnknownGoal(rows[0].info.goal_id)
 
-        monkeypatch.setattr(server, "get_result", forgotten)
+        altered.calls["get_result"] = forgotten
         assert [row.end for row in await kept.of(clients, rows)] == ["one", "two"]
         await kept.of(clients, rows[1:])
         assert [row.end for row in await kept.of(clients, rows)] == ["", "two"]

@@ -11,7 +11,16 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable
 
-from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo, Outcome, Parent
+from fibaction import (
+    ActionInfo,
+    CancelAnswer,
+    CancelCode,
+    ConnectionLost,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Parent,
+)
 from fibaction.cli.output import screen
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.screen import TopScreen
@@ -19,7 +28,7 @@ from fibaction.cli.output.screen_tables import FeedbackText
 from fibaction.client.events import GoalFeedback
 from fibaction.observe.monitor import GoalKey, Monitor
 from fibaction.words.statuses import GoalStatus
-from tests.cli.served import Served, counter
+from tests.cli.served import Altered, Served, counter
 from tests.support.processes import PATIENCE
 
 FIRST, SECOND = GoalID(b"\x11" * 16), GoalID(b"\x22" * 16)
@@ -173,7 +182,7 @@ async def test_the_cursor_is_at_the_top_when_the_goals_that_there_are_have_come(
 
 
 @pytest.mark.asyncio
-async def test_the_goal_under_the_cursor_is_canceled(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_goal_under_the_cursor_is_canceled() -> None:
     server = counter("arm/pick")
     monitor = Monitor(summarize=FeedbackText.of)
     monitor.on_action_found(server.info, Served(server).connection.client(server.action))
@@ -195,22 +204,17 @@ async def test_the_goal_under_the_cursor_is_canceled(monkeypatch: pytest.MonkeyP
     ("error", "text"),
     [(None, "is not canceled: never"), (ConnectionLost("the line is dead"), "the line is dead")],
 )
-async def test_what_is_not_canceled_is_told_of(
-    error: ConnectionLost | None, text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    server = counter("arm/pick")
-    monitor = Monitor(summarize=FeedbackText.of)
-    monitor.on_action_found(server.info, Served(server).connection.client(server.action))
-    monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
-
+async def test_what_is_not_canceled_is_told_of(error: ConnectionLost | None, text: str) -> None:
     async def cancel(*_: object) -> CancelAnswer:
         if error is not None:
             raise error
-        from fibaction import CancelCode
-
         return CancelAnswer(CancelCode.REJECTED, reason="never")
 
-    monkeypatch.setattr(server, "cancel_goals", cancel)
+    server = counter("arm/pick")
+    altered = Altered(server, cancel_goals=cancel)
+    monitor = Monitor(summarize=FeedbackText.of)
+    monitor.on_action_found(server.info, Served(altered).connection.client(server.action))
+    monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
     async with shown(monitor, 160) as pilot:
         await pilot.press("c", "y")
         await pilot.app.workers.wait_for_complete()

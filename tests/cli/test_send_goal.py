@@ -30,7 +30,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.abc import Meta
+from fibaction.border.abc import Endpoint, Meta
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import send_goal
@@ -42,6 +42,7 @@ from fibaction.testing import ScriptedServer
 from fibaction.types.action import Action
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
 from tests.cli.robot import WAIT, Progress, Wait, Waited, wait
+from tests.cli.served import Altered
 from tests.support.processes import ended, lines_until
 
 # As processes
@@ -415,14 +416,14 @@ async def sent_here() -> AsyncGenerator[list[int], None]:
 
 
 @asynccontextmanager
-async def executing(server: ActionServer[Any, Any, Any]) -> AsyncGenerator[list[int], None]:
+async def executing(server: Endpoint) -> AsyncGenerator[list[int], None]:
     """As `sent_here`, with the server as well; the block begins when it executes the goal."""
     async with serve(server, "inproc://keys"), sent_here() as codes:
         await until(server, GoalStatus.EXECUTING)
         yield codes
 
 
-async def until(server: ActionServer[Any, Any, Any], status: GoalStatus) -> None:
+async def until(server: Endpoint, status: GoalStatus) -> None:
     """Wait until a goal of the server has this status."""
     with await server.status() as statuses, anyio.fail_after(20):
         while (info := await statuses.receive()) and info.status is not status:
@@ -493,22 +494,18 @@ async def test_a_goal_of_a_client_that_may_not_observe_goes_on_without_its_place
 ) -> None:
     monkeypatch.setattr(send_goal, "QUEUE_PAUSE", 0)
     asked = anyio.Event()
-    server = waiting()
-    status = server.status
 
     async def forbidden() -> Any:
         asked.set()
         raise AuthenticationFailed("this client may not observe")
 
-    async with executing(server) as codes:
-        monkeypatch.setattr(server, "status", forbidden)
-        async with sent_here() as more:
-            with anyio.fail_after(20):
-                await asked.wait()
-            monkeypatch.setattr(server, "status", status)
-            await server.cancel_goals()
+    server = Altered(waiting(), status=forbidden)
+    async with serve(server, "inproc://keys"), sent_here() as codes:
+        with anyio.fail_after(20):
+            await asked.wait()
+        await server.cancel_goals()
 
-    assert codes == more == [ExitCode.CANCELED]
+    assert codes == [ExitCode.CANCELED]
 
 
 @pytest.mark.asyncio
@@ -519,14 +516,12 @@ async def test_ctrl_c_before_the_answer_withdraws_the_goal(
     monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
     server, asked, decide = deciding()
     withdrawn = anyio.Event()
-    cancel_goals = server.cancel_goals
 
-    async def cancel(goal_id: GoalID | None = None, stamp: int | None = None) -> CancelAnswer:
+    async def cancel(goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
         withdrawn.set()
-        return await cancel_goals(goal_id, stamp)  # which waits for the decision
+        return await server.cancel_goals(goal_id, stamp)  # which waits for the decision
 
-    monkeypatch.setattr(server, "cancel_goals", cancel)
-    async with serve(server, "inproc://keys"):
+    async with serve(Altered(server, cancel_goals=cancel), "inproc://keys"):
         async with sent_here() as codes:
             await asked.wait()
             signal.raise_signal(signal.SIGINT)
@@ -562,15 +557,13 @@ async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
-    server = waiting()
     asked = anyio.Event()
 
     async def ask(*_: object) -> None:
         asked.set()
         await anyio.sleep_forever()
 
-    monkeypatch.setattr(server, "cancel_goals", ask)
-    async with executing(server) as codes:
+    async with executing(Altered(waiting(), cancel_goals=ask)) as codes:
         signal.raise_signal(signal.SIGINT)
         await asked.wait()
         signal.raise_signal(signal.SIGINT)
@@ -587,14 +580,12 @@ async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
 ) -> None:
     monkeypatch.setattr(send_goal, "SAME_SIGNAL", math.inf)
     server = waiting()
-    cancel_goals = server.cancel_goals
 
-    async def cancel(goal_id: GoalID | None = None, stamp: int | None = None) -> CancelAnswer:
+    async def cancel(goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
         await anyio.wait_all_tasks_blocked()  # so that the second signal comes first
-        return await cancel_goals(goal_id, stamp)
+        return await server.cancel_goals(goal_id, stamp)
 
-    monkeypatch.setattr(server, "cancel_goals", cancel)
-    async with executing(server) as codes:
+    async with executing(Altered(server, cancel_goals=cancel)) as codes:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.raise_signal(number)
 
@@ -663,25 +654,23 @@ async def lost(*_: object) -> None:
 
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
-    ("cancel_goals", "text"),
+    ("calls", "text"),
     [
-        (None, "was left, and may go on.\n"),  # the goal does not end
-        (silent, "was left, and may go on.\n"),
-        (lost, "It could not be canceled: no server listens: start the server\n"),
+        ({}, "was left, and may go on.\n"),  # the goal does not end
+        ({"cancel_goals": silent}, "was left, and may go on.\n"),
+        ({"cancel_goals": lost}, "It could not be canceled: no server listens: start the server\n"),
     ],
 )
 async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    cancel_goals: Callable[..., Any] | None,
+    calls: dict[str, Callable[..., Any]],
     text: str,
 ) -> None:
     monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
 
-    async with serve(server, "inproc://keys"):
-        if cancel_goals is not None:
-            monkeypatch.setattr(type(server), "cancel_goals", cancel_goals)
+    async with serve(Altered(server, **calls), "inproc://keys"):
         code = await send_here(timeout=0.1)
 
     assert code == ExitCode.TIMED_OUT
@@ -715,10 +704,8 @@ async def test_an_output_that_is_closed_does_not_wait_for_a_server_that_is_silen
 ) -> None:
     monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     monkeypatch.setattr(send_goal, "print_goal", closed)
-    server = waiting()
 
-    async with serve(server, "inproc://keys"):
-        monkeypatch.setattr(server, "cancel_goals", silent)
+    async with serve(Altered(waiting(), cancel_goals=silent), "inproc://keys"):
         with pytest.raises(BrokenPipeError):
             await send_here()
 

@@ -18,7 +18,7 @@ from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import top
 from fibaction.observe import action_listener
 from tests.cli.conftest import Invoke, Open, Robot, Run, detached
-from tests.cli.served import Served, counter
+from tests.cli.served import Altered, Served, counter
 
 NEEDS_TERMINAL = (
     "Error: fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not\n"
@@ -208,14 +208,11 @@ async def test_what_is_logged_meanwhile_is_written_when_the_screen_is_gone(
 
 @pytest.mark.asyncio
 @pytest.mark.usefixtures("without_terminal")
-async def test_an_error_of_the_connection_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    server = counter("one")
-
-    async def lost(*_: object) -> None:
+async def test_an_error_of_the_connection_ends_it() -> None:
+    async def lost() -> None:
         raise ConnectionLost("the line is dead")
 
-    monkeypatch.setattr(server, "status", lost)
-    monkeypatch.setattr(server, "wait_for_server", lost)
+    server = Altered(counter("one"), status=lost, wait_for_server=lost)
     with anyio.fail_after(20):
         with pytest.raises(ExceptionGroup) as errors:
             await top.show(Served(server).connection, "inproc://top?token=secret")

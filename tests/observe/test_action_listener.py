@@ -10,6 +10,7 @@ import anyio
 import pytest
 
 from fibaction import (
+    Action,
     ActionClient,
     ActionInfo,
     ConnectionLost,
@@ -26,7 +27,7 @@ from fibaction.observe.action_listener import (
     follow_action,
     follow_actions,
 )
-from tests.cli.served import Heard, Served, counter
+from tests.cli.served import Altered, Heard, Served, counter
 
 
 @pytest.fixture(autouse=True)
@@ -143,15 +144,13 @@ async def test_a_server_that_stops_is_lost_and_found_again() -> None:
 
 
 @pytest.mark.asyncio
-async def test_a_connection_that_is_lost_for_good_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    server, recorder = counter("one"), Recorder()
-    client = Served(server).connection.client(server.action)
-
-    async def lost(*_: object) -> None:
+async def test_a_connection_that_is_lost_for_good_ends_it() -> None:
+    async def lost() -> None:
         raise ConnectionLost("the line is dead")
 
-    monkeypatch.setattr(server, "status", lost)
-    monkeypatch.setattr(server, "wait_for_server", lost)
+    recorder = Recorder()
+    server = Altered(counter("one"), status=lost, wait_for_server=lost)
+    client = Served(server).connection.client(Action.untyped(server.info))
     with pytest.raises(ConnectionLost):
         await follow_action(client, server.info, recorder, feedback=True)
     assert recorder.heard == [("gone", "one", "the line is dead")]
@@ -160,20 +159,19 @@ async def test_a_connection_that_is_lost_for_good_ends_it(monkeypatch: pytest.Mo
 
 
 @pytest.mark.asyncio
-async def test_an_action_that_the_transport_cannot_follow_is_reported_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    one, other, recorder = counter("one"), counter("other"), Recorder()
-
-    async def refuse(*_: object) -> None:
+async def test_an_action_that_the_transport_cannot_follow_is_reported_once() -> None:
+    async def refuse() -> None:
         raise TransportError("rosbridge cannot list the goals")
 
-    monkeypatch.setattr(one, "status", refuse)
+    one, other, recorder = Altered(counter("one"), status=refuse), counter("other"), Recorder()
     async with one, other:
         served = Served(one, other)
         with pytest.raises(TransportError, match="cannot list"):
             await follow_action(
-                served.connection.client(one.action), one.info, recorder, feedback=True
+                served.connection.client(Action.untyped(one.info)),
+                one.info,
+                recorder,
+                feedback=True,
             )
         async with followed(served) as heard:
             await heard.until(lambda all: all.count(("reached", 2, "")) > 3)

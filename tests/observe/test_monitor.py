@@ -10,6 +10,7 @@ import pytest
 
 import fibaction.observe.action_listener
 from fibaction import (
+    Action,
     ActionInfo,
     CancelCode,
     ConnectionLost,
@@ -23,7 +24,7 @@ from fibaction.client.events import GoalFeedback
 from fibaction.observe import monitor as monitor_module
 from fibaction.observe.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
 from fibaction.observe.monitor_records import Rate
-from tests.cli.served import Heard, Served, counter
+from tests.cli.served import Altered, Heard, Served, counter
 
 ID = GoalID(b"\x01" * 16)
 OTHER = GoalID(b"\x02" * 16)
@@ -282,18 +283,15 @@ async def test_the_outcome_of_a_goal_has_its_result(monitor: Monitor) -> None:
 
 
 @pytest.mark.asyncio
-async def test_a_server_that_cannot_be_asked_keeps_its_goals(
-    monitor: Monitor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    server = counter("one")
+async def test_a_server_that_cannot_be_asked_keeps_its_goals(monitor: Monitor) -> None:
     asked = anyio.Event()
 
-    async def lost(*_: object) -> None:
+    async def lost() -> None:
         asked.set()
         raise ConnectionLost("the line is dead")
 
-    monkeypatch.setattr(server, "status", lost)
-    monitor.on_action_found(ONE, Served(server).connection.client(server.action))
+    server = Altered(counter("one"), status=lost)
+    monitor.on_action_found(ONE, Served(server).connection.client(Action.untyped(server.info)))
     monitor.on_event("one", info(2))
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(monitor._refresh)

@@ -24,6 +24,7 @@ from fibaction.border.urls import transport_for
 from fibaction.words.goals import Sender
 from fibaction_transports import inprocess
 from fibaction_transports.inprocess import InProcessTransport
+from tests.cli.served import Altered
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.asyncio
@@ -117,11 +118,8 @@ async def test_a_client_waits_for_its_own_action_only() -> None:
 
 
 @pytest.mark.parametrize("stops", ["before", "meanwhile"])
-async def test_a_wait_for_a_server_is_not_ended_by_one_that_has_stopped(
-    stops: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_wait_for_a_server_is_not_ended_by_one_that_has_stopped(stops: str) -> None:
     place, found, stopped = InProcessTransport(), anyio.Event(), anyio.Event()
-    old = ActionServer(FIBONACCI, fibonacci)
 
     async def wait(endpoint: Endpoint) -> None:
         await endpoint.wait_for_server()
@@ -131,7 +129,7 @@ async def test_a_wait_for_a_server_is_not_ended_by_one_that_has_stopped(
         await stopped.wait()
         raise ServerNotFound("it has stopped")
 
-    monkeypatch.setattr(old, "wait_for_server", until_stopped)
+    old = Altered(ActionServer(FIBONACCI, fibonacci), wait_for_server=until_stopped)
     with anyio.fail_after(5):
         async with place.connect() as connection, anyio.create_task_group() as tasks:
             async with place.serve(old):
