@@ -4,7 +4,9 @@ come, go and fall silent as they are told.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import io
+from collections.abc import Awaitable, Callable, Generator
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 import anyio
@@ -96,8 +98,28 @@ class Heard(list[Any]):
         self.append(what[0] if len(what) == 1 else what)
         self._news.notify()
 
+    @contextmanager
+    def on_stdout(self) -> Generator[None, None, None]:
+        """Hear each text that is printed in the block, without the end of its last line."""
+        with redirect_stdout(_Hearing(self)):
+            yield
+
     async def until(self, condition: Callable[[list[Any]], object]) -> None:
         """Wait until something has been said, and the condition holds."""
         with anyio.fail_after(10):
             while not (self and condition(self)):
                 await self._news.wait()
+
+
+class _Hearing(io.StringIO):
+    """A file that says what is written to it."""
+
+    def __init__(self, heard: Heard) -> None:
+        super().__init__()
+        self._heard = heard
+
+    def write(self, text: str) -> int:
+        written = super().write(text)
+        if text:  # click also tries whether it may write, first bytes and then nothing
+            self._heard(text.removesuffix("\n"))
+        return written

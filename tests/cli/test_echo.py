@@ -98,49 +98,44 @@ def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
     )
 
 
-async def echoed(
-    monkeypatch: pytest.MonkeyPatch, verb: Callable[[], object], until: str
-) -> list[str]:
-    """What a verb says, until it has said that."""
+async def echoed(verb: Callable[[], object], until: str) -> list[str]:
+    """What a verb prints, until it has printed that."""
     heard = Heard()
-    monkeypatch.setattr(echo_module, "say", heard)
-    monkeypatch.setattr(echo_module, "say_json", lambda value: heard(json.dumps(value)))
-    async with anyio.create_task_group() as tasks:
+    with heard.on_stdout():
+        async with anyio.create_task_group() as tasks:
 
-        async def run() -> None:
-            assert await verb() == 0  # type: ignore[misc]  # a verb is async
+            async def run() -> None:
+                assert await verb() == 0  # type: ignore[misc]  # a verb is async
 
-        tasks.start_soon(run)
-        await heard.until(lambda all: any(until in one for one in all))
-        signal.raise_signal(signal.SIGINT)
+            tasks.start_soon(run)
+            await heard.until(lambda all: any(until in one for one in all))
+            signal.raise_signal(signal.SIGINT)
     return heard
 
 
 @pytest.mark.asyncio
-async def test_each_change_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_each_change_is_printed() -> None:
     server, url = counter("one"), "inproc://echo"
     async with serve(server, url), connect(url, server.action) as client:
         await client.send_goal(1, goal_id=ID)
-        words = await echoed(
-            monkeypatch, partial(echo, url, "one", full=False, as_json=False), "EXECUTING"
-        )
+        words = await echoed(partial(echo, url, "one", full=False, as_json=False), "EXECUTING")
         await client.send_goal(1, goal_id=OTHER)
-        await echoed(monkeypatch, partial(echo, url, "one", full=True, as_json=True), "EXECUTING")
+        await echoed(partial(echo, url, "one", full=True, as_json=True), "EXECUTING")
 
     assert words == [f"Goal {ID}: EXECUTING\n"]
 
 
 @pytest.mark.asyncio
-async def test_without_a_name_all_actions_are_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_a_name_all_actions_are_printed() -> None:
     server, printed = counter("one"), Heard()
-    monkeypatch.setattr(echo_module, "say", printed)
     async with serve(server, "inproc://echo"), connect("inproc://echo") as connection:
         await connection.client(server.action).send_goal(1, goal_id=ID)
-        async with anyio.create_task_group() as tasks:
-            print_all = partial(print_events, connection, None, EventPrinter(False), feedback=False)
-            tasks.start_soon(print_all)
-            await printed.until(lambda all: f"{ID}  EXECUTING" in all[-1])
-            tasks.cancel_scope.cancel()
+        with printed.on_stdout():
+            async with anyio.create_task_group() as tasks:
+                printer = EventPrinter(False)
+                tasks.start_soon(partial(print_events, connection, None, printer, feedback=False))
+                await printed.until(lambda all: f"{ID}  EXECUTING" in all[-1])
+                tasks.cancel_scope.cancel()
 
 
 def test_nothing_is_printed_twice_and_an_action_that_was_away_comes_back(
@@ -149,10 +144,9 @@ def test_nothing_is_printed_twice_and_an_action_that_was_away_comes_back(
     monkeypatch.setattr(echo_module, "REMEMBERED", 2)
     printer = EventPrinter(as_json=False)
     client = Served(counter("one")).connection.client(counter("one").action)
-    said = Heard()
-    monkeypatch.setattr(echo_module, "say", said)
     for status in (1, 2, 2, 1, 0, 0):
         printer.on_event("one", GoalInfo(ID, 1, GoalStatus(status)))
+    said = capsys.readouterr().out.splitlines()
     assert [line.split()[2] for line in said] == ["ACCEPTED", "EXECUTING", "ACCEPTED", "forgotten"]
     for number in range(3):
         printer.on_event("one", GoalInfo(GoalID(bytes([number] * 16)), 1, GoalStatus.ACCEPTED))
@@ -166,25 +160,23 @@ def test_nothing_is_printed_twice_and_an_action_that_was_away_comes_back(
     assert capsys.readouterr().err == "/one is away: stopped\\x1b\n/one is back\n"
 
 
-def test_echo_cuts_what_is_long_unless_all_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_echo_cuts_what_is_long_unless_all_is_wanted() -> None:
     said = Heard()
-    monkeypatch.setattr(echo_module, "say", said)
-    monkeypatch.setattr(echo_module, "say_json", said)
     long = GoalFeedback(ID, 3, list(range(1000)))
-    for full, as_json in ((False, False), (True, False), (False, True)):
-        EchoPrinter(as_json, full=full).on_event("one", long)
-    EchoPrinter(True, full=False).on_event("one", GoalInfo(ID, 1, GoalStatus.ACCEPTED))
+    with said.on_stdout():
+        for full, as_json in ((False, False), (True, False), (False, True)):
+            EchoPrinter(as_json, full=full).on_event("one", long)
+        EchoPrinter(True, full=False).on_event("one", GoalInfo(ID, 1, GoalStatus.ACCEPTED))
 
     assert said[0].startswith(f"Goal {ID}: feedback 3\n    - 0\n")
     assert "... and 872 more" in said[0]
     assert "- 999\n" in said[1]
-    assert said[2]["feedback"] == list(range(1000))
-    assert said[3]["event"] == "status"
+    assert json.loads(said[2])["feedback"] == list(range(1000))
+    assert json.loads(said[3])["event"] == "status"
 
 
-def test_a_status_as_json_has_all_that_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    printed = Heard()
-    monkeypatch.setattr(echo_module, "say_json", printed)
+def test_a_status_as_json_has_all_that_is_known(capsys: pytest.CaptureFixture[str]) -> None:
     EventPrinter(as_json=True).on_event("one", GoalInfo(ID, 1, GoalStatus.ACCEPTED))
 
-    assert printed[0]["status"] == "ACCEPTED"
+    told = json.loads(capsys.readouterr().out)
+    assert told["status"] == "ACCEPTED"

@@ -290,28 +290,26 @@ async def test_a_watched_list_ends_with_ctrl_c(screen: Console, name: str | None
 
 
 @pytest.mark.asyncio
-async def test_elsewhere_each_change_is_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_elsewhere_each_change_is_a_line() -> None:
     server, url = counter("one"), "inproc://goals"
     async with serve(server, url), connect(url, server.action) as client:
         await client.send_goal(1, goal_id=ID)
         watch = partial(list_goals.list_goals, url, watch=True)
-        plain = await echoed(monkeypatch, partial(watch, None, as_json=False), "EXECUTING")
-        events = await echoed(monkeypatch, partial(watch, "one", as_json=True), "EXECUTING")
+        plain = await echoed(partial(watch, None, as_json=False), "EXECUTING")
+        events = await echoed(partial(watch, "one", as_json=True), "EXECUTING")
 
     assert plain[0].endswith(f"  {ID}  EXECUTING  /one  1  -")
     assert json.loads(events[0])["status"] == "EXECUTING"
 
 
 @pytest.mark.asyncio
-async def test_a_watched_namespace_has_no_changes_of_others(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_watched_namespace_has_no_changes_of_others() -> None:
     robots, url = [counter("robot1/one"), counter("robot10/one")], "inproc://goals"
     async with serve(robots, url), connect(url) as connection:
         for robot in reversed(robots):
             await connection.client(robot.action).send_goal(1)
         watch = partial(list_goals.list_goals, url, None, Namespace("/robot1"), watch=True)
-        lines = await echoed(monkeypatch, partial(watch, as_json=True), "EXECUTING")
+        lines = await echoed(partial(watch, as_json=True), "EXECUTING")
 
     assert {json.loads(line)["action"] for line in lines} == {"robot1/one"}
 

@@ -13,12 +13,11 @@ import msgspec
 import pytest
 
 from fibaction import serve as fibaction_serve
-from fibaction.cli.process import serve_watchers
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import record_file, replay_file, serve
 from fibaction.observe.recordings.recording_file import Record, read_records
 from tests.cli.conftest import Invoke, Run, Start
-from tests.cli.served import counter
+from tests.cli.served import Heard, counter
 from tests.support.processes import ended, lines_until
 
 
@@ -91,30 +90,28 @@ def test_a_whole_recording_is_shown_with_its_ends(folder: Path, invoke: Invoke) 
     assert lines[1:] == ["/count: 1 SUCCEEDED, 1 REJECTED; 1 feedback message"]
 
 
-class Said(list[str]):
+class Said(Heard):
     """What a command says; as soon as it serves, it gets SIGTERM."""
 
-    def __call__(self, text: str) -> None:
-        self.append(text)
+    def __call__(self, *what: str) -> None:
+        super().__call__(*what)
+        (text,) = what
         if not text.startswith("metrics"):
             signal.raise_signal(signal.SIGTERM)
 
 
 @pytest.mark.asyncio
-async def test_a_server_has_metrics_and_a_recording_until_a_signal_comes(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_server_has_metrics_and_a_recording_until_a_signal_comes(folder: Path) -> None:
     said, ends = Said(), list[str]()
-    for module in (serve, serve_watchers):
-        monkeypatch.setattr(module, "say", said)
     file, url = folder / "today.jsonl", f"unix://{folder}/socket"
-    code = await serve.serve_servers(
-        [counter("count")],
-        [url],
-        metrics="127.0.0.1:0",
-        record=str(file),
-        at_end=lambda: ends.append("end"),
-    )
+    with said.on_stdout():
+        code = await serve.serve_servers(
+            [counter("count")],
+            [url],
+            metrics="127.0.0.1:0",
+            record=str(file),
+            at_end=lambda: ends.append("end"),
+        )
 
     assert (code, ends) == (ExitCode.SUCCEEDED, ["end"])
     assert said[0].startswith("metrics at http://127.0.0.1:")
@@ -174,13 +171,11 @@ def test_a_server_that_runs_already_is_recorded_and_exported(
 
 
 @pytest.mark.asyncio
-async def test_a_recording_from_outside_ends_at_a_signal(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_recording_from_outside_ends_at_a_signal(folder: Path) -> None:
     said = Said()
-    monkeypatch.setattr(record_file, "say", said)
     async with fibaction_serve(counter("count"), f"unix://{folder}/socket") as (url,):
-        code = await record_file.record(url, str(folder / "today.jsonl"))
+        with said.on_stdout():
+            code = await record_file.record(url, str(folder / "today.jsonl"))
     assert (code, len(said)) == (ExitCode.SUCCEEDED, 1)
     assert [one.event for one in read_records(folder / "today.jsonl")] in ([], ["server"])
 
