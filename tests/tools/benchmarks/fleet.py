@@ -164,7 +164,7 @@ async def active(rounds: int) -> None:
 
 
 async def taskiq(rounds: int) -> None:
-    if why := over_taskiq.missing():
+    if why := over_taskiq.missing_here():
         print(f"left out is taskiq: {why}")
         return
     with (

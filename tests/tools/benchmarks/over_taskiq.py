@@ -38,11 +38,16 @@ def redis_server() -> str | None:
     return shutil.which("redis-server") or shutil.which("redis-server", path=f"{UNPACKED}/bin")
 
 
-def missing() -> str:
+def missing(*, is_installed: bool, server: str | None) -> str:
     """Return the reason why taskiq cannot take part; empty if it can."""
-    if find_spec("taskiq_redis") is None:
+    if not is_installed:
         return "it is not installed; `make bench` installs it"
-    return "" if redis_server() else "there is no redis-server; Debian and Ubuntu have it"
+    return "" if server else "there is no redis-server; Debian and Ubuntu have it"
+
+
+def missing_here() -> str:
+    """Return that reason for this environment."""
+    return missing(is_installed=find_spec("taskiq_redis") is not None, server=redis_server())
 
 
 @contextmanager

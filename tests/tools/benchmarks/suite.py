@@ -18,6 +18,7 @@ from tests.tools.benchmarks.ways import (
     ROS,
     WAYS,
     Pair,
+    Way,
     left_out,
     ros_environment,
     started,
@@ -48,7 +49,7 @@ async def measure(scale: float) -> AsyncGenerator[dict[str, Any], None]:
         "machine": machine(),
     }
     async with AsyncExitStack() as stack:
-        running = await _start_all(stack, without)
+        running = await start_all(stack, WAYS, without)
         about["versions"] = {"python": platform.python_version(), **versions(without)}
         about["left_out"] = {WAYS[key].label: reason for key, reason in without.items()}
         for name, compare in RUNNING.items():
@@ -64,11 +65,13 @@ async def measure(scale: float) -> AsyncGenerator[dict[str, Any], None]:
     yield {"comparison": "start", **about, **starting.start(without, scale)}
 
 
-async def _start_all(stack: AsyncExitStack, without: dict[str, str]) -> dict[str, Pair]:
+async def start_all(
+    stack: AsyncExitStack, ways: Mapping[str, Way], without: dict[str, str]
+) -> dict[str, Pair]:
     """Start the ways that are available. A peer that does not start is left out, too."""
     running: dict[str, Pair] = {}
     environment = await stack.enter_async_context(ros_environment())
-    for key, way in WAYS.items():
+    for key, way in ways.items():
         if key in without:
             continue
         try:

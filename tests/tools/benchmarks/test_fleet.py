@@ -50,15 +50,12 @@ def test_a_part_that_there_is_not_is_one_sentence_with_those_that_there_are(
     assert said.endswith("unknown part 'horse'; the parts are " + ", ".join(fleet.PARTS))
 
 
-def test_taskiq_needs_its_library_and_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(over_taskiq, "redis_server", lambda: None)
-    monkeypatch.setattr(over_taskiq, "find_spec", lambda name: name)
+def test_taskiq_needs_its_library_and_a_server() -> None:
+    missing = over_taskiq.missing
 
-    assert over_taskiq.missing() == "there is no redis-server; Debian and Ubuntu have it"
-
-    monkeypatch.setattr(over_taskiq, "find_spec", lambda _: None)
-
-    assert over_taskiq.missing() == "it is not installed; `make bench` installs it"
+    assert missing(is_installed=True, server="redis-server") == ""
+    assert "there is no redis-server;" in missing(is_installed=True, server=None)
+    assert "it is not installed;" in missing(is_installed=False, server=None)
 
 
 def test_a_ratio_is_that_of_each_round(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,8 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools.benchmarks import suite, ways
-from tests.tools.benchmarks.ways import IN_ONE, ROS, WAYS, Way, left_out, started, versions
+from tests.tools.benchmarks import suite
+from tests.tools.benchmarks.ways import (
+    IN_ONE,
+    ROS,
+    WAYS,
+    Way,
+    left_out,
+    left_out_here,
+    started,
+    versions,
+)
 
 BROKEN = Way("broken peer", IN_ONE, "nothing_of_that_name", is_ours=False, has_server=False)
 EVERYTHING = dict.fromkeys(
@@ -17,30 +26,22 @@ EVERYTHING = dict.fromkeys(
 )
 
 
-def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ways, "find_spec", lambda _: None)
-    monkeypatch.setattr(ways, "_no_ros", lambda: "")
-
-    assert left_out() == {
+def test_a_library_that_is_not_installed_is_named() -> None:
+    assert left_out_here(lambda _: False, None) == {
         "grpc": "grpcio is not installed; `make bench` installs it",
         "nats": "nats-py is not installed; `make bench` installs it",
     }
 
 
-def test_nats_needs_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ways, "find_spec", lambda name: name)
-    monkeypatch.setattr(ways, "nats_server", lambda: None)
-    monkeypatch.setattr(ways, "_no_ros", lambda: "")
+def test_nats_needs_a_server() -> None:
+    assert left_out_here(lambda _: True, None) == {
+        "nats": "there is no nats-server; Debian and Ubuntu have it in a package"
+    }
+    assert left_out_here(lambda _: True, "nats-server") == {}
 
-    assert left_out() == {"nats": "there is no nats-server; Debian and Ubuntu have it in a package"}
 
-
-def test_without_an_environment_for_ros_both_of_its_ways_are_left_out(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(ways, "ROS_PYTHON", tmp_path / "python")
-
-    reasons = left_out()
+def test_without_an_environment_for_ros_all_of_its_ways_are_left_out(tmp_path: Path) -> None:
+    reasons = left_out(tmp_path / "python")
 
     assert {key for key in reasons if WAYS[key].group == ROS} == {
         "ros2",
@@ -51,15 +52,12 @@ def test_without_an_environment_for_ros_both_of_its_ways_are_left_out(
     assert "make ros" in reasons["rclpy"]
 
 
-def test_an_environment_without_ros_is_left_out_with_what_python_says(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_environment_without_ros_is_left_out_with_what_python_says(tmp_path: Path) -> None:
     python = tmp_path / "python"
     python.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n', encoding="utf-8")
     python.chmod(0o755)
-    monkeypatch.setattr(ways, "ROS_PYTHON", python)
 
-    assert "No module named 'rclpy'" in left_out()["rclpy"]
+    assert "No module named 'rclpy'" in left_out(python)["rclpy"]
 
 
 def test_the_versions_of_what_is_left_out_are_not_asked_for() -> None:
@@ -91,13 +89,13 @@ async def test_a_way_that_does_not_start_says_why() -> None:
 
 @pytest.mark.asyncio
 async def test_a_peer_that_does_not_start_is_left_out_and_the_others_are_measured(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(suite, "WAYS", {"broken": BROKEN, "tasks": WAYS["tasks"]})
+    some = {"broken": BROKEN, "tasks": WAYS["tasks"]}
     without: dict[str, str] = {}
 
     async with AsyncExitStack() as stack:
-        running = await suite._start_all(stack, without)
+        running = await suite.start_all(stack, some, without)
 
     assert set(running) == {"tasks"}
     assert "unknown contender" in without["broken"]
@@ -105,11 +103,7 @@ async def test_a_peer_that_does_not_start_is_left_out_and_the_others_are_measure
 
 
 @pytest.mark.asyncio
-async def test_that_fibaction_itself_does_not_start_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(suite, "WAYS", {"broken": BROKEN._replace(is_ours=True)})
-
+async def test_that_fibaction_itself_does_not_start_is_an_error() -> None:
     with pytest.raises(RuntimeError, match="unknown contender"):
         async with AsyncExitStack() as stack:
-            await suite._start_all(stack, {})
+            await suite.start_all(stack, {"broken": BROKEN._replace(is_ours=True)}, {})

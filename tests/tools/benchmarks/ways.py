@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -72,25 +72,32 @@ class Pair(NamedTuple):
     client: Program
 
 
-def left_out() -> dict[str, str]:
+def left_out(ros_python: Path = ROS_PYTHON) -> dict[str, str]:
     """Return the unavailable ways, each with the reason as a sentence."""
-    reasons: dict[str, str] = {}
-    if find_spec("grpc") is None:
-        reasons["grpc"] = "grpcio is not installed; `make bench` installs it"
-    if find_spec("nats") is None:
-        reasons["nats"] = "nats-py is not installed; `make bench` installs it"
-    elif nats_server() is None:
-        reasons["nats"] = "there is no nats-server; Debian and Ubuntu have it in a package"
-    if why := _no_ros():
+    reasons = left_out_here(lambda name: find_spec(name) is not None, nats_server())
+    if why := no_ros(ros_python):
         reasons |= {key: why for key, way in WAYS.items() if way.group == ROS}
     return reasons
 
 
-def _no_ros() -> str:
-    if not ROS_PYTHON.exists():
+def left_out_here(is_installed: Callable[[str], bool], server: str | None) -> dict[str, str]:
+    """Return the ways that lack a library of this environment, or the program of a server."""
+    reasons: dict[str, str] = {}
+    if not is_installed("grpc"):
+        reasons["grpc"] = "grpcio is not installed; `make bench` installs it"
+    if not is_installed("nats"):
+        reasons["nats"] = "nats-py is not installed; `make bench` installs it"
+    elif server is None:
+        reasons["nats"] = "there is no nats-server; Debian and Ubuntu have it in a package"
+    return reasons
+
+
+def no_ros(python: Path) -> str:
+    """Return the reason why ROS 2 cannot be used with a Python; empty if it can."""
+    if not python.exists():
         return "there is no .venv-ros; `make ros` makes it, on Linux on x86_64"
     looked = subprocess.run(
-        [ROS_PYTHON, "-c", "import rclpy, arduinobot_msgs.action"],
+        [python, "-c", "import rclpy, arduinobot_msgs.action"],
         capture_output=True,
         text=True,
         timeout=LOOK_TIMEOUT,
