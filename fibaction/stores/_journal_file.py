@@ -39,7 +39,9 @@ WHAT_TO_DO = {
 class JournalFile:
     """The open file of a journal. Each method can raise a StoreError."""
 
-    def __init__(self, path: str, sync: str, failing: str = "") -> None:
+    def __init__(
+        self, path: str, sync: str, failing: str = "", *, largest_log: int = LARGEST_LOG
+    ) -> None:
         """Open the file, or make a new one, and lock it. An error begins with what is `failing`.
 
         Raises:
@@ -47,6 +49,7 @@ class JournalFile:
         """
         self._path = path
         self._failing = failing or f"cannot keep goals in {excerpt(path)}"
+        self._largest_log = largest_log
         self._last = 0
         self._logged = 0
         self.size = 0
@@ -174,7 +177,7 @@ class JournalFile:
 
     def _bound_log(self) -> None:
         """Begin the log again when it is large; before a write, so that none fails that is kept."""
-        if self._logged > LARGEST_LOG:
+        if self._logged > self._largest_log:
             self._logged = 0
             begin_log(self._db)
 

@@ -35,7 +35,7 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import send_goal
 from fibaction.cli.verbs.info import print_info
-from fibaction.cli.verbs.send_goal import SendOptions, send
+from fibaction.cli.verbs.send_goal import SendOptions, SendTimes, send
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
@@ -394,21 +394,22 @@ def waiting(**settings: Any) -> ActionServer[Wait, Progress, Waited]:
     return ActionServer(WAIT, wait, **settings)
 
 
-async def send_here(*, timeout: float | None = None) -> int:
-    """Send a goal to the server of a test."""
+async def send_here(*, timeout: float | None = None, **times: float) -> int:
+    """Send a goal to the server of a test, with other times than usual."""
+    options = SendOptions(timeout=timeout)
     with anyio.fail_after(20):
-        return await send("inproc://keys", "wait", "", "", SendOptions(timeout=timeout))
+        return await send("inproc://keys", "wait", "", "", options, SendTimes(**times))
 
 
 @asynccontextmanager
-async def sent_here() -> AsyncGenerator[list[int], None]:
+async def sent_here(**times: float) -> AsyncGenerator[list[int], None]:
     """Sends a goal to the server of a test, and at the end of the block waits until the command has
     ended; its exit code is then in the list.
     """
     codes: list[int] = []
 
     async def run() -> None:
-        codes.append(await send_here())
+        codes.append(await send_here(**times))
 
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(run)
@@ -416,9 +417,9 @@ async def sent_here() -> AsyncGenerator[list[int], None]:
 
 
 @asynccontextmanager
-async def executing(server: Endpoint) -> AsyncGenerator[list[int], None]:
+async def executing(server: Endpoint, **times: float) -> AsyncGenerator[list[int], None]:
     """As `sent_here`, with the server as well; the block begins when it executes the goal."""
-    async with serve(server, "inproc://keys"), sent_here() as codes:
+    async with serve(server, "inproc://keys"), sent_here(**times) as codes:
         await until(server, GoalStatus.EXECUTING)
         yield codes
 
@@ -465,7 +466,6 @@ async def test_the_trace_of_the_environment_goes_with_the_goal(
 async def test_a_goal_that_waits_in_a_queue_tells_its_place(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(send_goal, "QUEUE_PAUSE", 0)
     told = anyio.Event()
 
     def note(text: str) -> None:
@@ -474,10 +474,10 @@ async def test_a_goal_that_waits_in_a_queue_tells_its_place(
 
     monkeypatch.setattr(send_goal, "note", note)
     server = waiting(schedule=Schedule(concurrency=1, queue=5))
-    async with executing(server) as first:
+    async with executing(server, queue=0) as first:
         async with connect("inproc://keys", WAIT) as client:
             other = await client.send_goal(Wait())
-            async with sent_here() as second:
+            async with sent_here(queue=0) as second:
                 with anyio.fail_after(20):
                     await told.wait()
                 assert first == second == []
@@ -489,10 +489,7 @@ async def test_a_goal_that_waits_in_a_queue_tells_its_place(
 
 
 @pytest.mark.asyncio
-async def test_a_goal_of_a_client_that_may_not_observe_goes_on_without_its_place(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(send_goal, "QUEUE_PAUSE", 0)
+async def test_a_goal_of_a_client_that_may_not_observe_goes_on_without_its_place() -> None:
     asked = anyio.Event()
 
     async def forbidden() -> Any:
@@ -500,7 +497,7 @@ async def test_a_goal_of_a_client_that_may_not_observe_goes_on_without_its_place
         raise AuthenticationFailed("this client may not observe")
 
     server = Altered(waiting(), status=forbidden)
-    async with serve(server, "inproc://keys"), sent_here() as codes:
+    async with serve(server, "inproc://keys"), sent_here(queue=0) as codes:
         with anyio.fail_after(20):
             await asked.wait()
         await server.cancel_goals()
@@ -511,9 +508,8 @@ async def test_a_goal_of_a_client_that_may_not_observe_goes_on_without_its_place
 @pytest.mark.asyncio
 @pytest.mark.parametrize("presses", [1, 2])
 async def test_ctrl_c_before_the_answer_withdraws_the_goal(
-    presses: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    presses: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
     server, asked, decide = deciding()
     withdrawn = anyio.Event()
 
@@ -522,7 +518,7 @@ async def test_ctrl_c_before_the_answer_withdraws_the_goal(
         return await server.cancel_goals(goal_id, stamp)  # which waits for the decision
 
     async with serve(Altered(server, cancel_goals=cancel), "inproc://keys"):
-        async with sent_here() as codes:
+        async with sent_here(same_signal=0) as codes:
             await asked.wait()
             signal.raise_signal(signal.SIGINT)
             await withdrawn.wait()
@@ -538,12 +534,11 @@ async def test_ctrl_c_before_the_answer_withdraws_the_goal(
 
 @pytest.mark.asyncio
 async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
     server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
 
-    async with executing(server) as codes:
+    async with executing(server, same_signal=0) as codes:
         signal.raise_signal(signal.SIGINT)
         await until(server, GoalStatus.CANCELING)
         signal.raise_signal(signal.SIGINT)
@@ -554,16 +549,15 @@ async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
 
 @pytest.mark.asyncio
 async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
     asked = anyio.Event()
 
     async def ask(*_: object) -> None:
         asked.set()
         await anyio.sleep_forever()
 
-    async with executing(Altered(waiting(), cancel_goals=ask)) as codes:
+    async with executing(Altered(waiting(), cancel_goals=ask), same_signal=0) as codes:
         signal.raise_signal(signal.SIGINT)
         await asked.wait()
         signal.raise_signal(signal.SIGINT)
@@ -576,16 +570,15 @@ async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
 
 @pytest.mark.asyncio
 async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(send_goal, "SAME_SIGNAL", math.inf)
     server = waiting()
 
     async def cancel(goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
         await anyio.wait_all_tasks_blocked()  # so that the second signal comes first
         return await server.cancel_goals(goal_id, stamp)
 
-    async with executing(Altered(server, cancel_goals=cancel)) as codes:
+    async with executing(Altered(server, cancel_goals=cancel), same_signal=math.inf) as codes:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.raise_signal(number)
 
@@ -595,13 +588,12 @@ async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
 
 @pytest.mark.asyncio
 async def test_a_goal_that_is_not_answered_in_time_is_withdrawn(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     server, _, decide = deciding()
 
     async with serve(server, "inproc://keys"):
-        code = await send_here(timeout=0.1)
+        code = await send_here(timeout=0.1, cancel=0.05)
         decide.set()
 
     assert code == ExitCode.TIMED_OUT
@@ -663,15 +655,13 @@ async def lost(*_: object) -> None:
 )
 async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
     capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
     calls: dict[str, Callable[..., Any]],
     text: str,
 ) -> None:
-    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
 
     async with serve(Altered(server, **calls), "inproc://keys"):
-        code = await send_here(timeout=0.1)
+        code = await send_here(timeout=0.1, cancel=0.05)
 
     assert code == ExitCode.TIMED_OUT
     assert text in capsys.readouterr().err
@@ -702,12 +692,11 @@ async def test_an_output_that_is_closed_cancels_the_goal(
 async def test_an_output_that_is_closed_does_not_wait_for_a_server_that_is_silent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     monkeypatch.setattr(send_goal, "print_goal", closed)
 
     async with serve(Altered(waiting(), cancel_goals=silent), "inproc://keys"):
         with pytest.raises(BrokenPipeError):
-            await send_here()
+            await send_here(cancel=0.05)
 
 
 def test_a_goal_for_an_action_without_schemas_is_sent_as_it_is() -> None:

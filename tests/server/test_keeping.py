@@ -28,13 +28,13 @@ from fibaction import (
     ServerNotFound,
     StoreError,
 )
-from fibaction._runtime import slices
 from fibaction.border.abc import FeedbackItem
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.durability.recovery import ASKED_AT_ONCE
 from fibaction.server.durability.stored_ends import SECOND
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
+from tests.support.slices import let_slices_last
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
@@ -894,7 +894,7 @@ async def test_a_store_that_fails_at_the_start_is_an_error_of_the_start() -> Non
 async def test_a_store_that_fails_while_goals_are_taken_over_is_an_error_of_the_start(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(slices, "SLICE", -1.0)  # the store answers between two goals
+    let_slices_last(monkeypatch, -1.0)  # the store answers between two goals
     store = store_with(*(stored(number=n, is_running=True, attempt=1) for n in range(1, 10)))
     store.fate = lambda _number, _what: Fate.FAILED
     with pytest.raises(StoreError, match="broken"):

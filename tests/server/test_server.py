@@ -33,7 +33,6 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction._runtime import slices
 from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusStream
 from fibaction.server import goal_logs, shutdown
@@ -47,6 +46,7 @@ from fibaction.words.goals import Sender
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.memory_store import MemoryStore
+from tests.support.slices import let_slices_last
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
@@ -352,30 +352,6 @@ async def test_a_stop_that_is_canceled_while_it_waits_for_the_store_ends_all_exe
             assert isinstance(sending.exception(), GoalKept)
             assert executor.cleaning.is_set()
             store.release()
-
-
-async def test_an_executor_that_does_not_end_when_killed_is_abandoned_and_its_goal_named(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", 0.01)
-
-    async def refuses(goal: GoalHandle[Goal]) -> AsyncIterator[Feedback | Result]:
-        while True:
-            try:
-                yield Feedback([])
-                await anyio.sleep(1)
-            except BaseException:  # the mistake that is tested
-                continue
-
-    goal_id = GoalID.random()
-    with anyio.fail_after(5):
-        async with ActionServer(FIBONACCI, refuses, shutdown_timeout=0.01) as server:
-            stream = await server.send_goal(goal_id, packed(1))
-            assert await stream.receive() is not None
-
-    assert (await stream.outcome()).status is GoalStatus.ABORTED
-    (line,) = [text for text in caplog.messages if "is abandoned" in text]
-    assert str(goal_id) in line
 
 
 async def test_only_a_coroutine_that_runs_is_given_up() -> None:
@@ -972,7 +948,7 @@ async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -
 @pytest.fixture
 def no_slice(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every slice is over at once."""
-    monkeypatch.setattr(slices, "SLICE", -1.0)
+    let_slices_last(monkeypatch, -1.0)
 
 
 @pytest.mark.promise("CANCEL-23")

@@ -76,11 +76,11 @@ class Bench:
 
 
 @asynccontextmanager
-async def running() -> AsyncGenerator[Bench, None]:
-    """A crew, closed at the end; all of its tasks must end by that."""
+async def running(**settings: Any) -> AsyncGenerator[Bench, None]:
+    """A crew, closed at the end; all of its tasks must end by that, or after the grace."""
     with anyio.fail_after(5):
         async with anyio.create_task_group() as tasks:
-            bench = Bench(TaskPool(tasks, "worker"))
+            bench = Bench(TaskPool(tasks, "worker", **settings))
             try:
                 await anyio.wait_all_tasks_blocked()  # its group is open then
                 yield bench
@@ -228,17 +228,14 @@ async def test_killing_cancels_what_is_awaited_after_an_interruption() -> None:
         await bench.all_done(2)
 
 
-async def test_jobs_that_never_wait_let_others_have_their_turns(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_jobs_that_never_wait_let_others_have_their_turns() -> None:
     now = 0.0
 
     def clock() -> float:
         return now
 
-    monkeypatch.setattr("fibaction.server.execution.task_pool.perf_counter", clock)
     seen: list[int] = []
-    async with running() as bench:
+    async with running(clock=clock) as bench:
 
         async def job(scopes: CancelOnce) -> None:
             nonlocal now
@@ -254,12 +251,9 @@ async def test_jobs_that_never_wait_let_others_have_their_turns(
     assert max(later - earlier for earlier, later in pairwise([0, *seen])) <= 4
 
 
-async def test_tasks_that_go_on_in_the_same_turn_share_one_slice(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_tasks_that_go_on_in_the_same_turn_share_one_slice() -> None:
     now = 0.0
-    monkeypatch.setattr("fibaction.server.execution.task_pool.perf_counter", lambda: now)
-    async with running() as bench:
+    async with running(clock=lambda: now) as bench:
         for number in range(1, 9):
             bench.add_waiting(number)
         await bench.all_done(8)
@@ -300,11 +294,7 @@ async def test_a_job_of_another_key_does_not_wait_for_all_jobs_of_the_first() ->
 
 
 @pytest.mark.parametrize("is_waiting", [False, True], ids=["catches", "is shielded"])
-async def test_the_owner_ends_without_a_job_that_does_not_end(
-    is_waiting: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    grace = 0.01 if is_waiting else 5
-    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", grace)
+async def test_the_owner_ends_without_a_job_that_does_not_end(is_waiting: bool) -> None:
     seen: list[str] = []
     all_scopes: list[CancelOnce] = []
 
@@ -322,7 +312,7 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(
         bench.note(1)
         seen.append(await Steps(refuses(), scopes, copy_context(), lambda: "given up"))
 
-    async with running() as bench:
+    async with running(grace=0.01 if is_waiting else 5) as bench:
         bench.crew.add(job)
         await bench.all_done(1)
         all_scopes[0].kill()
@@ -342,9 +332,8 @@ async def test_a_job_is_given_up_once() -> None:
     assert given_up == ["it"]
 
 
-async def test_a_job_without_steps_is_left_behind_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", 0.01)
-    async with running() as bench:
+async def test_a_job_without_steps_is_left_behind_as_it_is() -> None:
+    async with running(grace=0.01) as bench:
         bench.add_waiting(1)
         await bench.all_done(1)
     assert bench.done == [1]

@@ -21,7 +21,6 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction._runtime import slices
 from fibaction.border.abc import FeedbackItem, ForwardingEndpoint, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.server import watcher_group
@@ -31,6 +30,7 @@ from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalInfo
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.memory_store import MemoryStore
+from tests.support.slices import let_slices_last
 
 pytestmark = pytest.mark.anyio
 
@@ -145,7 +145,7 @@ async def test_a_watcher_sees_what_a_slow_follower_misses_and_what_is_left_unrea
 async def test_a_watcher_sees_cancels_and_aborts_each_with_its_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(slices, "SLICE", 60.0)  # the executor has no turn during the cancel
+    let_slices_last(monkeypatch, 60.0)  # the executor has no turn during the cancel
     diary = Diary()
     async with ActionServer(FIBONACCI, waits, watchers=[diary]) as server:
         client = ActionClient(server, FIBONACCI)

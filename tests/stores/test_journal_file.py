@@ -102,11 +102,8 @@ def test_rows_can_be_replaced(path: Path) -> None:
     assert stamps(path) == [11]
 
 
-def test_the_log_is_copied_to_the_file_before_it_becomes_large(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(_journal_file, "LARGEST_LOG", 50_000)
-    with closing(JournalFile(str(path), "normal")) as file:
+def test_the_log_is_copied_to_the_file_before_it_becomes_large(path: Path) -> None:
+    with closing(JournalFile(str(path), "normal", largest_log=50_000)) as file:
         for number in range(1, 200):
             add(file, number)
         assert path.with_name("goals.db-wal").stat().st_size < 150_000

@@ -16,7 +16,6 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, SqliteStore, StoreError
-from fibaction.stores import _journal_file
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
@@ -167,10 +166,9 @@ def moments(path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Moment]:
         return db
 
     with monkeypatch.context() as patch:
-        patch.setattr(_journal_file, "LARGEST_LOG", 20_000)
         patch.setattr(sqlite3, "connect", connect)
         for _ in range(3):
-            with closing(JournalFile(str(path), "normal")) as file:
+            with closing(JournalFile(str(path), "normal", largest_log=20_000)) as file:
                 for _ in range(10):
                     add(file, len(told) + 1)
                     told.append(len(told) + 1)
@@ -204,12 +202,9 @@ def test_a_store_without_its_log_is_refused_or_has_all_that_was_told(
     assert len(moments) // 2 < refused < len(moments)
 
 
-def test_sqlite_does_not_copy_the_log_to_the_file_by_itself(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(_journal_file, "LARGEST_LOG", 10**9)
+def test_sqlite_does_not_copy_the_log_to_the_file_by_itself(path: Path, tmp_path: Path) -> None:
     copied = tmp_path / "copied.db"
-    with closing(JournalFile(str(path), "normal")) as file:
+    with closing(JournalFile(str(path), "normal", largest_log=10**9)) as file:
         for number in range(1, 1100):  # more than the pages after which it would
             file.add(encode_row(file.next_number, [WholeRecord("paint", a_goal(number))]))
         copied.write_bytes(path.read_bytes())

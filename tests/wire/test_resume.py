@@ -50,6 +50,7 @@ from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
+from tests.support.slices import let_slices_last
 from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
     ANN,
@@ -617,7 +618,7 @@ async def test_goals_of_lost_connections_are_released_a_few_at_a_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """So that losing a client with thousands of goals does not stop the others."""
-    monkeypatch.setattr("fibaction._runtime.slices.SLICE", 0)
+    let_slices_last(monkeypatch, 0)
     ids = [bytes([number] * 16) for number in range(1, 51)]
     server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
     turns: list[int] = []
@@ -646,7 +647,7 @@ async def test_goals_of_lost_connections_are_released_a_few_at_a_time(
 async def test_all_goals_are_let_go_if_the_task_that_closes_the_server_is_canceled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("fibaction._runtime.slices.SLICE", 0)
+    let_slices_last(monkeypatch, 0)
     ids = [bytes([number] * 16) for number in range(1, 21)]
     server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
     async with serving(server) as served:
@@ -685,7 +686,7 @@ async def test_the_end_of_a_goal_can_be_told_once_more_without_its_feedback() ->
 async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("fibaction._runtime.slices.SLICE", 0)
+    let_slices_last(monkeypatch, 0)
     for turns in range(30):  # at each of which another part of them is released
         server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
         async with serving(server) as served:

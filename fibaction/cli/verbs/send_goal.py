@@ -8,7 +8,7 @@ import re
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import anyio
 import click
@@ -32,14 +32,22 @@ from fibaction.words.errors import ActionError, GoalRejected
 from fibaction.words.goals import CancelCode, GoalID
 from fibaction.words.meta import trace_meta
 
-CANCEL_TIMEOUT = 5.0
-"""Seconds for a goal to be canceled and to end after its --timeout, and for a cancel without which
-the command could end."""
-
-QUEUE_PAUSE = 0.5
-"""Seconds after which the command tells that a goal waits in a queue."""
-
 _TYPE_NAME = re.compile(r"\w+/action/\w+", re.ASCII)
+
+
+class SendTimes(NamedTuple):
+    """The seconds that the command waits."""
+
+    cancel: float = 5.0
+    """For a goal to be canceled and to end after its --timeout, and for a cancel without which the
+    command could end."""
+    queue: float = 0.5
+    """Until the command tells that a goal waits in a queue."""
+    same_signal: float = SAME_SIGNAL
+    """Within which two signals count as one."""
+
+
+USUAL_TIMES = SendTimes()
 
 
 class SendOptions(msgspec.Struct, frozen=True):
@@ -135,13 +143,20 @@ def _text_from(text: str | None, from_stdin: bool, file: Path | None) -> str:
     return text or ""
 
 
-async def send(url: str, name: str, type_name: str, text: str, options: SendOptions) -> int:
+async def send(
+    url: str,
+    name: str,
+    type_name: str,
+    text: str,
+    options: SendOptions,
+    times: SendTimes = USUAL_TIMES,
+) -> int:
     """Send a goal, print its events until it ends, and return the exit code.
 
     Raises:
         Failure, ActionError: It cannot be sent, or cannot be followed to its end.
     """
-    return await _GoalSender(options).run(url, name, type_name, text)
+    return await _GoalSender(options, times).run(url, name, type_name, text)
 
 
 def goal_for(info: ActionInfo, type_name: str, text: str) -> Any:
@@ -163,8 +178,9 @@ def goal_for(info: ActionInfo, type_name: str, text: str) -> Any:
 class _GoalSender:
     """Sends one goal, and ends it early at Ctrl-C or at the timeout."""
 
-    def __init__(self, options: SendOptions) -> None:
+    def __init__(self, options: SendOptions, times: SendTimes) -> None:
         self._options = options
+        self._times = times
         self._printer = goal_printer(
             feedback=options.feedback, as_json=options.as_json, full=options.full
         )
@@ -217,7 +233,7 @@ class _GoalSender:
                     tasks.start_soon(self._tell_place)
                 return await print_goal(stream, action, self._printer, live=live)
         except OSError:
-            with anyio.move_on_after(CANCEL_TIMEOUT):
+            with anyio.move_on_after(self._times.cancel):
                 await self._cancel()  # the reader of the output has gone
             raise
 
@@ -234,7 +250,7 @@ class _GoalSender:
             )
         except get_cancelled_exc_class():
             # It may have arrived, and no client would know of it.
-            self._withdrawal.deadline = anyio.current_time() + CANCEL_TIMEOUT
+            self._withdrawal.deadline = anyio.current_time() + self._times.cancel
             with self._withdrawal, suppress(ActionError):
                 await self._endpoint.cancel_goals(self._goal_id)
             raise
@@ -243,7 +259,7 @@ class _GoalSender:
 
     async def _tell_place(self) -> None:
         """Print the goal's place if it still waits in a queue after a while."""
-        await anyio.sleep(QUEUE_PAUSE)
+        await anyio.sleep(self._times.queue)
         with suppress(ActionError):  # the client may not observe, for example
             with await self._endpoint.status() as statuses:
                 infos = await statuses.listed()
@@ -268,7 +284,7 @@ class _GoalSender:
                 meanwhile.start_soon(self._cancel)  # while the line is broken, it gets no answer
             else:
                 self._all.cancel()
-            while latest - first <= SAME_SIGNAL:
+            while latest - first <= self._times.same_signal:
                 await signals.next()
                 latest = anyio.current_time()
             meanwhile.cancel_scope.cancel()
@@ -280,7 +296,7 @@ class _GoalSender:
         self._late = True
         if self._phase == "accepted":
             note(f"The goal has not ended within {seconds:g} s. Canceling goal...")
-            with anyio.move_on_after(CANCEL_TIMEOUT):
+            with anyio.move_on_after(self._times.cancel):
                 if await self._cancel():
                     await anyio.sleep_forever()
         self._all.cancel()

@@ -55,9 +55,17 @@ task."""
 class TaskPool:
     """A pool of tasks; each runs one job at a time."""
 
-    def __init__(self, owner: TaskGroup, name: str) -> None:
+    def __init__(
+        self,
+        owner: TaskGroup,
+        name: str,
+        *,
+        grace: float = GRACE,
+        clock: Callable[[], float] = perf_counter,
+    ) -> None:
         """Open a pool; `owner` does not end before the pool is closed and the jobs have ended."""
         self._name = name
+        self._clock = clock
         self._jobs: FairQueue[Job] = FairQueue()
         self._idle: list[Notifier] = []
         self._working: set[CancelOnce] = set()
@@ -68,7 +76,7 @@ class TaskPool:
         self._closed = False
         self._tasks: TaskGroup
         self._group = DetachedGroup(
-            owner, name, on_open=self._open, on_overdue=self._abandon, grace=GRACE
+            owner, name, on_open=self._open, on_overdue=self._abandon, grace=grace
         )
 
     def add(self, job: Job, key: Hashable = None) -> None:
@@ -127,12 +135,12 @@ class TaskPool:
     def _begin_slice(self) -> None:
         """Begin the pool's slice in a turn of the event loop of its own."""
         self._is_coming = False
-        self._slice_end = perf_counter() + EXECUTOR_SLICE
+        self._slice_end = self._clock() + EXECUTOR_SLICE
 
     async def _work_off(self, scopes: CancelOnce) -> None:
         """Run jobs until none waits, or until another task is to run them."""
         while self._jobs.count and scopes.phase is USABLE:
-            if perf_counter() >= self._slice_end:
+            if self._clock() >= self._slice_end:
                 if self._is_coming:
                     return
                 self._is_coming = True
