@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -15,14 +14,14 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
-from ros2 import build_interfaces
 from ros2.build_interfaces import (
-    build,
+    Machine,
     environment,
     mend_exports,
     platform_problem,
     problem,
     problem_of,
+    run_all,
 )
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -104,51 +103,30 @@ def test_the_packages_of_this_project_are_interface_packages() -> None:
     assert problem_of(Path(__file__).parent / "ros2" / "fibaction_test_msgs") == ""
 
 
-@pytest.mark.parametrize("python", ["3.11.0", "3.13.9"])
-def test_there_are_wheels_for_linux_on_x86_64(python: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    pretend(monkeypatch, python=python)
+LINUX = Machine("linux", "x86_64", "glibc", "CPython", "3.12.1")
 
-    assert platform_problem() == ""
+
+@pytest.mark.parametrize("python", ["3.11.0", "3.13.9"])
+def test_there_are_wheels_for_linux_on_x86_64(python: str) -> None:
+    assert platform_problem(LINUX._replace(python=python)) == ""
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("system", "darwin"),
-        ("machine", "aarch64"),
+        ("processor", "aarch64"),
         ("libc", "musl"),
         ("implementation", "PyPy"),
         ("python", "3.10.14"),
         ("python", "3.14.0"),
     ],
 )
-def test_where_there_are_no_wheels_it_is_said_where_there_are(
-    name: str, value: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pretend(monkeypatch, **{name: value})
-
-    said = platform_problem()
+def test_where_there_are_no_wheels_it_is_said_where_there_are(name: str, value: str) -> None:
+    said = platform_problem(LINUX._replace(**{name: value}))
 
     assert "on x86_64 and CPython 3.11 to 3.13, and this is" in said
     assert name == "libc" or value in said  # the name of the other libc is not known
-
-
-def pretend(
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    system: str = "linux",
-    machine: str = "x86_64",
-    libc: str = "glibc",
-    implementation: str = "CPython",
-    python: str = "3.12.1",
-) -> None:
-    """Let the script see another machine and Python."""
-    monkeypatch.setattr(sys, "platform", system)
-    monkeypatch.setattr(sys, "version_info", tuple(map(int, python.split("."))))
-    monkeypatch.setattr(platform, "machine", lambda: machine)
-    monkeypatch.setattr(platform, "libc_ver", lambda: (libc, "2.36"))
-    monkeypatch.setattr(platform, "python_implementation", lambda: implementation)
-    monkeypatch.setattr(platform, "python_version", lambda: python)
 
 
 # What is mended
@@ -222,18 +200,14 @@ def test_the_build_sees_the_environment_and_no_other_ros() -> None:
 # What is said of a build that fails
 
 
-def said_of(
-    package: Path, code: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> list[str]:
+def said_of(package: Path, code: str, capsys: pytest.CaptureFixture[str]) -> list[str]:
     """What is printed if some Python is what builds a package, and fails."""
-    command = [sys.executable, "-c", code]
-    monkeypatch.setattr(build_interfaces, "commands", lambda *_: iter([command]))
-    assert not build(package, package.parent)
+    assert not run_all(iter([[sys.executable, "-c", code]]), package, package.parent)
     return capsys.readouterr().out.splitlines()
 
 
 def test_a_package_that_is_used_and_not_named_in_cmakelists_is_told_of_with_where_it_is_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # The first two do not use it.
     for name, text in {
@@ -244,7 +218,7 @@ def test_a_package_that_is_used_and_not_named_in_cmakelists_is_told_of_with_wher
         (tmp_path / "my_msgs" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "my_msgs" / name).write_text(text)
 
-    lines = said_of(tmp_path / "my_msgs", "{}['geometry_msgs']", monkeypatch, capsys)
+    lines = said_of(tmp_path / "my_msgs", "{}['geometry_msgs']", capsys)
 
     assert "KeyError: 'geometry_msgs'" in lines
     assert lines[-1] == (
@@ -258,11 +232,10 @@ def test_a_package_that_is_used_and_not_named_in_cmakelists_is_told_of_with_wher
 def test_of_any_other_failure_all_is_shown(
     tmp_path: Path,
     code: str,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "my_msgs").mkdir()
-    lines = said_of(tmp_path / "my_msgs", code, monkeypatch, capsys)
+    lines = said_of(tmp_path / "my_msgs", code, capsys)
 
     assert {"no such header", "KeyError: 'geometry_msgs'"} & set(lines)
     assert lines[-1] == f"{tmp_path}/my_msgs could not be built: see above"

@@ -22,6 +22,7 @@ import sysconfig
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 PYTHONS = ((3, 11), (3, 13))
 """The first and the last CPython that both fibaction and the wheels support."""
@@ -32,22 +33,34 @@ _PATH = re.compile(
 )
 
 
-def platform_problem() -> str:
-    """Return the reason why no wheels of ROS 2 fit this Python and machine; empty if they fit."""
-    implementation, machine = platform.python_implementation(), platform.machine()
+class Machine(NamedTuple):
+    """A machine, and the Python on it."""
+
+    system: str = sys.platform
+    processor: str = platform.machine()
+    libc: str = platform.libc_ver()[0]
+    implementation: str = platform.python_implementation()
+    python: str = platform.python_version()
+
+
+HERE = Machine()
+
+
+def platform_problem(machine: Machine = HERE) -> str:
+    """Return the reason why no wheels of ROS 2 fit a Python and machine; empty if they fit."""
     first, last = PYTHONS
     if (
-        sys.platform == "linux"
-        and machine == "x86_64"
-        and platform.libc_ver()[0] == "glibc"
-        and implementation == "CPython"
-        and first <= sys.version_info[:2] <= last
+        machine.system == "linux"
+        and machine.processor == "x86_64"
+        and machine.libc == "glibc"
+        and machine.implementation == "CPython"
+        and first <= tuple(map(int, machine.python.split(".")[:2])) <= last
     ):
         return ""
     return (
         "the wheels of ROS 2 are for Linux with glibc on x86_64 and CPython"
         f" {'.'.join(map(str, first))} to {'.'.join(map(str, last))}, and this is"
-        f" {implementation} {platform.python_version()} on {sys.platform}, {machine}"
+        f" {machine.implementation} {machine.python} on {machine.system}, {machine.processor}"
     )
 
 
@@ -147,17 +160,24 @@ def commands(package: Path, prefix: Path, folder: Path) -> Iterator[list[str]]:
 
 def build(package: Path, prefix: Path) -> bool:
     """Build one package. If that fails, print the output of the build, and return False."""
-    variables = environment(prefix, os.environ)
     with TemporaryDirectory() as folder:
-        for command in commands(package, prefix, Path(folder)):
-            run = subprocess.run(
-                command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-            )
-            if run.returncode:
-                reason = unnamed(package, run.stdout) or "see above"
-                print(f"{run.stdout}\n{package} could not be built: {reason}")
-                return False
+        if not run_all(commands(package, prefix, Path(folder)), package, prefix):
+            return False
     print(f"{package} is built, and installed in {prefix}")
+    return True
+
+
+def run_all(steps: Iterator[list[str]], package: Path, prefix: Path) -> bool:
+    """Run the commands that build a package. If one fails, print its output, and return False."""
+    variables = environment(prefix, os.environ)
+    for command in steps:
+        run = subprocess.run(
+            command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        if run.returncode:
+            reason = unnamed(package, run.stdout) or "see above"
+            print(f"{run.stdout}\n{package} could not be built: {reason}")
+            return False
     return True
 
 

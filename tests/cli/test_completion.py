@@ -64,17 +64,14 @@ def test_click_has_a_script_for_each_shell(here: Run) -> None:
         assert "_FIBACTION_COMPLETE" in out, err
 
 
-def test_a_server_that_does_not_answer_is_not_waited_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(completion, "TIMEOUT", 0.05)
+def test_a_server_that_does_not_answer_is_not_waited_for() -> None:
     listening: list[str] = []
 
     async def silence() -> list[str]:
         async with await anyio.create_tcp_listener(local_host="127.0.0.1") as on_next:
             port = on_next.extra(anyio.abc.SocketAttribute.local_port)
             listening.append(f"tcp://127.0.0.1:{port}")
-            return [info.name for info in await completion.actions_at(listening[0])]
+            return [info.name for info in await completion.actions_at(listening[0], 0.05)]
 
     assert anyio.run(silence) == []
 
@@ -132,11 +129,8 @@ def test_ids_of_goals_are_offered_where_one_is_needed(here: Run, tcp: str, nobod
     here("cancel", running, url=tcp)
 
 
-def test_a_server_that_does_not_list_its_goals_is_not_waited_for(
-    monkeypatch: pytest.MonkeyPatch, tcp: str
-) -> None:
-    monkeypatch.setattr(completion, "TIMEOUT", 0)
-    assert anyio.run(completion.goals_at, tcp, None) == []
+def test_a_server_that_does_not_list_its_goals_is_not_waited_for(tcp: str) -> None:
+    assert anyio.run(completion.goals_at, tcp, None, 0) == []
 
 
 def test_names_of_addresses_are_completed_and_used(
@@ -179,25 +173,17 @@ HOSTILE = [
 ]
 
 
-def test_names_that_a_shell_would_change_are_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_that_a_shell_would_change_are_not_offered() -> None:
     good = [ActionInfo("d"), ActionInfo("/arm/pick_up2", "arm/action/Pick")]
+    wrong = [ActionInfo(name) for name in HOSTILE]
 
-    async def hostile(_: str) -> list[ActionInfo]:
-        wrong = [ActionInfo(name) for name in HOSTILE]
-        return [*wrong, *good, *[ActionInfo("c", name) for name in HOSTILE]]
-
-    monkeypatch.setattr(completion, "actions_at", hostile)
-
-    assert completion.reachable("tcp://robot") == good
+    assert completion.plain([*wrong, *good, *[ActionInfo("c", name) for name in HOSTILE]]) == good
 
 
-def test_the_names_of_many_actions_are_offered_in_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def many(_: str) -> list[ActionInfo]:
-        return [ActionInfo(f"a{number}") for number in range(completion.MOST + 1)]
+def test_the_names_of_many_actions_are_offered_in_part() -> None:
+    many = [ActionInfo(f"a{number}") for number in range(completion.MOST + 1)]
 
-    monkeypatch.setattr(completion, "actions_at", many)
-
-    assert len(completion.reachable("tcp://robot")) == completion.MOST
+    assert completion.plain(many) == many[:-1]
 
 
 def test_what_is_reachable_is_listed(tcp: str) -> None:

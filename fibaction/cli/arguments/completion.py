@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -139,14 +140,14 @@ def _goal_ids(ctx: click.Context, name: str | None, *, active: bool) -> list[str
     return [row.goal_id for row in reversed(rows) if row.info.status.is_active or not active][:MOST]
 
 
-async def goals_at(url: str, name: str | None) -> list[GoalRow]:
+async def goals_at(url: str, name: str | None, timeout: float = TIMEOUT) -> list[GoalRow]:
     """Return the goals of an action, or of all, at a URL; none without an answer in time.
 
     Raises:
         ActionError: There is no server, or the URL cannot be used.
         Failure: The action is not served.
     """
-    with anyio.move_on_after(TIMEOUT):
+    with anyio.move_on_after(timeout):
         async with connect(url) as connection:
             return await goals_of(await ActionClients(connection, name).now())
     return []
@@ -158,20 +159,24 @@ def reachable(url: str) -> list[ActionInfo]:
     There are none if the server cannot be asked.
     """
     try:
-        infos = anyio.run(actions_at, url)
+        return plain(anyio.run(actions_at, url))
     except ActionError:
         return []
-    plain = (info for info in infos if _PLAIN.fullmatch(info.name))
-    return list(islice((info for info in plain if _PLAIN.fullmatch(info.type_name)), MOST))
 
 
-async def actions_at(url: str) -> list[ActionInfo]:
-    """Return the actions at a URL; none if there is no answer within `TIMEOUT`.
+def plain(infos: Iterable[ActionInfo]) -> list[ActionInfo]:
+    """Return the first `MOST` actions whose names and types mean themselves in a shell."""
+    named = (info for info in infos if _PLAIN.fullmatch(info.name))
+    return list(islice((info for info in named if _PLAIN.fullmatch(info.type_name)), MOST))
+
+
+async def actions_at(url: str, timeout: float = TIMEOUT) -> list[ActionInfo]:
+    """Return the actions at a URL; none if there is no answer in time.
 
     Raises:
         ActionError: There is no server, or the URL cannot be used.
     """
-    with anyio.move_on_after(TIMEOUT):
+    with anyio.move_on_after(timeout):
         async with connect(url) as connection:
             return await connection.actions()
     return []
