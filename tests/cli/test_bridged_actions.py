@@ -11,7 +11,6 @@ from fibaction import Action, ActionInfo, ActionServer
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection, Endpoint, ForwardingEndpoint
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
-from fibaction.cli.bridge import actions as actions_module
 from fibaction.cli.bridge.actions import LOOKS, BridgedActions
 from fibaction.cli.bridge.ends import BridgeEnd
 from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
@@ -140,9 +139,8 @@ async def test_an_action_whose_name_is_taken_waits_for_it(
 
 
 async def test_changes_are_followed_and_told_while_the_server_may_be_away(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(actions_module, "PERIOD", 0.0)
     house, end = House(["a", "b\x1b"], None, ["a"], ["a"], ["a"]), End()
     actions = BridgedActions(house, Renames(ROOT, Namespace("/lab")), end)
     await actions.take(infos("a"))
@@ -158,9 +156,8 @@ async def test_changes_are_followed_and_told_while_the_server_may_be_away(
 
 
 async def test_an_action_that_comes_back_with_other_types_is_told(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(actions_module, "PERIOD", 0.0)
     house, end = House(["a b/action/C"], ["a b/action/C"]), End()
     actions = BridgedActions(house, AS_THEY_ARE, end)
     await actions.take(infos("a"))
@@ -172,6 +169,6 @@ async def test_an_action_that_comes_back_with_other_types_is_told(
 async def follow_to_the_end(actions: BridgedActions, house: House) -> None:
     with anyio.fail_after(10):
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(actions.follow)
+            tasks.start_soon(actions.follow, 0.0)
             await house.changed.wait()
             tasks.cancel_scope.cancel()

@@ -167,7 +167,7 @@ class Asked(Served):
 
 @pytest.mark.asyncio
 async def test_what_is_served_follows_what_can_be_reached(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     served = Asked(counter("one"))
     found = console.ReachableActions(served)
@@ -175,9 +175,8 @@ async def test_what_is_served_follows_what_can_be_reached(
     assert list(found.endpoints) == ["one"]
     before = found.endpoints["one"]
 
-    monkeypatch.setattr(console, "PERIOD", 0.001)
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(found.follow)
+        tasks.start_soon(found.follow, 0.001)
         served.unusable.add("broken")
         served.servers |= {name: counter(name) for name in ("other", "broken")}
         await served.asked_again()

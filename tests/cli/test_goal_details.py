@@ -8,7 +8,6 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, GoalID, GoalStatus, Outcome
-from fibaction.cli.output import goal_details
 from fibaction.cli.output.goal_details import Detail, GoalDetails
 from fibaction.observe.monitor import GoalKey, Monitor
 
@@ -55,11 +54,10 @@ class Answering(Monitor):
     ],
 )
 async def test_the_end_of_a_goal_is_its_reason_and_its_result(
-    outcome: Any, expected: Detail, monkeypatch: pytest.MonkeyPatch
+    outcome: Any, expected: Detail
 ) -> None:
-    if outcome is Ellipsis:
-        monkeypatch.setattr(goal_details, "DETAILS_TIMEOUT", 0.01)
-    details = GoalDetails(Answering(outcome))
+    timeout = 0.01 if outcome is Ellipsis else 10
+    details = GoalDetails(Answering(outcome), timeout)
     await details.ask(details.unknown([ONE], []))
 
     assert details.end(ONE) == expected

@@ -7,7 +7,6 @@ import pytest
 
 from fibaction import ActionClient, GoalAborted, GoalStatus, UnknownGoal
 from fibaction.cli.arguments.goal_lookup import goals_of
-from fibaction.cli.output import outcomes
 from fibaction.cli.output.outcomes import Outcomes
 from fibaction.observe.monitor import AnyClient
 from tests.cli.served import Altered, counter
@@ -15,9 +14,7 @@ from tests.cli.served import Altered, counter
 pytestmark = pytest.mark.asyncio
 
 
-async def test_goals_that_have_ended_have_a_reason_or_a_result(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_goals_that_have_ended_have_a_reason_or_a_result() -> None:
     ends = (["done\x1b"], [GoalAborted("stuck")], [GoalAborted("")], [anyio.Event()])
     server = counter("count", *ends)
     async with server:
@@ -37,15 +34,11 @@ async def test_goals_that_have_ended_have_a_reason_or_a_result(
         assert empty is not None
         assert running is None
 
-        monkeypatch.setattr(outcomes, "MOST_ENDS", 1)
-        newest = await Outcomes().of(clients, rows)
+        newest = await Outcomes(1).of(clients, rows)
         assert [row.outcome is not None for row in newest] == [False, False, True, False]
 
 
-async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(outcomes, "ENDS_TIMEOUT", 0.01)
+async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list() -> None:
     async with counter("count", ["done"]) as server:
         altered = Altered(server)
         client = ActionClient(altered, server.action)
@@ -60,7 +53,7 @@ async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list(
 
         for answer in (forgotten, silent):
             altered.calls["get_result"] = answer
-            assert await Outcomes().of({"count": client}, rows) == rows
+            assert await Outcomes().of({"count": client}, rows, 0.01) == rows
 
 
 async def test_an_outcome_is_asked_for_once_while_its_goal_is_listed() -> None:

@@ -51,10 +51,10 @@ class BridgedActions:
         """The endpoints that are served, under their new names."""
         return [one.endpoint for one in self._served.values()]
 
-    async def follow(self) -> None:
+    async def follow(self, period: float = PERIOD) -> None:
         """Look for actions that have come or gone, until canceled."""
         while True:
-            await anyio.sleep(PERIOD)
+            await anyio.sleep(period)
             try:
                 infos = await self._connection.actions()
             except ActionError:

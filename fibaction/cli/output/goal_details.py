@@ -47,8 +47,9 @@ class DetailQuestion(NamedTuple):
 class GoalDetails:
     """The ends of goals, and the goals as they were sent."""
 
-    def __init__(self, monitor: Monitor) -> None:
+    def __init__(self, monitor: Monitor, timeout: float = DETAILS_TIMEOUT) -> None:
         self._monitor = monitor
+        self._timeout = timeout
         self._ends: dict[GoalKey, Detail] = {}
         self._requests: dict[GoalKey, Detail] = {}
 
@@ -84,7 +85,7 @@ class GoalDetails:
 
         async def ask(question: DetailQuestion) -> None:
             async with limit:
-                question.answers[question.key] = await _answer(question)
+                question.answers[question.key] = await _answer(question, self._timeout)
 
         async with anyio.create_task_group() as tasks:
             for question in questions:
@@ -102,10 +103,10 @@ class GoalDetails:
         return _ASKED if goal is None else Detail("", f"Goal:\n{as_yaml(goal, indent=2)}")
 
 
-async def _answer(question: DetailQuestion) -> Detail:
+async def _answer(question: DetailQuestion, timeout: float) -> Detail:
     """Return the answer; the reason instead, if it cannot be had."""
-    reason = f"there was no answer within {DETAILS_TIMEOUT:g} s"
-    with anyio.move_on_after(DETAILS_TIMEOUT):
+    reason = f"there was no answer within {timeout:g} s"
+    with anyio.move_on_after(timeout):
         try:
             return await question.ask(question.key)
         except ActionError as exc:

@@ -25,7 +25,8 @@ ENDS_TIMEOUT = 2.0
 class Outcomes:
     """The outcomes of the newest goals that have ended, each asked for once."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = MOST_ENDS) -> None:
+        self._most = most
         self._known: dict[GoalID, Outcome[Any]] = {}
 
     async def of(
@@ -35,7 +36,7 @@ class Outcomes:
         timeout: float = ENDS_TIMEOUT,
     ) -> list[GoalRow]:
         """Return the rows, those of the newest goals that have ended with their outcomes."""
-        newest = [row for row in rows if not row.info.status.is_active][-MOST_ENDS:]
+        newest = [row for row in rows if not row.info.status.is_active][-self._most :]
         ids = {row.info.goal_id for row in newest}
         self._known = {key: one for key, one in self._known.items() if key in ids}
         limit = anyio.CapacityLimiter(MOST_AT_ONCE)

@@ -127,10 +127,10 @@ class ReachableActions:
         except TransportError as exc:
             note(f"{shown(info.name)} is left out: {message_of(exc)}")
 
-    async def follow(self) -> None:
+    async def follow(self, period: float = PERIOD) -> None:
         """Look for actions that have come or gone, until canceled."""
         while True:
-            await anyio.sleep(PERIOD)
+            await anyio.sleep(period)
             try:
                 infos = await self._connection.actions()
             except ActionError:

@@ -8,7 +8,6 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction_transports.mcp import list_changes
 from fibaction_transports.mcp.list_changes import SESSION_HEADER, ListChanges
 
 pytestmark = pytest.mark.asyncio
@@ -49,11 +48,8 @@ async def test_each_client_is_told_once_by_its_newest_session() -> None:
     assert (new.told, other.told) == (1, 1)
 
 
-async def test_sessions_over_http_are_kept_apart_and_limited(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(list_changes, "MOST_SESSIONS", 2)
-    changes, sessions = ListChanges(), [Session() for _ in range(3)]
+async def test_sessions_over_http_are_kept_apart_and_limited() -> None:
+    changes, sessions = ListChanges(most_sessions=2), [Session() for _ in range(3)]
     async with changes.connection() as identity:
         for number, session in enumerate(sessions):
             changes.note(request(session, identity, f"session {number}"))
@@ -61,11 +57,9 @@ async def test_sessions_over_http_are_kept_apart_and_limited(
     assert [session.told for session in sessions] == [0, 1, 1]
 
 
-async def test_a_client_that_does_not_read_holds_no_other_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(list_changes, "TELL_TIMEOUT", 0.02)
-    changes, deaf, other = ListChanges(), Session(reads=False), Session()
+async def test_a_client_that_does_not_read_holds_no_other_up() -> None:
+    changes = ListChanges(tell_timeout=0.02)
+    deaf, other = Session(reads=False), Session()
     async with changes.connection() as one, changes.connection() as two:
         changes.note(request(deaf, one))
         changes.note(request(other, two))

@@ -26,7 +26,11 @@ SESSION_HEADER = "mcp-session-id"
 class ListChanges:
     """The clients that know the list of tools."""
 
-    def __init__(self) -> None:
+    def __init__(
+        self, *, most_sessions: int = MOST_SESSIONS, tell_timeout: float = TELL_TIMEOUT
+    ) -> None:
+        self._most_sessions = most_sessions
+        self._tell_timeout = tell_timeout
         self._bus = InMemorySubscriptionBus()
         self.listen = ListenHandler(self._bus)
         """The handler of `subscriptions/listen`."""
@@ -49,13 +53,13 @@ class ListChanges:
         key = headers.get(SESSION_HEADER, context.lifespan_context)
         self._sessions.pop(key, None)
         self._sessions[key] = context.session
-        if len(self._sessions) > MOST_SESSIONS:
+        if len(self._sessions) > self._most_sessions:
             del self._sessions[next(iter(self._sessions))]
 
     async def tell(self) -> None:
         """Tell all clients that the list has changed."""
         await self._bus.publish(ToolsListChanged())
-        with anyio.move_on_after(TELL_TIMEOUT):
+        with anyio.move_on_after(self._tell_timeout):
             async with anyio.create_task_group() as tasks:
                 for session in self._sessions.values():
                     tasks.start_soon(session.send_tool_list_changed)
