@@ -8,6 +8,7 @@ import pytest
 
 from fibaction.wire import link
 from fibaction.wire.server import session_goals
+from tests.support.slices import SliceClock
 
 
 @pytest.fixture(params=["asyncio", "trio"])
@@ -16,7 +17,9 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.fixture(autouse=True)
-def time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no slice end, however busy the machine is; tests of slices have clocks of their own."""
+def slice_clock(monkeypatch: pytest.MonkeyPatch) -> SliceClock:
+    """Let no slice end, however busy the machine is; tests of slices let the clock advance."""
+    clock = SliceClock()
     for module in (link, session_goals):
-        monkeypatch.setattr(module, "perf_counter", lambda: 0.0)
+        monkeypatch.setattr(module, "perf_counter", clock)
+    return clock

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import count
 from typing import Any
 
 import anyio
@@ -11,11 +10,11 @@ import anyio.lowlevel
 import pytest
 
 from fibaction._runtime.slices import SLICE
-from fibaction.wire import link as module
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
 from fibaction.wire.link import Link
 from fibaction.wire.messages import ListActions
 from fibaction.words.errors import ConnectionLost, ProtocolError
+from tests.support.slices import SliceClock
 from tests.wire.ends import BOB, held, serving
 from tests.wire.memory import LONG, settled
 
@@ -28,10 +27,9 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.fixture
-def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+def slow(slice_clock: SliceClock) -> None:
     """Each look at the clock takes half a slice."""
-    times = count(step=SLICE / 2)
-    monkeypatch.setattr(module, "perf_counter", lambda: next(times))
+    slice_clock.step = SLICE / 2
 
 
 class Handed(Line):
@@ -80,11 +78,8 @@ async def test_after_a_slice_the_rest_of_the_frames_goes_back_to_the_line() -> N
         tasks.cancel_scope.cancel()
 
 
-async def test_a_frame_is_handled_in_each_turn_however_slow_it_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    times = count(step=2 * SLICE)
-    monkeypatch.setattr(module, "perf_counter", lambda: next(times))
+async def test_a_frame_is_handled_in_each_turn_however_slow_it_is(slice_clock: SliceClock) -> None:
+    slice_clock.step = 2 * SLICE
     heard: list[bytes] = []
     async with anyio.create_task_group() as tasks:
         line, _ = await running(heard.append, tasks)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from itertools import count
 from typing import Any
 
 import anyio
@@ -38,10 +37,10 @@ from fibaction.wire.messages import (
     WatchStatus,
     Why,
 )
-from fibaction.wire.server import session_goals
 from fibaction.wire.settings import Limits
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
+from tests.support.slices import SliceClock
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -431,10 +430,9 @@ async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
         assert not server._parts.logs._statuses.is_followed
 
 
-async def test_a_write_ends_when_it_has_taken_a_slice(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_write_ends_when_it_has_taken_a_slice(slice_clock: SliceClock) -> None:
     """So that the goals of one connection leave the others their turns."""
-    times = count(step=SLICE / 2)  # each look at the clock takes half a slice
-    monkeypatch.setattr(session_goals, "perf_counter", lambda: next(times))
+    slice_clock.step = SLICE / 2  # each look at the clock takes half a slice
     async with serving(held()) as served:
         client = await served.greet()
         before = len(client.channel.writes)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio  # noqa: TID251  # what is tested is for asyncio only
 import gc
-import itertools
 import socket
 import struct
 from collections.abc import AsyncGenerator, Callable
@@ -26,6 +25,7 @@ from fibaction_transports._socket_lines import on_asyncio, protocol_line
 from fibaction_transports._socket_lines.on_asyncio import accept, dial_tcp, dial_unix
 from fibaction_transports._socket_lines.protocol_line import ProtocolLine
 from fibaction_transports._socket_lines.sockets import BATCH
+from tests.support.slices import SliceClock
 
 pytestmark = pytest.mark.asyncio
 
@@ -35,9 +35,11 @@ RESET = struct.pack("ii", 1, 0)
 
 
 @pytest.fixture(autouse=True)
-def time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no slice end, however busy the machine is; tests of slices have clocks of their own."""
-    monkeypatch.setattr(protocol_line, "perf_counter", lambda: 0.0)
+def slice_clock(monkeypatch: pytest.MonkeyPatch) -> SliceClock:
+    """Let no slice end, however busy the machine is; tests of slices let the clock advance."""
+    clock = SliceClock()
+    monkeypatch.setattr(protocol_line, "perf_counter", clock)
+    return clock
 
 
 class End:
@@ -263,12 +265,6 @@ async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progre
         assert end.line.progress == len(wanted)
 
 
-def use_up_each_slice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a line use up the whole slice whenever it handles anything."""
-    clock = itertools.count()
-    monkeypatch.setattr(protocol_line, "perf_counter", lambda: float(next(clock)))
-
-
 def giving_back(end: End, most: int = 1) -> None:
     """Let an end handle so many frames at once, and give the others back."""
 
@@ -294,9 +290,9 @@ async def test_frames_that_are_given_back_come_again_one_turn_later_and_nothing_
 
 
 async def test_lines_with_frames_left_share_a_slice_of_each_turn_of_the_loop(
-    monkeypatch: pytest.MonkeyPatch,
+    slice_clock: SliceClock,
 ) -> None:
-    use_up_each_slice(monkeypatch)
+    slice_clock.step = 1.0  # more than a slice
     async with listening() as (address, ends):
         peers = [socket.create_connection(address) for _ in range(3)]
         await until(lambda: len(ends) == 3)
@@ -316,9 +312,9 @@ async def test_lines_with_frames_left_share_a_slice_of_each_turn_of_the_loop(
 
 
 async def test_of_many_lines_with_news_in_one_turn_the_later_ones_handle_one_frame_each(
-    monkeypatch: pytest.MonkeyPatch,
+    slice_clock: SliceClock,
 ) -> None:
-    use_up_each_slice(monkeypatch)
+    slice_clock.step = 1.0  # more than a slice
     async with listening() as (address, ends), anyio.create_task_group() as tasks:
         peers = [socket.create_connection(address) for _ in range(3)]
         await until(lambda: len(ends) == 3)
@@ -339,9 +335,9 @@ async def test_of_many_lines_with_news_in_one_turn_the_later_ones_handle_one_fra
 
 
 async def test_lines_that_have_ended_take_no_turn_of_the_others(
-    monkeypatch: pytest.MonkeyPatch,
+    slice_clock: SliceClock,
 ) -> None:
-    use_up_each_slice(monkeypatch)
+    slice_clock.step = 1.0  # more than a slice
     async with listening() as (address, ends):
         peers = [socket.create_connection(address) for _ in range(20)]
         await until(lambda: len(ends) == 20)
@@ -406,10 +402,9 @@ async def test_frames_that_arrived_before_it_runs_may_be_given_back_as_well() ->
                 end.stop()
 
 
-async def test_writing_ends_after_a_slice_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    times = itertools.count(step=SLICE / 2)
+async def test_writing_ends_after_a_slice_of_time(slice_clock: SliceClock) -> None:
     async with pair() as (one, other):
-        monkeypatch.setattr(protocol_line, "perf_counter", lambda: next(times))
+        slice_clock.step = SLICE / 2
         one.to_say = [[b"%d" % number] for number in range(6)]
         one.line.wake_writer(at_once=True)
         assert len(one.to_say) == 4
