@@ -20,10 +20,8 @@ from tests.support.memory_broker import MemoryBrokers
 FEWER = "FIBACTION_EXAMPLES" in os.environ
 """True where the tests run once more, with other versions."""
 SEEDS = range(1000, 1006 if FEWER else 1030)
-FIRST = 1000
-"""A seed from which on each mistake is found in at most ten seeds; others take many more."""
-MOST = 200
-"""Seeds in which a mistake has to be found; most are found in the first ones."""
+MANY = range(1000, 1200)
+"""Seeds in which a mistake has to be found."""
 
 
 @pytest.mark.promise("FLEET-1", "FLEET-2", "FLEET-4", "FLEET-5")
@@ -102,20 +100,21 @@ def leaves_the_goals_of_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.timeout(180)  # many seeds, on a busy machine
 @pytest.mark.parametrize(
-    "mistake",
+    ("mistake", "known"),
     [
-        stores_whatever_comes,
-        never_fences_itself,
-        joins_again_at_once,
-        says_too_early_that_a_checkpoint_is_kept,
-        takes_goals_of_workers_that_live,
-        leaves_the_goals_of_the_lost,
+        (stores_whatever_comes, 1002),
+        (never_fences_itself, 1006),
+        (joins_again_at_once, 1088),
+        (says_too_early_that_a_checkpoint_is_kept, 1001),
+        (takes_goals_of_workers_that_live, 1003),
+        (leaves_the_goals_of_the_lost, 1001),
     ],
 )
-def test_a_mistake_is_found(mistake: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mistake_is_found(mistake: Any, known: int, monkeypatch: pytest.MonkeyPatch) -> None:
     mistake(monkeypatch)
 
-    assert any(simulate(seed).violations for seed in range(FIRST, FIRST + MOST))
+    # The seed that has found it comes first: after a change of the product it may be another one.
+    assert any(simulate(seed).violations for seed in (known, *MANY))
 
 
 def test_the_program_tells_what_it_has_seen(capsys: pytest.CaptureFixture[str]) -> None:
