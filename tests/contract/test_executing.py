@@ -167,7 +167,7 @@ async def test_the_executor_knows_its_goal(reach: Reach) -> None:
 
 @pytest.mark.load
 @pytest.mark.promise("GOAL-1", "GOAL-3", "GOAL-4", "STOP-9")
-async def test_a_thousand_goals_at_once_all_end_once_though_a_third_is_canceled(
+async def test_hundreds_of_goals_at_once_all_end_once_though_a_third_is_canceled(
     reach: Reach,
 ) -> None:
     ends: dict[bytes, list[str]] = {}
@@ -199,10 +199,10 @@ async def test_a_thousand_goals_at_once_all_end_once_though_a_third_is_canceled(
 
     async with reach(ActionServer(FIBONACCI, works)) as client:
         async with anyio.create_task_group() as tasks:
-            for number in range(1000):
+            for number in range(300):
                 tasks.start_soon(one, number)
-    assert len(statuses) == 1000
+    assert len(statuses) == 300
     assert set(statuses) == {GoalStatus.SUCCEEDED, GoalStatus.CANCELED}
-    assert statuses.count(GoalStatus.CANCELED) >= 112  # these wait for it; others race against it
+    assert statuses.count(GoalStatus.CANCELED) >= 34  # these wait for it; others race against it
     # A goal that was canceled before its executor started has never run.
     assert all(end == ["ended"] for end in ends.values())

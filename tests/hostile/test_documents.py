@@ -27,7 +27,7 @@ from tests.transports.web.rosbridge.clients import socket_client
 
 pytestmark = pytest.mark.asyncio
 
-SIZE = 2**18
+SIZE = 2**17
 """Bytes of the largest message."""
 Door: TypeAlias = Callable[[], AbstractAsyncContextManager[Callable[[Document, str], Any]]]
 
