@@ -219,10 +219,13 @@ def test_a_port_that_is_half_taken_is_passed_over(domain: int) -> None:
         sockets.close()
 
 
-def test_a_full_domain_is_an_error(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sockets_module, "PARTICIPANTS", range(0))
-    with pytest.raises(TransportError, match=f"all ports of domain {domain} are taken"):
-        ParticipantSockets(domain, is_local=True, interfaces=())
+def test_a_full_domain_is_an_error(domain: int) -> None:
+    with ExitStack() as stack:
+        for _ in PARTICIPANTS:
+            sockets = ParticipantSockets(domain, is_local=True, interfaces=())
+            stack.callback(sockets.close)
+        with pytest.raises(TransportError, match=f"all ports of domain {domain} are taken"):
+            ParticipantSockets(domain, is_local=True, interfaces=())
     assert len(PARTICIPANTS) == 120
 
 
@@ -240,11 +243,12 @@ def test_an_interface_that_is_not_there_is_an_error(domain: int, interface: str)
         ParticipantSockets(domain, is_local=False, interfaces=[interface])
 
 
-def test_what_cannot_be_sent_is_lost(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_sent_is_lost(domain: int) -> None:
     sockets = ParticipantSockets(domain, is_local=True, interfaces=())
     sockets.send(b"x", ("192.0.2.1", 9))  # another network, from a loopback address
     sockets.send(b"x", ("239.255.0.1", multicast_port(domain)))  # no interface
-    monkeypatch.setattr(sockets, "received", [BlockedSocket()])
+    blocked: Any = BlockedSocket()
+    sockets.received = [blocked]
     with pytest.raises(BlockingIOError):
         sockets.send(b"x", ("127.0.0.1", 9))
     sockets.close()
