@@ -10,6 +10,7 @@ from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 import anyio
+import pytest
 
 from fibaction import (
     Action,
@@ -24,6 +25,7 @@ from fibaction import (
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection, Endpoint, StatusStream
 from fibaction.border.endpoints import ForwardingEndpoint
+from fibaction.observe import action_listener
 from fibaction.testing import ScriptedServer
 
 
@@ -31,6 +33,11 @@ def counter(name: str, *scripts: Any) -> ScriptedServer[int, int, str]:
     """A server of that name; without a script, its goals give feedback 11 and go on for ever."""
     action = Action(name, goal=int, feedback=int, result=str)
     return ScriptedServer(action, *(scripts or ([11, anyio.Event()],)))
+
+
+def look_often(monkeypatch: pytest.MonkeyPatch, seconds: float = 0.02) -> None:
+    """Let those who follow actions look for them so often."""
+    monkeypatch.setattr(action_listener, "PERIOD", seconds)
 
 
 class Altered(ForwardingEndpoint):

@@ -16,9 +16,8 @@ from fibaction.cli.output.lines import LogHandler
 from fibaction.cli.output.screen import TopScreen
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import top
-from fibaction.observe import action_listener
 from tests.cli.conftest import Invoke, Open, Robot, Run, detached
-from tests.cli.served import Altered, Served, counter
+from tests.cli.served import Altered, Served, counter, look_often
 
 NEEDS_TERMINAL = (
     "Error: fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not\n"
@@ -178,7 +177,7 @@ def without_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         await run_async(self, headless=True)
 
     monkeypatch.setattr(TopScreen, "run_async", run)
-    monkeypatch.setattr(action_listener, "PERIOD", 0.05)
+    look_often(monkeypatch)
 
 
 @pytest.mark.asyncio

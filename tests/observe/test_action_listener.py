@@ -27,12 +27,12 @@ from fibaction.observe.action_listener import (
     follow_action,
     follow_actions,
 )
-from tests.cli.served import Altered, Heard, Served, counter
+from tests.cli.served import Altered, Heard, Served, counter, look_often
 
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(action_listener, "PERIOD", 0.02)
+    look_often(monkeypatch)
 
 
 class Recorder(ActionListener):

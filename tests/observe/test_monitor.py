@@ -8,7 +8,6 @@ import anyio
 import msgspec
 import pytest
 
-import fibaction.observe.action_listener
 from fibaction import (
     Action,
     ActionInfo,
@@ -24,7 +23,7 @@ from fibaction.client.events import GoalFeedback
 from fibaction.observe import monitor as monitor_module
 from fibaction.observe.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
 from fibaction.observe.monitor_records import Rate
-from tests.cli.served import Altered, Heard, Served, counter
+from tests.cli.served import Altered, Heard, Served, counter, look_often
 
 ID = GoalID(b"\x01" * 16)
 OTHER = GoalID(b"\x02" * 16)
@@ -43,7 +42,7 @@ def feedback(number: int) -> GoalFeedback[int]:
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(monitor_module, "PERIOD", 0.02)
-    monkeypatch.setattr(fibaction.observe.action_listener, "PERIOD", 0.02)
+    look_often(monkeypatch)
 
 
 @pytest.fixture

@@ -24,7 +24,6 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
-from fibaction.observe import action_listener
 from fibaction.observe.recordings import remote_recorder
 from fibaction.observe.recordings.recorder import Recorder
 from fibaction.observe.recordings.recording_file import Record, read_records
@@ -33,7 +32,7 @@ from fibaction.observe.recordings.replay import replayed
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, TransportError, UnknownGoal
 from fibaction.words.goals import GoalID
-from tests.cli.served import Served, counter
+from tests.cli.served import Served, counter, look_often
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
@@ -54,7 +53,7 @@ def path(tmp_path: Path) -> Path:
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """The recorder looks for new actions, and for its end, at once."""
-    monkeypatch.setattr(action_listener, "PERIOD", 0.01)
+    look_often(monkeypatch)
     monkeypatch.setattr(remote_recorder, "RETRY_PAUSE", 0.01)
 
 
