@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import json
 import signal
-import sys
 from collections.abc import Callable
+from contextlib import redirect_stderr
 from functools import partial
 
 import anyio
@@ -250,7 +250,6 @@ async def test_remarks_that_go_to_a_file_are_not_on_the_screen(
     screen: Console, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     errors, scope, told = io.StringIO(), anyio.CancelScope(), Heard()
-    monkeypatch.setattr(sys, "stderr", errors)
 
     def remark(*arguments: object, **settings: object) -> object:
         note("a remark")
@@ -262,7 +261,7 @@ async def test_remarks_that_go_to_a_file_are_not_on_the_screen(
     monkeypatch.setattr(list_goals, "picture", remark)
     server = counter("one")
     async with server:
-        with scope:
+        with scope, redirect_stderr(errors):
             await list_goals._watch_screen(Served(server).connection, None)
 
     assert "a remark\n" in errors.getvalue()

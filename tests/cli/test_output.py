@@ -4,6 +4,7 @@ import io
 import json
 import logging
 import sys
+from contextlib import redirect_stderr
 
 import pytest
 from hypothesis import given
@@ -50,12 +51,12 @@ def test_a_remark_with_text_of_a_server_stays_on_one_line(
     assert capsys.readouterr().err == "it is away: gone\\x0a\\x1b[2J\n"
 
 
-def test_the_log_goes_to_the_stderr_of_that_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_log_goes_to_the_stderr_of_that_moment() -> None:
     handler = lines.LogHandler()
     handler.setFormatter(logging.Formatter("log: %(message)s"))
     later = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", later)
-    handler.handle(logging.makeLogRecord({"msg": "the line is dead"}))
+    with redirect_stderr(later):
+        handler.handle(logging.makeLogRecord({"msg": "the line is dead"}))
 
     assert later.getvalue() == "log: the line is dead\n"
 

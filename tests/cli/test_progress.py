@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-import sys
+from contextlib import redirect_stderr
 from typing import Any
 
 import pytest
@@ -104,12 +104,10 @@ class Tty(io.StringIO):
 
 
 @pytest.mark.parametrize("errors", [Tty(), io.StringIO()], ids=["terminal", "file"])
-def test_a_remark_is_above_the_line_unless_it_goes_to_a_file(
-    monkeypatch: pytest.MonkeyPatch, errors: io.StringIO
-) -> None:
+def test_a_remark_is_above_the_line_unless_it_goes_to_a_file(errors: io.StringIO) -> None:
     screen = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", errors)
-    with LiveLine(Console(file=screen, width=80, force_terminal=True, color_system=None)):
+    console = Console(file=screen, width=80, force_terminal=True, color_system=None)
+    with redirect_stderr(errors), LiveLine(console):
         note("a remark")
 
     above, other = (screen, errors) if errors.isatty() else (errors, screen)

@@ -36,8 +36,8 @@ from fibaction.interfaces.ros_types import Int32, array
 from fibaction.schema.payload import JsonCodec
 from fibaction.words.goals import ActionPeers
 from fibaction_transports.web import RosbridgeTransport
-from fibaction_transports.web.rosbridge.client import described_types, link_opener
 from fibaction_transports.web.rosbridge.client import endpoint as endpoint_module
+from fibaction_transports.web.rosbridge.client import link_opener
 from fibaction_transports.web.rosbridge.client.described_types import UNKNOWN, DescribedTypes
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing
@@ -611,10 +611,7 @@ async def test_rosapi_is_not_asked_for_types_if_that_is_set() -> None:
         assert set(asked) == {"/rosapi/action_servers", "/rosapi/action_type"}
 
 
-async def test_a_server_that_always_has_new_types_is_asked_again_for_the_oldest(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(described_types, "MOST_TYPES", 2)
+async def test_a_server_that_always_has_new_types_is_asked_again_for_the_oldest() -> None:
     asked: list[str] = []
 
     async def call(service: str, args: dict[str, Any]) -> Any:
@@ -622,7 +619,7 @@ async def test_a_server_that_always_has_new_types_is_asked_again_for_the_oldest(
             asked.append(args["type"])
         return {"interfaces": ["a", "b", "c"], "typedefs": []}
 
-    types = DescribedTypes(call)
+    types = DescribedTypes(call, 2)
     for name in ("a", "b", "a", "c", "b", "a"):
         assert await types.schemas_of(name) == UNKNOWN
     assert asked == ["a", "b", "c", "a"]

@@ -51,9 +51,12 @@ class _Details(msgspec.Struct):
 class DescribedTypes:
     """The schemas of the action types of one connection."""
 
-    def __init__(self, call: Callable[[str, dict[str, Any]], Awaitable[Any]]) -> None:
+    def __init__(
+        self, call: Callable[[str, dict[str, Any]], Awaitable[Any]], most: int = MOST_TYPES
+    ) -> None:
         """Let `call` call a service."""
         self._call = call
+        self._most = most
         self._names: frozenset[str] = frozenset()
         self._found: dict[str, ActionSchemas] = {"": UNKNOWN}
         self._has_answered = True
@@ -68,7 +71,7 @@ class DescribedTypes:
         async with self._asking:
             if type_name not in self._found:
                 found = await self._asked(type_name)
-                if len(self._found) >= MOST_TYPES:
+                if len(self._found) >= self._most:
                     del self._found[next(iter(self._found))]
                 self._found[type_name] = found
             return self._found[type_name]
