@@ -7,11 +7,11 @@ import struct
 import pytest
 
 from fibaction_transports.rtps.discovery.endpoint_data import EndpointData, endpoint_payload
-from fibaction_transports.rtps.discovery.known_participants import reachable
 from fibaction_transports.rtps.discovery.participant_data import (
     ParticipantData,
     participant_payload,
 )
+from fibaction_transports.rtps.discovery.remote_participant import reachable
 from fibaction_transports.rtps.events import (
     EndpointMatched,
     EndpointUnmatched,
@@ -511,6 +511,6 @@ def test_a_sample_shows_that_its_writer_is_alive(kind: Liveliness) -> None:
     world.run(1.0)
     beat = WriterHeartbeat(reader.guid.entity, writer.guid.entity, 1, 5, 99, is_alive=True)
     prefix = one.participant.prefix
-    other.participant.receive(packet(beat, prefix=prefix), SOURCE, world.now)
+    other.participant.receive(packet(beat, prefix=prefix), (one.host, 7410), world.now)
     world.flush()
     assert LivelinessChanged(reader.guid, writer.guid, is_alive=True) in other.told

@@ -12,10 +12,16 @@ class RtpsLimits(Struct, frozen=True, kw_only=True):
 
     participants: int = 512
     """Other participants."""
+    participants_of_host: int = 128
+    """Other participants of one host; more than its ports in one domain are for."""
+    hosts: int = 1_024
+    """Hosts whose new participants are counted, to take only so many of each at a time."""
     endpoints: int = 16_384
     """Endpoints of all other participants together."""
     endpoints_of_one: int = 2_048
     """Endpoints of one other participant."""
+    matches_of_one: int = 64
+    """Endpoints of one other participant that one endpoint of this one is matched with."""
     sample: int = 16 * MIB
     """Bytes of one received sample."""
     held: int = 64 * MIB
@@ -24,6 +30,8 @@ class RtpsLimits(Struct, frozen=True, kw_only=True):
     """Bytes of received samples that lack fragments, of all readers together."""
     early_heartbeats: int = 1_024
     """Heartbeats of writers that discovery has not told of yet."""
+    early_heartbeats_of_one: int = 128
+    """Such heartbeats of one other participant."""
     history: int = 64 * MIB
     """Bytes of samples that one writer keeps."""
     history_samples: int = 10_000
@@ -40,9 +48,13 @@ class RtpsCounters(Struct):
     invalid: int = 0
     """Datagrams that broke the rules or limits of the wire format, or of discovery."""
     over_limit: int = 0
-    """Samples, fragments, participants and endpoints beyond a limit."""
+    """Samples, fragments, participants, endpoints and matches beyond a limit."""
     unsent: int = 0
     """Submessages that did not fit into the outbox."""
+    withheld: int = 0
+    """Datagrams for participants that have not shown yet that they receive anything."""
+    forged: int = 0
+    """Submessages in the name of a participant that is at another host."""
 
 
 class ByteAccount:

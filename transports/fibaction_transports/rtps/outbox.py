@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+from fibaction_transports.rtps.budgets import PeerBudget
 from fibaction_transports.rtps.limits import RtpsCounters
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
 from fibaction_transports.rtps.messages.ids import UNKNOWN_PREFIX
@@ -42,9 +43,17 @@ class Outbox:
     for each of them beforehand.
     """
 
-    def __init__(self, vendor: bytes, prefix: bytes, limit: int, counters: RtpsCounters) -> None:
+    def __init__(
+        self,
+        vendor: bytes,
+        prefix: bytes,
+        limit: int,
+        budgets: Mapping[bytes, PeerBudget],
+        counters: RtpsCounters,
+    ) -> None:
         self._head = packet_head(vendor, prefix)
         self._limit = limit
+        self._budgets = budgets
         self._counters = counters
         self._waiting: dict[PeerRoute, list[_Entry]] = {}
         self._count = 0
@@ -63,8 +72,12 @@ class Outbox:
             route = next(iter(self._waiting))
             entries = self._waiting.pop(route)
             self._count -= len(entries)
+            budget = self._budgets.get(route.prefix)
             for datagram in self._packed(route, entries):
-                yield datagram, route.address
+                if budget is None or budget.may_send(len(datagram)):
+                    yield datagram, route.address
+                else:
+                    self._counters.withheld += 1
 
     def _packed(self, route: PeerRoute, entries: list[_Entry]) -> Iterator[bytes]:
         first = self._head

@@ -10,7 +10,11 @@ After each call that changes something, send what is to be sent, take the events
 next deadline. Times are seconds of any clock that does not go back.
 
 The network is not trusted: a datagram that breaks a rule or a limit is dropped and counted, and
-never raises. RTPS has no authentication: every host that can send to the ports is a peer.
+never raises. RTPS has no authentication: every host that can send to the ports is a peer. What is
+checked is the address: something in the name of a participant counts only from a host that it has
+announced, and a participant is sent little before it has shown that it receives it (`budgets`). So
+another host cannot end a participant or move its numbers, unless it forges source addresses; a
+program of the same machine can do so to all participants of this machine.
 Endpoints of the same participant do not match each other.
 """
 
@@ -24,15 +28,13 @@ from msgspec import Struct
 from fibaction_transports.rtps.discovery.builtin_endpoints import BuiltinEndpoints
 from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
 from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointDiscovery
-from fibaction_transports.rtps.discovery.known_participants import (
-    KnownParticipants,
-    RemoteParticipant,
-)
+from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
 from fibaction_transports.rtps.discovery.liveliness import Assertions, WriterLiveliness
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
 from fibaction_transports.rtps.discovery.matcher import Matcher
 from fibaction_transports.rtps.discovery.participant_data import ParticipantData
 from fibaction_transports.rtps.discovery.remote_endpoints import RemoteEndpoints
+from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
 from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
@@ -96,7 +98,7 @@ class Participant:
         self._is_closed = False
         self._local = LocalEndpoints()
         self._remote = RemoteEndpoints(settings.limits)
-        early = EarlyHeartbeats(settings.limits.early_heartbeats)
+        self._early = early = EarlyHeartbeats(settings.limits)
         liveliness = WriterLiveliness(self._shared)
         self._participants = KnownParticipants(
             ParticipantData(
@@ -131,7 +133,7 @@ class Participant:
         )
         self._assertions = Assertions(self._builtin.liveliness, self._shared)
         self._router = MessageRouter(
-            self.prefix, self._local, self._participants, early, liveliness
+            self._local, self._participants, early, liveliness, self._shared
         )
         self._participants.on_announcement_due(now)
 
@@ -231,6 +233,7 @@ class Participant:
         for reader in self._local.user_readers():
             self.remove(reader, now)
         self._participants.leave()
+        self._local.close()
         self._shared.timers.clear()
         self._is_closed = True
 
@@ -261,4 +264,5 @@ class Participant:
 
     def _participant_lost(self, prefix: bytes, now: float) -> None:
         self._discovery.forget_participant(prefix, now)
+        self._early.forget_participant(prefix)
         self._builtin.unmatch(prefix, now)

@@ -7,6 +7,7 @@ from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
 from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import received_sample
+from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.messages.ids import (
     SPDP_WRITER,
     UNKNOWN_PREFIX,
@@ -28,6 +29,11 @@ from fibaction_transports.rtps.messages.submessages import (
     WriterHeartbeat,
 )
 
+DISCOVERY_AT_ONCE = 64
+"""Samples of discovery that are taken of one datagram: each may cost much. Those that are left out
+are requested again.
+"""
+
 
 class MessageRouter:
     """Takes packets, and gives each submessage to the endpoints that it is for.
@@ -38,17 +44,18 @@ class MessageRouter:
 
     def __init__(
         self,
-        prefix: bytes,
         endpoints: LocalEndpoints,
         participants: KnownParticipants,
         early: EarlyHeartbeats,
         liveliness: WriterLiveliness,
+        shared: SharedParts,
     ) -> None:
-        self._own = prefix
+        self._own = shared.prefix
         self._endpoints = endpoints
         self._participants = participants
         self._early = early
         self._liveliness = liveliness
+        self._counters = shared.counters
 
     def route(self, packet: Packet, source: Address, now: float) -> None:
         """Hand over the submessages of a packet from this address.
@@ -56,22 +63,39 @@ class MessageRouter:
         Raises:
             InvalidPacket: An announcement of discovery is broken; what came before it is taken.
         """
-        prefix, vendor = packet.prefix, packet.vendor
+        prefix, vendor, size = packet.prefix, packet.vendor, packet.size
+        sender = self._participants.sender(prefix, source[0], size)
         time: float | None = None
-        is_ours = True
+        is_ours, of_discovery = True, 0
         for submessage in packet.submessages:
             if isinstance(submessage, Destination):
                 is_ours = submessage.prefix in (self._own, UNKNOWN_PREFIX)
-            elif isinstance(submessage, SourceInfo):
-                prefix, vendor = submessage.prefix, submessage.vendor
-            elif isinstance(submessage, Timestamp):
-                time = submessage.time
-            elif not is_ours or prefix == self._own:
+                if sender is not None and submessage.prefix == self._own:
+                    self._participants.prove(sender, source[0])
                 continue
-            elif isinstance(submessage, Data) and submessage.writer == SPDP_WRITER:
-                sample = received_sample(Guid(prefix + SPDP_WRITER), submessage, time)
-                self._participants.receive(sample, vendor, source, now)
-            else:
+            if isinstance(submessage, SourceInfo):
+                prefix, vendor, size = submessage.prefix, submessage.vendor, 0
+                sender = self._participants.sender(prefix, source[0], size)
+                continue
+            if isinstance(submessage, Timestamp):
+                time = submessage.time
+                continue
+            if not is_ours or prefix == self._own:
+                continue
+            if sender is not None and not sender.is_at(source[0]):
+                self._counters.forged += 1
+                continue
+            if isinstance(submessage, Data) and is_builtin(submessage.writer):
+                of_discovery += 1
+                if of_discovery > DISCOVERY_AT_ONCE:
+                    self._counters.over_limit += 1
+                    continue
+                if submessage.writer == SPDP_WRITER:
+                    sample = received_sample(Guid(prefix + SPDP_WRITER), submessage, time)
+                    self._participants.receive(sample, vendor, source[0], size, now)
+                    sender = self._participants.get(prefix)
+                    continue
+            if sender is not None:  # nothing of a stranger is matched
                 self._hand_over(prefix, submessage, time, now)
 
     def _hand_over(
@@ -120,7 +144,7 @@ class MessageRouter:
         is_known = False
         for found in self._endpoints.addressed(reader, writer):
             is_known |= found.receive_heartbeat(writer, heartbeat, now)
-        if not is_known and self._participants.get(writer.prefix) is not None:
+        if not is_known:
             self._early.keep(writer, heartbeat)
         if heartbeat.is_alive:
             self._liveliness.hear(writer, now)

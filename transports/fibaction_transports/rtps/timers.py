@@ -1,12 +1,35 @@
-"""Deadlines without a clock: callbacks that are due at a time, which the caller of `run` tells."""
+"""Deadlines without a clock: callbacks that are due at a time, which the caller of `run` tells.
+
+The queue is a heap with one valid entry for each callback. A callback that is set to a later time
+keeps its entry, which moves when it comes to the front: most deadlines are put off many times, and
+are never due. An entry of a callback that was canceled, or set to an earlier time, stays until it
+comes to the front, or until there are more of them than of the others.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from heapq import heapify, heappop, heappush, heapreplace
+from itertools import count
 from typing import TypeAlias
 
 TimerCallback: TypeAlias = Callable[[float], None]
+
+_FEW = 64
+"""Invalid entries that the queue may have in any case."""
+
+
+class _Timer:
+    """The time of one callback."""
+
+    __slots__ = ("callback", "queued", "when")
+
+    def __init__(self, callback: TimerCallback, when: float) -> None:
+        self.callback = callback
+        self.when = when
+        self.queued = math.inf
+        """The time of its entry in the queue."""
 
 
 class Timers:
@@ -16,31 +39,65 @@ class Timers:
     """
 
     def __init__(self) -> None:
-        self._times: dict[TimerCallback, float] = {}
+        self._timers: dict[TimerCallback, _Timer] = {}
+        self._queue: list[tuple[float, int, _Timer]] = []
+        self._order = count()
 
     def set(self, callback: TimerCallback, when: float) -> None:
         """Call back at this time, and not at the time set before."""
-        self._times[callback] = when
+        timer = self._timers.get(callback)
+        if timer is None:
+            timer = self._timers[callback] = _Timer(callback, when)
+        timer.when = when
+        if when < timer.queued:
+            timer.queued = when
+            heappush(self._queue, (when, next(self._order), timer))
+            if len(self._queue) > 2 * len(self._timers) + _FEW:
+                self._queue = [entry for entry in self._queue if self._is_valid(entry)]
+                heapify(self._queue)
 
     def set_earlier(self, callback: TimerCallback, when: float) -> None:
         """Call back at this time, unless an earlier one is set."""
-        self._times[callback] = min(when, self._times.get(callback, math.inf))
+        timer = self._timers.get(callback)
+        if timer is None or when < timer.when:
+            self.set(callback, when)
 
     def cancel(self, callback: TimerCallback) -> None:
         """Do not call back."""
-        self._times.pop(callback, None)
+        self._timers.pop(callback, None)
 
     def clear(self) -> None:
         """Call nothing back."""
-        self._times.clear()
+        self._timers.clear()
+        self._queue.clear()
 
     def next(self) -> float:
         """Return the time of the next callback; infinity if there is none."""
-        return min(self._times.values(), default=math.inf)
+        queue = self._queue
+        while queue:
+            when, order, timer = queue[0]
+            if not self._is_valid(queue[0]):
+                heappop(queue)
+            elif timer.when > when:
+                timer.queued = timer.when
+                heapreplace(queue, (timer.when, order, timer))
+            else:
+                return when
+        return math.inf
 
     def run(self, now: float) -> None:
         """Call back what is due. A callback may set and cancel any."""
-        for callback in [callback for callback, when in self._times.items() if when <= now]:
-            if self._times.get(callback, math.inf) <= now:  # another one may have canceled it
-                del self._times[callback]
-                callback(now)
+        due = list[_Timer]()
+        while self.next() <= now:
+            timer = heappop(self._queue)[2]
+            timer.queued = math.inf
+            due.append(timer)
+        for timer in due:
+            # Another one may have canceled it, or put it off.
+            if self._timers.get(timer.callback) is timer and timer.when <= now:
+                del self._timers[timer.callback]
+                timer.callback(now)
+
+    def _is_valid(self, entry: tuple[float, int, _Timer]) -> bool:
+        when, _, timer = entry
+        return timer.queued == when and self._timers.get(timer.callback) is timer

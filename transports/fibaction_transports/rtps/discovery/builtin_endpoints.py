@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 from fibaction_transports.rtps.discovery import participant_data as bits
-from fibaction_transports.rtps.discovery.known_participants import RemoteParticipant
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
+from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 
+from fibaction_transports.rtps.budgets import HostRates
 from fibaction_transports.rtps.discovery.participant_data import (
     ParticipantData,
     participant_payload,
     read_participant,
 )
 from fibaction_transports.rtps.discovery.payloads import list_payload, read_list
+from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant, reachable
 from fibaction_transports.rtps.endpoints.sample import DISPOSED, Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.events import ParticipantFound, ParticipantLost
@@ -22,7 +24,7 @@ from fibaction_transports.rtps.messages.ids import (
     UNKNOWN_ENTITY,
     Guid,
 )
-from fibaction_transports.rtps.messages.locators import Address, Locator
+from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.parameters import Parameters
 from fibaction_transports.rtps.messages.submessages import Data
 from fibaction_transports.rtps.outbox import PeerRoute
@@ -36,44 +38,10 @@ REPLY_PAUSE = 0.05
 """Seconds within which a participant is answered once."""
 SHORTEST_LEASE, LONGEST_LEASE = 1.0, 300.0
 """The leases that are believed, in seconds: so silent participants do not fill the table."""
-_LOOPBACK = "127."
-_LOCALHOST = "127.0.0.1"
-
-
-def reachable(locators: Iterable[Locator], source: str) -> Address | None:
-    """Choose the address to send to, for a participant that sends from this host.
-
-    A participant of this machine announces the addresses of its interfaces, and is reached over
-    the loopback interface all the same. Of several interfaces, the one that it sends from is used.
-    """
-    addresses = [found for locator in locators if (found := locator.udp_address) is not None]
-    if not addresses:
-        return None
-    if source.startswith(_LOOPBACK):
-        return _LOCALHOST, addresses[0][1]
-    return next((address for address in addresses if address[0] == source), addresses[0])
-
-
-class RemoteParticipant:
-    """Another participant, as it has announced itself."""
-
-    def __init__(self, data: ParticipantData, source: str, discovery: Address) -> None:
-        self.data = data
-        self.discovery = PeerRoute(discovery, data.prefix)
-        """The way for discovery."""
-        self._source = source
-        self._default = reachable(data.data_locators, source) or discovery
-        self.expires = math.inf
-        """The time at which it is gone, if it does not announce itself before."""
-        self.answered = -math.inf
-        """The time at which it was last sent an announcement of its own."""
-        self.has_acknowledged = False
-        """True if it knows this participant: it has acknowledged something of discovery."""
-
-    def route(self, locators: Sequence[Locator]) -> PeerRoute:
-        """Return the way to an endpoint of it, which may have addresses of its own."""
-        address = reachable(locators, self._source) or self._default
-        return PeerRoute(address, self.data.prefix)
+SHORTEST_ANNOUNCEMENT = 0.01
+"""Seconds within which one announcement of a participant is read."""
+NEWCOMERS_AT_ONCE, NEWCOMERS_PER_SECOND = 128, 64.0
+"""The new participants of one host that are taken."""
 
 
 class KnownParticipants:
@@ -94,6 +62,11 @@ class KnownParticipants:
         self._on_found = on_found
         self._on_lost = on_lost
         self._found: dict[bytes, RemoteParticipant] = {}
+        self._unproven: dict[bytes, RemoteParticipant] = {}
+        self._hosts: Counter[str] = Counter()
+        limits = shared.limits
+        self._newcomers = HostRates(NEWCOMERS_AT_ONCE, NEWCOMERS_PER_SECOND, limits.hosts)
+        self._payload = participant_payload(own)
         self._announced = 0
 
     def get(self, prefix: bytes) -> RemoteParticipant | None:
@@ -103,6 +76,19 @@ class KnownParticipants:
     def of(self, endpoint: Guid) -> RemoteParticipant:
         """Return the participant of an endpoint that it has announced."""
         return self._found[endpoint.prefix]
+
+    def sender(self, prefix: bytes, host: str, size: int) -> RemoteParticipant | None:
+        """Return a known participant in whose name a datagram of this size came from a host."""
+        remote = self._found.get(prefix)
+        if remote is not None and not remote.budget.is_proven and remote.is_at(host):
+            remote.budget.earn(size)
+        return remote
+
+    def prove(self, remote: RemoteParticipant, host: str) -> None:
+        """Note that something for this very participant came from a host in the name of another."""
+        if not remote.budget.is_proven and remote.is_sent_to(host):
+            remote.budget.is_proven = True
+            self._unproven.pop(remote.data.prefix, None)
 
     def on_announcement_due(self, now: float) -> None:
         """Announce this participant."""
@@ -114,24 +100,31 @@ class KnownParticipants:
         pause = FIRST_PAUSE if self._announced < FIRST_ANNOUNCEMENTS else PAUSE
         self._shared.timers.set(self.on_announcement_due, now + min(pause, self._own.lease / 4))
 
-    def receive(self, sample: Sample, vendor: bytes, source: Address, now: float) -> None:
-        """Take the announcement of a participant, or its leave.
+    def receive(self, sample: Sample, vendor: bytes, host: str, size: int, now: float) -> None:
+        """Take the announcement of a participant, or its leave, in a datagram of that size.
 
         Raises:
             InvalidPacket: The announcement is broken, or about another participant.
         """
         prefix = sample.writer.prefix
+        remote = self._found.get(prefix)
         if sample.is_ended:
             self._lose(prefix, now, has_left=True)
+            return
+        if remote is None and not self._newcomers.take(host, now):
+            self._shared.counters.over_limit += 1
+            return
+        if remote is not None and 0 < now - remote.heard < SHORTEST_ANNOUNCEMENT:
             return
         data = read_participant(read_list(sample.payload), vendor)
         if data.prefix != prefix:
             raise InvalidPacket("announcement is about another participant than its sender")
         if data.domain not in (None, self._own.domain) or data.domain_tag:
             return
-        remote = self._found.get(prefix) or self._add(data, source[0], now)
+        remote = remote or self._add(data, host, max(size, len(sample.payload)), now)
         if remote is None:
             return
+        remote.heard = now
         remote.expires = now + min(max(data.lease, SHORTEST_LEASE), LONGEST_LEASE)
         self._shared.timers.set_earlier(self.on_leases_due, remote.expires)
         if not remote.has_acknowledged and now - remote.answered >= REPLY_PAUSE:
@@ -157,22 +150,54 @@ class KnownParticipants:
             self._shared.outbox.add(route, data)
 
     def _announce(self, route: PeerRoute) -> None:
-        data = Data(UNKNOWN_ENTITY, SPDP_WRITER, 1, participant_payload(self._own))
+        data = Data(UNKNOWN_ENTITY, SPDP_WRITER, 1, self._payload)
         self._shared.outbox.add(route, data)
 
-    def _add(self, data: ParticipantData, source: str, now: float) -> RemoteParticipant | None:
+    def _add(
+        self, data: ParticipantData, source: str, size: int, now: float
+    ) -> RemoteParticipant | None:
         """Note a new participant; return None if it cannot be reached, or there are too many."""
         address = reachable(data.discovery_locators, source)
-        if address is None or len(self._found) >= self._shared.limits.participants:
+        if address is None or not self._has_room(source, now):
             self._shared.counters.over_limit += 1
             return None
-        remote = self._found[data.prefix] = RemoteParticipant(data, source, address)
+        remote = RemoteParticipant(data, source, address, now)
+        remote.budget.earn(size)
+        self._found[data.prefix] = self._unproven[data.prefix] = remote
+        self._shared.budgets[data.prefix] = remote.budget
+        self._hosts[source] += 1
         event = ParticipantFound(data.prefix, data.vendor, data.name, data.user_data)
         self._shared.emit(event)
         self._on_found(remote, now)
         return remote
 
+    def _has_room(self, source: str, now: float) -> bool:
+        """Return whether there is room for another participant of a host.
+
+        Participants that have not shown yet that they receive anything make room for it.
+        """
+        limits = self._shared.limits
+        unproven = iter(self._unproven.values())
+        if self._hosts[source] >= limits.participants_of_host:
+            given_up = next((each for each in unproven if each.source == source), None)
+        elif len(self._found) >= limits.participants:
+            given_up = next(unproven, None)
+        else:
+            return True
+        if given_up is None:
+            return False
+        self._shared.counters.over_limit += 1
+        self._lose(given_up.data.prefix, now, has_left=False)
+        return True
+
     def _lose(self, prefix: bytes, now: float, *, has_left: bool) -> None:
-        if self._found.pop(prefix, None) is not None:
-            self._on_lost(prefix, now)
-            self._shared.emit(ParticipantLost(prefix, has_left))
+        remote = self._found.pop(prefix, None)
+        if remote is None:
+            return
+        self._unproven.pop(prefix, None)
+        self._shared.budgets.pop(prefix)
+        self._hosts[remote.source] -= 1
+        if not self._hosts[remote.source]:
+            del self._hosts[remote.source]
+        self._on_lost(prefix, now)
+        self._shared.emit(ParticipantLost(prefix, has_left))

@@ -32,3 +32,10 @@ class LocalEndpoints:
             reader = self.readers.get(entity)
             return [] if reader is None else [reader]
         return [reader for reader in self.readers.values() if reader.is_matched(writer)]
+
+    def close(self) -> None:
+        """Let every endpoint forget what it is matched with."""
+        for writer in self.writers.values():
+            writer.close()
+        for reader in self.readers.values():
+            reader.close()

@@ -67,6 +67,12 @@ class Matcher:
             return self._local.user_writers()
         return self._local.user_readers()
 
+    def _is_full(self, endpoint: DataWriter | DataReader, prefix: bytes) -> bool:
+        """Return whether an endpoint is matched with as many of one participant as it may be."""
+        matched = endpoint.readers if isinstance(endpoint, DataWriter) else endpoint.writers
+        most = self._shared.limits.matches_of_one
+        return len(matched) >= most and sum(1 for g in matched if g.prefix == prefix) >= most
+
     def _match(self, endpoint: DataWriter | DataReader, data: EndpointData, now: float) -> None:
         is_writer = isinstance(endpoint, DataWriter)
         pair = (endpoint.qos, data.qos) if is_writer else (data.qos, endpoint.qos)
@@ -75,6 +81,9 @@ class Matcher:
             reasons.insert(0, f"type: {endpoint.type_name} here, {data.type_name} there")
         if reasons:
             self._shared.emit(QosMismatch(endpoint.guid, data.guid, tuple(reasons)))
+            return
+        if self._is_full(endpoint, data.guid.prefix):
+            self._shared.counters.over_limit += 1
             return
         participant = self._participants.of(data.guid)
         route = participant.route(data.locators)

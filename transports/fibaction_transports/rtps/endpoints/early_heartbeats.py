@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
+from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
 
@@ -15,21 +16,38 @@ class EarlyHeartbeats:
     three seconds later.
     """
 
-    def __init__(self, limit: int) -> None:
-        """Keep those of at most so many writers."""
-        self._limit = limit
-        self._heartbeats: OrderedDict[Guid, WriterHeartbeat] = OrderedDict()
+    def __init__(self, limits: RtpsLimits) -> None:
+        self._limit = limits.early_heartbeats
+        self._limit_of_one = limits.early_heartbeats_of_one
+        self._of: OrderedDict[bytes, OrderedDict[Guid, WriterHeartbeat]] = OrderedDict()
+        self._count = 0
 
     def __len__(self) -> int:
-        return len(self._heartbeats)
+        return self._count
 
     def keep(self, writer: Guid, heartbeat: WriterHeartbeat) -> None:
         """Keep a heartbeat until its writer is matched, or too many others have come."""
-        self._heartbeats[writer] = heartbeat
-        self._heartbeats.move_to_end(writer)
-        if len(self._heartbeats) > self._limit:
-            self._heartbeats.popitem(last=False)
+        of_one = self._of.setdefault(writer.prefix, OrderedDict())
+        self._count += writer not in of_one
+        of_one[writer] = heartbeat
+        of_one.move_to_end(writer)
+        self._of.move_to_end(writer.prefix)
+        if len(of_one) > self._limit_of_one:
+            self.take(next(iter(of_one)))
+        elif self._count > self._limit:
+            self.take(next(iter(next(iter(self._of.values())))))
 
     def take(self, writer: Guid) -> WriterHeartbeat | None:
         """Return the heartbeat of a writer, and keep it no longer; None if there is none."""
-        return self._heartbeats.pop(writer, None)
+        of_one = self._of.get(writer.prefix)
+        if of_one is None or writer not in of_one:
+            return None
+        heartbeat = of_one.pop(writer)
+        self._count -= 1
+        if not of_one:
+            del self._of[writer.prefix]
+        return heartbeat
+
+    def forget_participant(self, prefix: bytes) -> None:
+        """Keep no heartbeat of a participant."""
+        self._count -= len(self._of.pop(prefix, ()))

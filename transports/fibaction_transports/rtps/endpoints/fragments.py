@@ -17,11 +17,14 @@ _ARRIVED = 1
 class PartialSample:
     """One sample of which not all fragments have arrived."""
 
-    def __init__(self, fragment: DataFragment, home: dict[int, PartialSample]) -> None:
-        """Make room for the sample of a fragment, without its content.
+    def __init__(
+        self, fragment: DataFragment, sender: bytes, home: dict[int, PartialSample]
+    ) -> None:
+        """Make room for the sample of a fragment from a participant, without its content.
 
         It is in its home, by its number, until it is complete or given up.
         """
+        self.sender = sender
         self.number = fragment.number
         self.home = home
         self.inline_qos: Parameters | None = None
@@ -29,6 +32,8 @@ class PartialSample:
         self._fragment_size = fragment.fragment_size
         self._left = -(-fragment.sample_size // fragment.fragment_size)
         self._arrived = bytearray(self._left)
+        self.requests = 0
+        """Requests for missing fragments since the last one that came."""
 
     @property
     def size(self) -> int:
@@ -47,6 +52,7 @@ class PartialSample:
             return False
         if fragment.inline_qos is not None:
             self.inline_qos = fragment.inline_qos
+        self.requests = 0
         first = fragment.first - 1
         start = first * size
         self.data[start : start + len(fragment.payload)] = fragment.payload
@@ -64,37 +70,48 @@ class PartialSample:
 
 
 class PartialSamples:
-    """The incomplete samples of all readers. If they need too much memory, the one that has
-    been without a new fragment for the longest time is given up.
+    """The incomplete samples of all readers. If they need too much memory, one of the participant
+    that holds most is given up: the one that has been without a new fragment for the longest time.
     """
 
     def __init__(self, limits: RtpsLimits) -> None:
         self._sample_limit = limits.sample
         self._limit = limits.incomplete
-        self._waiting: OrderedDict[PartialSample, None] = OrderedDict()
+        self._waiting: dict[bytes, OrderedDict[PartialSample, None]] = {}
+        self._held_by: dict[bytes, int] = {}
         self.held = 0
         """Bytes that all of them need."""
 
-    def start(self, fragment: DataFragment, home: dict[int, PartialSample]) -> PartialSample | None:
-        """Put a new sample into its home; return None if it exceeds a limit."""
+    def start(
+        self, fragment: DataFragment, sender: bytes, home: dict[int, PartialSample]
+    ) -> PartialSample | None:
+        """Put a new sample from a participant into its home; return None if it exceeds a limit."""
         if fragment.sample_size > self._sample_limit:
             return None
-        partial = PartialSample(fragment, home)
+        partial = PartialSample(fragment, sender, home)
         if partial.size > self._limit:
             return None
         while self.held + partial.size > self._limit:
-            self.remove(next(iter(self._waiting)))
-        self.held += partial.size
-        self._waiting[partial] = None
+            largest = max(self._held_by, key=self._held_by.__getitem__)
+            self.remove(next(iter(self._waiting[largest])))
+        self._hold(partial.sender, partial.size)
+        self._waiting.setdefault(sender, OrderedDict())[partial] = None
         home[partial.number] = partial
         return partial
 
     def touch(self, partial: PartialSample) -> None:
         """Note that a fragment has arrived."""
-        self._waiting.move_to_end(partial)
+        self._waiting[partial.sender].move_to_end(partial)
 
     def remove(self, partial: PartialSample) -> None:
         """Take a sample out of its home: it is complete, or not needed."""
-        del self._waiting[partial]
+        del self._waiting[partial.sender][partial]
         del partial.home[partial.number]
-        self.held -= partial.size
+        self._hold(partial.sender, -partial.size)
+        if not self._waiting[partial.sender]:
+            del self._waiting[partial.sender]
+            del self._held_by[partial.sender]
+
+    def _hold(self, sender: bytes, size: int) -> None:
+        self.held += size
+        self._held_by[sender] = self._held_by.get(sender, 0) + size

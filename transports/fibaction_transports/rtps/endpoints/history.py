@@ -40,14 +40,13 @@ class History:
         self._limits = limits
         self._samples: dict[int, StoredSample] = {}
         self._numbers: dict[bytes, deque[int]] = {}
-        self._bytes = 0
+        self._disposed: deque[int] = deque()
+        self.bytes = 0
+        """Bytes of the samples that are kept."""
+        self.first = 1
+        """The number of the oldest sample that is kept; one more than `last` if there is none."""
         self.last = 0
         """The number of the newest sample, kept or not; 0 if there is none."""
-
-    @property
-    def first(self) -> int:
-        """The number of the oldest sample that is kept; one more than `last` if there is none."""
-        return next(iter(self._samples), self.last + 1)
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -65,35 +64,40 @@ class History:
         numbers = self._numbers.get(sample.key, deque())
         while self._depth is not None and len(numbers) >= self._depth:
             self.forget(numbers[0])
-        size = self._bytes + len(sample.payload)
+        size = self.bytes + len(sample.payload)
         if size > self._limits.history or len(self._samples) >= self._limits.history_samples:
             raise LimitReached(
-                f"history of {len(self._samples)} samples and {self._bytes} bytes is full:"
+                f"history of {len(self._samples)} samples and {self.bytes} bytes is full:"
                 " wait until readers have acknowledged, or write less"
             )
-        self._bytes = size
+        self.bytes = size
         self.last += 1
         self._samples[self.last] = sample
         numbers.append(self.last)
         self._numbers[sample.key] = numbers
+        if sample.is_disposed:
+            self._disposed.append(self.last)
         return self.last
 
     def forget(self, number: int) -> None:
         """Keep a sample no longer."""
         sample = self._samples.pop(number)
-        self._bytes -= len(sample.payload)
+        self.bytes -= len(sample.payload)
         numbers = self._numbers[sample.key]
         numbers.remove(number)
         if not numbers:
             del self._numbers[sample.key]
+        while self.first <= self.last and self.first not in self._samples:
+            self.first += 1
 
     def forget_acknowledged(self, number: int, *, is_volatile: bool) -> None:
         """Forget samples up to a number that no reader needs again.
 
         A history that is not volatile keeps them for later readers, but for disposed ones.
         """
-        for at in list(self._samples):
-            if at > number:
-                break
-            if is_volatile or self._samples[at].is_disposed:
+        if is_volatile:
+            while self.first <= min(number, self.last):
+                self.forget(self.first)
+        while self._disposed and self._disposed[0] <= number:
+            if (at := self._disposed.popleft()) in self._samples:
                 self.forget(at)

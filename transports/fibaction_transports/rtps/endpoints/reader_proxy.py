@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
@@ -20,8 +21,12 @@ from fibaction_transports.rtps.outbox import PeerRoute
 
 REPAIR_PAUSE = 0.005
 """Seconds within which a sample is not sent again: a request for it has crossed it on the way."""
+ANSWER_PAUSE = 0.001
+"""Seconds within which one heartbeat answers all questions of a reader."""
 SILENCE = 10.0
 """Seconds without an acknowledgement after which a reader keeps no samples back."""
+GAP_SIZE = 32
+"""Bytes of a GAP that tells that a sample does not come."""
 
 
 class ReaderProxy:
@@ -35,28 +40,39 @@ class ReaderProxy:
         self._writer = writer
         self._history = history
         self._shared = shared
+        self._budget = shared.budgets[route.prefix]
         self._sent: dict[int, float] = {}
+        self._answered = -math.inf
         self._before = 0
         self.is_reliable = False
         """True if lost samples are sent to it again."""
         self.acknowledged = 0
         """The number up to which it has all samples."""
         self.waits_since = 0.0
-        """The time since which it has said nothing about samples that it lacks."""
+        """The time since which it lacks samples and has got none of them."""
 
     def start(self, before: int, *, is_reliable: bool, now: float) -> None:
         """Begin after the sample with this number."""
         self._before = self.acknowledged = before
         self.is_reliable = is_reliable
         self.waits_since = now
+        if before < self._history.last:
+            self._budget.write(self._history.bytes)
 
     def has_unacknowledged(self, last: int) -> bool:
         """Return whether it lacks samples up to this number, as far as is known."""
         return self.is_reliable and self.acknowledged < last
 
     def is_silent(self, now: float) -> bool:
-        """Return whether it lacks samples and has been silent for long."""
+        """Return whether it lacks samples and has got none of them for long."""
         return self.has_unacknowledged(self._history.last) and now - self.waits_since > SILENCE
+
+    def write(self, number: int, sample: StoredSample, now: float) -> None:
+        """Send a new sample, or a GAP if the reader does not get it."""
+        if not self.has_unacknowledged(number - 1):
+            self.waits_since = now
+        self._budget.write(len(sample.payload))
+        self.send([number], now)
 
     def send(self, numbers: Iterable[int], now: float) -> None:
         """Send samples, and a GAP for those that the reader does not get."""
@@ -85,34 +101,36 @@ class ReaderProxy:
 
     def receive_acknack(self, nack: AckNack, now: float) -> None:
         """Note what the reader has, and send what it misses, if it was not sent just now."""
-        self.waits_since = now
         has = nack.missing.base - 1
         if has > self.acknowledged:
-            self.acknowledged = has
-            self._sent = {number: at for number, at in self._sent.items() if number > has}
-        wanted = [number for number in nack.missing.numbers if number <= self._history.last]
+            self._acknowledge(has)
+            self.waits_since = now
+        last = self._history.last
+        wanted = [number for number in nack.missing.numbers if number <= last]
         if wanted:
             due = [number for number in wanted if self._may_repair(number, now)]
             if due:
                 self.send(due, now)
-        elif not nack.is_final:
+        elif not nack.is_final and now - self._answered >= ANSWER_PAUSE:
+            self._answered = now
             self.heartbeat()
 
     def receive_fragment_nack(self, nack: FragmentNack, now: float) -> None:
         """Send the fragments that the reader misses, if they were not sent just now."""
-        number = nack.number
-        self.waits_since = now
-        if number > self._history.last or not self._may_repair(number, now):
+        number, size = nack.number, self._shared.fragment_size
+        if number > self._history.last or self._was_sent_just_now(number, now):
             return
         sample = self._sample(number)
-        if sample is None:
+        if sample is None and self._budget.may_repair(GAP_SIZE, now):
             self.send([number], now)
+        if sample is None:
             return
         self._sent[number] = now
         for first in nack.missing.numbers:
-            size = self._shared.fragment_size
-            if 1 <= first <= -(-len(sample.payload) // size):
-                self._send_fragment(number, sample, first)
+            start = (first - 1) * size
+            if not 0 <= start < len(sample.payload) or not self._budget.may_repair(size, now):
+                break
+            self._send_fragment(number, sample, first)
         self.heartbeat()
 
     @property
@@ -120,14 +138,29 @@ class ReaderProxy:
         """The number of the first sample that the reader can get."""
         return max(self._history.first, self._before + 1)
 
+    def _acknowledge(self, has: int) -> None:
+        if has - self.acknowledged > len(self._sent):
+            self._sent = {number: at for number, at in self._sent.items() if number > has}
+        else:
+            for number in range(self.acknowledged + 1, has + 1):
+                self._sent.pop(number, None)
+        self.acknowledged = has
+
     def _forget_sent(self) -> None:
         """Forget when samples were sent that are not kept any more."""
-        while self._sent and (oldest := next(iter(self._sent))) < self._history.first:
-            del self._sent[oldest]
+        if len(self._sent) > 2 * len(self._history) + 1:
+            first = self._history.first
+            self._sent = {number: at for number, at in self._sent.items() if number >= first}
+
+    def _was_sent_just_now(self, number: int, now: float) -> bool:
+        return now - self._sent.get(number, -math.inf) < REPAIR_PAUSE
 
     def _may_repair(self, number: int, now: float) -> bool:
-        sent = self._sent.get(number)
-        return sent is None or now - sent >= REPAIR_PAUSE
+        """Return whether a sample may be sent again now, and count that."""
+        if self._was_sent_just_now(number, now):
+            return False
+        sample = self._sample(number)
+        return self._budget.may_repair(GAP_SIZE if sample is None else len(sample.payload), now)
 
     def _sample(self, number: int) -> StoredSample | None:
         """Return a sample if it is for this reader."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from fibaction_transports.rtps.budgets import PeerBudget
 from fibaction_transports.rtps.endpoints.fragments import PartialSamples
 from fibaction_transports.rtps.events import Event
 from fibaction_transports.rtps.limits import ByteAccount, RtpsCounters, RtpsLimits
@@ -26,7 +27,9 @@ class SharedParts:
         self.emit = emit
         self.counters = RtpsCounters()
         self.timers = Timers()
-        self.outbox = Outbox(OWN_VENDOR, prefix, limits.outbox, self.counters)
+        self.budgets: dict[bytes, PeerBudget] = {}
+        """The budget of each known participant, by its prefix."""
+        self.outbox = Outbox(OWN_VENDOR, prefix, limits.outbox, self.budgets, self.counters)
         self.partials = PartialSamples(limits)
         self.held = ByteAccount(limits.held)
         self._count = 0

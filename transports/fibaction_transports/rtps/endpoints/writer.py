@@ -103,9 +103,7 @@ class DataWriter:
         self._forget(now)
         number = self._history.add(sample)
         for proxy in self._readers.values():
-            if not proxy.has_unacknowledged(number - 1):
-                proxy.waits_since = now
-            proxy.send([number], now)
+            proxy.write(number, sample, now)
         self._pause = FIRST_HEARTBEAT
         self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
         self._forget(now)

@@ -19,6 +19,7 @@ If they are best effort, a sample is handed over if its number is larger than al
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from fibaction_transports.rtps.endpoints.fragments import PartialSample
@@ -49,6 +50,8 @@ LONGEST_REQUEST = 2.0
 FRAGMENT_PAUSE = 0.008
 """Seconds without a fragment after which missing ones are requested."""
 LONGEST_FRAGMENT_PAUSE = 0.5
+MOST_REQUESTS = 20
+"""Requests without an answer after which one waits for the writer's next word."""
 
 
 class WriterProxy:
@@ -75,6 +78,8 @@ class WriterProxy:
         self._held: dict[int, Sample | None] = {}
         self._partials: dict[int, PartialSample] = {}
         self._request_pause = FIRST_REQUEST
+        self._requests = 0
+        self._requested = -math.inf
         self._fragment_pause = FRAGMENT_PAUSE
 
     def start_reliable(self, heartbeat: WriterHeartbeat | None, now: float) -> None:
@@ -109,7 +114,9 @@ class WriterProxy:
         if not self._wants(number):
             return
         partials = self._shared.partials
-        partial = self._partials.get(number) or partials.start(fragment, self._partials)
+        partial = self._partials.get(number) or partials.start(
+            fragment, self._guid.prefix, self._partials
+        )
         if partial is None or not partial.add(fragment):
             self._shared.counters.over_limit += 1
             return
@@ -129,6 +136,7 @@ class WriterProxy:
         if not self._is_reliable:
             return
         self._announced = heartbeat.last
+        self._requests = 0
         if self._next is None:
             self._request_pause = FIRST_REQUEST
             self._advance(heartbeat.first, now)
@@ -137,7 +145,7 @@ class WriterProxy:
                 SamplesLost(self._reader, self._guid, self._lost_before(heartbeat.first))
             )
             self._advance(heartbeat.first, now)
-        if self._missing() or self._partials:
+        if self._partials or self._is_behind():
             self._request(now)
         elif not heartbeat.is_final:
             self._shared.timers.set_earlier(self.on_acknowledge_due, now + ACKNOWLEDGE_AFTER)
@@ -168,11 +176,14 @@ class WriterProxy:
         if self._next is None:
             self.ask(now)
         elif missing := self._missing():
+            self._requested = now
             self._acknowledge(NumberSet(self._next, missing), is_final=False)
         else:
             return
-        self._shared.timers.set(self.on_request_due, now + self._request_pause)
-        self._request_pause = min(self._request_pause * 2, LONGEST_REQUEST)
+        self._requests += 1
+        if self._requests < MOST_REQUESTS:
+            self._shared.timers.set(self.on_request_due, now + self._request_pause)
+            self._request_pause = min(self._request_pause * 2, LONGEST_REQUEST)
 
     def on_acknowledge_due(self, now: float) -> None:
         """Tell the writer that everything has arrived, if so."""
@@ -180,8 +191,12 @@ class WriterProxy:
             self._acknowledge(NumberSet(self._next), is_final=True)
 
     def on_fragments_due(self, now: float) -> None:
-        """Request fragments, after a pause without one."""
-        for partial in self._partials.values():
+        """Request fragments, after a pause without one; give up samples that get none."""
+        for partial in list(self._partials.values()):
+            partial.requests += 1
+            if partial.requests > MOST_REQUESTS:
+                self._give_up(partial.number)
+                continue
             nack = FragmentNack(
                 self._reader.entity,
                 self._guid.entity,
@@ -206,6 +221,7 @@ class WriterProxy:
         """Hand over a sample, or hold it until those before it have come."""
         number = sample.number
         self._give_up(number)
+        self._requests = 0
         if not self._is_reliable:
             self._advance(number, now)
         if number == self._next:
@@ -256,6 +272,10 @@ class WriterProxy:
         if partial is not None:
             self._shared.partials.remove(partial)
 
+    def _is_behind(self) -> bool:
+        """Return whether something that was announced has not been handed over."""
+        return (self._next or 1) <= self._announced
+
     def _missing(self) -> tuple[int, ...]:
         """Return the announced samples of which nothing has come."""
         start = self._next or 1
@@ -272,10 +292,14 @@ class WriterProxy:
         return number - (self._next or number) - held
 
     def _request(self, now: float) -> None:
-        missing = self._missing()
-        if missing and self._next is not None:
+        """Request what is missing, but not at each of many heartbeats."""
+        pause = self._request_pause
+        if now - self._requested < ACKNOWLEDGE_AFTER:
+            pause = ACKNOWLEDGE_AFTER
+        elif self._next is not None and (missing := self._missing()):
+            self._requested = now
             self._acknowledge(NumberSet(self._next, missing), is_final=False)
-        self._shared.timers.set_earlier(self.on_request_due, now + self._request_pause)
+        self._shared.timers.set_earlier(self.on_request_due, now + pause)
 
     def _acknowledge(self, missing: NumberSet, *, is_final: bool) -> None:
         self._shared.timers.cancel(self.on_acknowledge_due)

@@ -56,7 +56,8 @@ def read_packet(datagram: bytes) -> Packet:
         submessages = tuple(_submessages(memoryview(datagram)))
     except struct.error as error:
         raise InvalidPacket("submessage is shorter than its kind") from error
-    return Packet(datagram[8 : kinds.PACKET_HEAD], datagram[6:8], submessages)
+    prefix, vendor = datagram[8 : kinds.PACKET_HEAD], datagram[6:8]
+    return Packet(prefix, vendor, submessages, len(datagram))
 
 
 def _submessages(data: memoryview) -> Iterator[Submessage]:

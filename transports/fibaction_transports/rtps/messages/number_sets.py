@@ -10,6 +10,8 @@ from fibaction_transports.rtps.messages.layout import U32, Order
 MAX_BITS = 256
 """The most numbers that a set spans."""
 _WORD = 32
+_BITS = tuple(tuple(at for at in range(8) if byte >> (7 - at) & 1) for byte in range(256))
+"""The places of the bits that are set in each byte, from the highest on."""
 
 
 def bits_bytes(base: int, numbers: tuple[int, ...], order: Order) -> bytes:
@@ -35,9 +37,12 @@ def read_bits(
     if count > MAX_BITS:
         raise InvalidPacket(f"set of {count} numbers exceeds {MAX_BITS} numbers")
     words = struct.unpack_from(f"{order}{-(-count // _WORD)}I", data, offset + U32.size)
+    end = base + count
     numbers = tuple(
-        base + index
-        for index in range(count)
-        if words[index // _WORD] >> (_WORD - 1 - index % _WORD) & 1
+        number
+        for first, byte in enumerate(struct.pack(f">{len(words)}I", *words))
+        if byte
+        for bit in _BITS[byte]
+        if (number := base + 8 * first + bit) < end
     )
     return numbers, offset + U32.size * (1 + len(words))

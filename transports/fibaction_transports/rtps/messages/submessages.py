@@ -157,3 +157,5 @@ class Packet(Struct, frozen=True):
     prefix: bytes
     vendor: bytes
     submessages: tuple[Submessage, ...]
+    size: int
+    """Size of the datagram, in bytes."""

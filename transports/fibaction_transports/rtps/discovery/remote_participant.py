@@ -1,0 +1,83 @@
+"""Another participant, and the way to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from fibaction_transports.rtps.budgets import PeerBudget
+from fibaction_transports.rtps.discovery.participant_data import ParticipantData
+from fibaction_transports.rtps.messages.locators import Address, Locator
+from fibaction_transports.rtps.outbox import PeerRoute
+
+_LOOPBACK = "127."
+_LOCALHOST = "127.0.0.1"
+
+
+def reachable(locators: Iterable[Locator], source: str) -> Address | None:
+    """Choose the address to send to, for a participant that sends from this host.
+
+    A participant of this machine announces the addresses of its interfaces, and is reached over
+    the loopback interface all the same. Of several interfaces, the one that it sends from is used.
+    """
+    addresses = _addresses(locators)
+    if not addresses:
+        return None
+    if source.startswith(_LOOPBACK):
+        return _LOCALHOST, addresses[0][1]
+    return next((address for address in addresses if address[0] == source), addresses[0])
+
+
+def _addresses(locators: Iterable[Locator]) -> list[Address]:
+    return [found for locator in locators if (found := locator.udp_address) is not None]
+
+
+class RemoteParticipant:
+    """Another participant, as it has announced itself.
+
+    Its locators are believed as far as they name the host from which it sends: nobody is to be
+    flooded because a peer says so.
+    """
+
+    def __init__(self, data: ParticipantData, source: str, discovery: Address, now: float) -> None:
+        self.data = data
+        self.source = source
+        """The host from which it has announced itself."""
+        self.discovery = PeerRoute(discovery, data.prefix)
+        """The way for discovery."""
+        self.budget = PeerBudget(now)
+        """Its budget: the bytes that it may be sent."""
+        locators = (*data.discovery_locators, *data.data_locators)
+        self._hosts = {source, *(host for host, _ in _addresses(locators))}
+        self._is_at_source = discovery[0] in (source, _LOCALHOST)
+        self._default = self._address(data.data_locators) or discovery
+        self.expires = math.inf
+        """The time at which it is gone, if it does not announce itself before."""
+        self.heard = now
+        """The time of its last announcement."""
+        self.answered = -math.inf
+        """The time at which it was last sent an announcement of its own."""
+        self.has_acknowledged = False
+        """True if it knows this participant: it has acknowledged something of discovery."""
+
+    def is_at(self, host: str) -> bool:
+        """Return whether it may send from this host. No other machine can send from a loopback
+        address.
+        """
+        return host in self._hosts or host.startswith(_LOOPBACK)
+
+    def is_sent_to(self, host: str) -> bool:
+        """Return whether it is at a host from which it has announced itself, and is sent to that
+        host.
+        """
+        return self._is_at_source and self.is_at(host)
+
+    def route(self, locators: Sequence[Locator]) -> PeerRoute:
+        """Return the way to an endpoint of it, which may have addresses of its own."""
+        return PeerRoute(self._address(locators) or self._default, self.data.prefix)
+
+    def _address(self, locators: Iterable[Locator]) -> Address | None:
+        """Return the address among locators at which it may be sent to; None if there is none."""
+        host = self.discovery.address[0]
+        address = reachable(locators, self.source)
+        return address if address is not None and address[0] == host else None
