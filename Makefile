@@ -145,11 +145,12 @@ fleet: $(VENV)/.tools  ## Kill and freeze workers and brokers of a fleet, ten ti
 	$(BIN)/python -m tests.fleet all --times 10
 
 # It begins with the inputs in tests/fuzz/corpus; `-merge=1` adds to them what was found.
-fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes in all
+fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for some minutes in all
 	$(BIN)/python -m tests.fuzz.wire -max_total_time=30
 	$(BIN)/python -m tests.fuzz.websocket -max_total_time=30
 	$(BIN)/python -m tests.fuzz.web -max_total_time=30
 	$(BIN)/python -m tests.fuzz.rosbridge -max_total_time=30
+	$(BIN)/python -m tests.fuzz.rtps -max_total_time=30
 
 attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, beside an honest client
 	$(BIN)/python -m tests.hostile

@@ -8,11 +8,12 @@ from types import ModuleType
 
 import pytest
 
-from tests.fuzz import fuzzer, rosbridge, web, websocket, wire
+from tests.fuzz import fuzzer, rosbridge, rtps, web, websocket, wire
+from tests.transports.rtps.test_golden import GOLDEN
 from tests.transports.web.upgrade import upgrade
 
 
-@pytest.mark.parametrize("target", [wire, websocket, web, rosbridge])
+@pytest.mark.parametrize("target", [wire, websocket, web, rosbridge, rtps])
 def test_without_atheris_it_says_what_to_type(
     target: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -22,7 +23,7 @@ def test_without_atheris_it_says_what_to_type(
         target.main()
 
 
-@pytest.mark.parametrize("target", [wire, websocket, web, rosbridge])
+@pytest.mark.parametrize("target", [wire, websocket, web, rosbridge, rtps])
 def test_each_kept_input_is_taken_again(target: ModuleType) -> None:
     kept = fuzzer.kept(target.__name__.rpartition(".")[2])
     assert 10 <= len(kept) <= 100
@@ -138,3 +139,17 @@ def test_the_target_of_rosbridge_takes_any_input() -> None:
         spot = chance.randrange(len(data))
         rosbridge.one_input(data)
         rosbridge.one_input(data[:spot] + chance.randbytes(1) + data[spot + 1 :])
+
+
+def test_the_target_of_rtps_takes_any_input() -> None:
+    chance = random.Random(1)
+    packets = list(GOLDEN.values())
+    rtps.one_input(b"")
+    rtps.one_input(b"\1\0")
+    for _ in range(30):
+        changed = []
+        for _ in range(6):
+            packet = bytearray(chance.choice(packets))
+            packet[chance.randrange(len(packet))] = chance.randrange(256)
+            changed.append((chance.randrange(256), bytes(packet)))
+        rtps.one_input(rtps.conversation(*changed))

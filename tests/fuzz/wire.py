@@ -1,6 +1,6 @@
 """A fuzz target: the bytes that a hostile client sends to a server.
 
-    make fuzz            # for two minutes; or: python -m tests.fuzz.wire -max_total_time=3600
+    make fuzz            # for a while; or: python -m tests.fuzz.wire -max_total_time=3600
 
 The input is cut into pieces by its own first bytes, and goes through the real frames and a real
 session with a real server behind it. Whatever it is, the session goes on or ends with an
