@@ -1,6 +1,6 @@
 """Messages of ROS 2 as bytes of CDR, and type hashes, made from interface files without ROS.
 
-No transport uses it yet: it is for one that speaks DDS by itself. Nothing here does I/O.
+`dds://` uses it. Nothing here does I/O.
 
 - `codec`: `CdrCodec`, which turns structs of `fibaction.interfaces` into payloads and back;
 - `action_messages`: the requests, responses and feedback that ROS makes of an action;
