@@ -1,0 +1,60 @@
+"""Processes with Cyclone DDS, and when tests with them are left out.
+
+`cyclonedds` is in the dependency group `test` where there is a wheel of it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from importlib.util import find_spec
+
+import pytest
+
+from tests.ros2.stock.process import Peer, peer
+from tests.ros2.stock.waiting import eventually
+
+IS_LEFT_OUT = find_spec("cyclonedds") is None and os.environ.get("FIBACTION_CYCLONE") != "required"
+"""True if tests with Cyclone DDS are skipped; the check of the project requires them."""
+needs_cyclone = pytest.mark.skipif(IS_LEFT_OUT, reason="cyclonedds is not installed")
+
+LAST_PARTICIPANT = 31
+"""The greatest number of a participant that others without multicast look for."""
+CONFIG = f"""
+<CycloneDDS><Domain Id="any">
+  <General>
+    <Interfaces><NetworkInterface name="lo"/></Interfaces>
+    <AllowMulticast>false</AllowMulticast>
+  </General>
+  <Discovery>
+    <ParticipantIndex>auto</ParticipantIndex>
+    <MaxAutoParticipantIndex>{LAST_PARTICIPANT}</MaxAutoParticipantIndex>
+    <LeaseDuration>{{lease}}</LeaseDuration>
+    <Peers><Peer Address="127.0.0.1"/></Peers>
+  </Discovery>
+</Domain></CycloneDDS>
+"""
+"""Settings of Cyclone DDS: this machine only, found at the ports of the first participants."""
+
+
+@asynccontextmanager
+async def partner(module: str, *arguments: str, lease: str = "10 s") -> AsyncGenerator[Peer, None]:
+    """Run a module of this package in a process of its own."""
+    config = CONFIG.format(lease=lease)
+    name = f"{__package__}.{module}"
+    async with peer(name, *arguments, CYCLONEDDS_URI=config) as found:
+        yield found
+
+
+async def matched(cyclone: Peer, count: int = 1, *names: str) -> None:
+    """Wait until readers or writers of a process have so many partners.
+
+    Cyclone gives a reader nothing that was sent before it has found the writer.
+    """
+    for name in names or ("",):
+
+        async def look(name: str = name) -> int:
+            return int(await cyclone.ask("matches", name=name))
+
+        await eventually(look, lambda found: found == count)
