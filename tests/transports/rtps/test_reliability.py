@@ -11,6 +11,7 @@ from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import EndpointMatched, SamplesLost
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.decoder import read_packet
+from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
@@ -396,6 +397,79 @@ def test_a_gap_may_be_longer_than_the_window() -> None:
     reader.receive_data(writer.guid, data, None, world.now)
     world.flush()
     assert other.texts(reader) == ["for all", "after"]
+
+
+class NewReader:
+    """A reader of a writer that has just found it, and whose answers are lost at first."""
+
+    def __init__(self, qos: Qos = KEEP_ALL) -> None:
+        self.world = World()
+        self.one, self.other = self.world.pair()
+        self.is_mute = True
+        self.sent: list[Data | WriterHeartbeat] = []
+        self.world.is_lost = self._is_lost
+        self.writer = writer_of(self.world, self.one, qos)
+        self.reader = reader_of(self.world, self.other)
+        self.world.run_until(lambda: bool(self.writer.readers))
+
+    def _is_lost(self, datagram: bytes, address: object) -> bool:
+        for submessage in read_packet(datagram).submessages:
+            match submessage:
+                case AckNack(writer=self.writer.guid.entity):
+                    return self.is_mute
+                case (
+                    Data(writer=self.writer.guid.entity)
+                    | WriterHeartbeat(writer=self.writer.guid.entity)
+                ):
+                    self.sent.append(submessage)
+        return False
+
+    @property
+    def samples(self) -> list[int]:
+        """The numbers of the samples that were sent."""
+        return [each.number for each in self.sent if isinstance(each, Data)]
+
+    def ask(self) -> None:
+        """Let the writer hear a question for a heartbeat, as of a reader that has heard none."""
+        question = AckNack(self.reader.guid.entity, self.writer.guid.entity, NumberSet(1), 1)
+        content = packet_head(b"\x01\x10", self.reader.guid.prefix) + submessage_bytes(question)
+        self.one.participant.receive(content, (self.other.host, 7410), self.world.now)
+        self.world.run(0.001)
+
+
+def test_a_new_reader_gets_samples_only_when_it_has_answered_a_heartbeat_of_none() -> None:
+    new = NewReader()
+    write(new.world, new.writer, "a", "b")
+    new.world.run(3.0)
+    assert new.samples == []
+    heartbeats = [each for each in new.sent if isinstance(each, WriterHeartbeat)]
+    assert {(each.first, each.last) for each in heartbeats} == {(1, 0)}
+    assert len(heartbeats) >= 5
+    new.is_mute = False
+    new.world.run(1.1)
+    assert new.other.texts(new.reader) == ["a", "b"]
+    assert new.samples == [1, 2]
+
+
+def test_questions_for_a_heartbeat_are_an_answer_only_if_there_are_several() -> None:
+    new = NewReader()
+    write(new.world, new.writer, "a")
+    for _ in range(2):
+        new.ask()
+        assert new.samples == []
+    new.ask()
+    assert new.samples == [1]
+
+
+def test_a_new_reader_is_told_of_samples_that_are_gone_before_it_has_answered() -> None:
+    new = NewReader(Qos(depth=2))
+    write(new.world, new.writer, *numbers(5))
+    new.world.run(0.1)
+    new.is_mute = False
+    new.world.run(1.1)
+    assert new.other.texts(new.reader) == ["3", "4"]
+    assert [event.count for event in new.other.all(SamplesLost)] == [3]
+    assert new.writer.kept == 0
 
 
 def test_a_fragment_size_that_does_not_fit_is_rejected() -> None:

@@ -1,4 +1,11 @@
-"""One matched reader, as its writer sees it."""
+"""One matched reader, as its writer sees it.
+
+A reader that does not ask for old samples takes as old what it is told by the first heartbeat that
+it hears: Cyclone DDS acknowledges such samples, and drops them. It hears none before it has found
+the writer, which may be later than the writer has found it. So it gets a heartbeat of no samples,
+again and again until it answers, and its samples only then. A question for a heartbeat is not an
+answer: it may have been sent before any was heard.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +30,8 @@ REPAIR_PAUSE = 0.005
 """Seconds within which a sample is not sent again: a request for it has crossed it on the way."""
 ANSWER_PAUSE = 0.001
 """Seconds within which one heartbeat answers all questions of a reader."""
+QUESTIONS = 2
+"""Questions for a heartbeat that are no sign that one was heard; some may ask in each answer."""
 SILENCE = 10.0
 """Seconds without an acknowledgement after which a reader keeps no samples back."""
 GAP_SIZE = 32
@@ -44,6 +53,8 @@ class ReaderProxy:
         self._sent: dict[int, float] = {}
         self._answered = -math.inf
         self._before = 0
+        self._is_new = False
+        self._questions = 0
         self.is_reliable = False
         """True if lost samples are sent to it again."""
         self.acknowledged = 0
@@ -51,9 +62,10 @@ class ReaderProxy:
         self.waits_since = 0.0
         """The time since which it lacks samples and has got none of them."""
 
-    def start(self, before: int, *, is_reliable: bool, now: float) -> None:
-        """Begin after the sample with this number."""
+    def start(self, before: int, *, is_reliable: bool, is_late: bool, now: float) -> None:
+        """Begin after the sample with this number; a late reader gets those that are kept."""
         self._before = self.acknowledged = before
+        self._is_new = is_reliable and not is_late
         self.is_reliable = is_reliable
         self.waits_since = now
         if before < self._history.last:
@@ -61,7 +73,7 @@ class ReaderProxy:
 
     def has_unacknowledged(self, last: int) -> bool:
         """Return whether it lacks samples up to this number, as far as is known."""
-        return self.is_reliable and self.acknowledged < last
+        return self.is_reliable and (self.acknowledged < last or self._is_new)
 
     def is_silent(self, now: float) -> bool:
         """Return whether it lacks samples and has got none of them for long."""
@@ -76,6 +88,8 @@ class ReaderProxy:
 
     def send(self, numbers: Iterable[int], now: float) -> None:
         """Send samples, and a GAP for those that the reader does not get."""
+        if self._is_new:
+            return
         left_out = list[int]()
         self._forget_sent()
         for number in numbers:
@@ -93,7 +107,7 @@ class ReaderProxy:
 
     def heartbeat(self) -> None:
         """Tell the reader which samples there are."""
-        last = self._history.last
+        last = self._before if self._is_new else self._history.last
         heartbeat = WriterHeartbeat(
             self.guid.entity, self._writer, self._first, last, self._shared.next_count()
         )
@@ -105,15 +119,21 @@ class ReaderProxy:
         if has > self.acknowledged:
             self._acknowledge(has)
             self.waits_since = now
-        last = self._history.last
-        wanted = [number for number in nack.missing.numbers if number <= last]
-        if wanted:
+        wanted = [number for number in nack.missing.numbers if number <= self._history.last]
+        if self._is_new and self._is_answer(nack):
+            self._is_new = False
+            self.send(range(self._first, self._history.last + 1), now)
+        elif wanted:
             due = [number for number in wanted if self._may_repair(number, now)]
             if due:
                 self.send(due, now)
         elif not nack.is_final and now - self._answered >= ANSWER_PAUSE:
             self._answered = now
             self.heartbeat()
+
+    def _is_answer(self, nack: AckNack) -> bool:
+        self._questions += not (nack.is_final or nack.missing.numbers)
+        return nack.is_final or bool(nack.missing.numbers) or self._questions > QUESTIONS
 
     def receive_fragment_nack(self, nack: FragmentNack, now: float) -> None:
         """Send the fragments that the reader misses, if they were not sent just now."""
@@ -136,6 +156,8 @@ class ReaderProxy:
     @property
     def _first(self) -> int:
         """The number of the first sample that the reader can get."""
+        if self._is_new:
+            return self._before + 1
         return max(self._history.first, self._before + 1)
 
     def _acknowledge(self, has: int) -> None:

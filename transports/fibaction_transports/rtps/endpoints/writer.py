@@ -114,7 +114,8 @@ class DataWriter:
         is_reliable = self.qos.is_reliable and qos.is_reliable
         is_late = self.qos.is_transient_local and qos.is_transient_local
         proxy = ReaderProxy(reader, route, self.guid.entity, self._history, self._shared)
-        proxy.start(0 if is_late else self.last, is_reliable=is_reliable, now=now)
+        before = 0 if is_late else self.last
+        proxy.start(before, is_reliable=is_reliable, is_late=is_late, now=now)
         self._readers[reader] = proxy
         if is_reliable:
             proxy.heartbeat()
