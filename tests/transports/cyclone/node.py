@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Coroutine, Generator
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any
@@ -47,6 +47,27 @@ def qos(*, depth: int = 0, reliable: bool = True, late: bool = False, data: byte
     )
 
 
+def readers_of(writer: DataWriter[Any]) -> int:
+    """Return the number of readers that a writer has; lists of them may fail when one comes."""
+    return int(writer.get_publication_matched_status().current_count)
+
+
+def writers_of(reader: DataReader[Any]) -> int:
+    """Return the number of writers that a reader has."""
+    return int(reader.get_subscription_matched_status().current_count)
+
+
+class Until:
+    """A wait of a command or a goal, until something holds after a sample or a command."""
+
+    def __init__(self, is_done: Callable[[], object]) -> None:
+        self._is_done = is_done
+
+    def __await__(self) -> Generator[None, None, None]:
+        while not self._is_done():
+            yield
+
+
 class Node:
     """A participant, whose samples and commands are handled one after the other."""
 
@@ -55,6 +76,7 @@ class Node:
         self._waitset = WaitSet(self.participant)
         self._readers: list[tuple[DataReader[Any], Callable[[Any], None]]] = []
         self._orders: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
+        self._running: list[Coroutine[None, None, None]] = []
         self._is_told = GuardCondition(self.participant)
         self._waitset.attach(self._is_told)
 
@@ -69,8 +91,16 @@ class Node:
         """Make a writer."""
         return DataWriter(self.participant, Topic(self.participant, topic, kind), qos=qos)
 
-    def run(self, obey: Callable[..., Any]) -> None:
-        """Handle samples and commands until standard input ends, and leave the domain."""
+    def start(self, work: Coroutine[None, None, None]) -> None:
+        """Do something that may wait for samples, beside everything else."""
+        self._running.append(work)
+        self._is_told.set(True)
+
+    def run(self, commands: object) -> None:
+        """Handle samples and commands until standard input ends, and leave the domain.
+
+        A command is a method that is a coroutine; what it returns is its answer.
+        """
         Thread(target=self._listen, daemon=True).start()
         say("ready")
         while True:
@@ -83,13 +113,11 @@ class Node:
             while not self._orders.empty():
                 order = self._orders.get()
                 if order is None:
-                    self.leave()
+                    # All that belongs to it is deleted, too, and others are told.
+                    self.participant._delete(self.participant._ref)
                     os._exit(0)  # as the thread that listens may not stop
-                obey(**order)
-
-    def leave(self) -> None:
-        """Delete the participant with all that belongs to it, which others are told."""
-        self.participant._delete(self.participant._ref)
+                self._running.append(_obey(getattr(commands, order.pop("do"))(**order)))
+            self._running = [work for work in self._running if _goes_on(work)]
 
     def _listen(self) -> None:
         for line in sys.stdin:
@@ -99,11 +127,21 @@ class Node:
         self._is_told.set(True)
 
 
+async def _obey(command: Awaitable[Any]) -> None:
+    try:
+        say({"answer": await command})
+    except Exception as exc:
+        say({"error": repr(exc)})
+
+
+def _goes_on(work: Coroutine[None, None, None]) -> bool:
+    try:
+        work.send(None)
+    except StopIteration:
+        return False
+    return True
+
+
 def say(value: Any) -> None:
     """Print a line of JSON."""
     print(json.dumps(value), flush=True)
-
-
-def answer(value: Any) -> None:
-    """Answer a command."""
-    say({"answer": value})

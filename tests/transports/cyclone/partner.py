@@ -48,10 +48,7 @@ async def partner(module: str, *arguments: str, lease: str = "10 s") -> AsyncGen
 
 
 async def matched(cyclone: Peer, count: int = 1, *names: str) -> None:
-    """Wait until readers or writers of a process have so many partners.
-
-    Cyclone gives a reader nothing that was sent before it has found the writer.
-    """
+    """Wait until readers or writers of a process have so many partners."""
     for name in names or ("",):
 
         async def look(name: str = name) -> int:
