@@ -18,6 +18,7 @@ from fibaction_transports.ros2.on_dds.messages.parameter_messages import (
     ValuesResponse,
 )
 from fibaction_transports.ros2.on_dds.service_identity import (
+    client_of,
     identity_in,
     identity_items,
     split_header,
@@ -30,7 +31,7 @@ from fibaction_transports.ros2.on_dds.services import (
     ServiceEnds,
 )
 from fibaction_transports.rtps.endpoints.sample import Sample
-from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, Guid
+from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, OWN_VENDOR, Guid
 from fibaction_transports.rtps.messages.parameters import Parameters, SampleIdentity
 
 FAST, CYCLONE, OWN = (bytes([number]) * 12 for number in (1, 2, 3))
@@ -277,3 +278,12 @@ def test_a_request_that_cannot_be_read_is_logged(caplog: pytest.LogCaptureFixtur
 def test_a_sample_without_inline_qos_has_no_identity() -> None:
     assert identity_in(Sample(writer_of(FAST), 1, RESPONSE)) is None
     assert identity_in(Sample(writer_of(FAST), 1, RESPONSE, Parameters(()))) is None
+
+
+def test_clients_have_ids_of_their_own_in_headers() -> None:
+    prefixes = [OWN_VENDOR + bytes([0, 0, 0, 0, 0, last, 0, 0, 0, 0]) for last in range(2)]
+    readers = [Guid(prefix + READER) for prefix in prefixes]
+    readers += [Guid(prefixes[0] + b"\0" + number + b"\4") for number in (b"\0\2", b"\1\1")]
+    found = {client_of(reader) for reader in readers}
+    assert len(found) == len(readers)
+    assert {len(each) for each in found} == {8}

@@ -12,7 +12,7 @@ import struct
 from typing import Final
 
 from fibaction_transports.rtps.endpoints.sample import ENCAPSULATION, Sample
-from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, Guid
+from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, OWN_VENDOR, Guid
 from fibaction_transports.rtps.messages.parameters import (
     FAST_DDS_RELATED_SAMPLE_IDENTITY,
     RELATED_SAMPLE_IDENTITY,
@@ -22,6 +22,8 @@ from fibaction_transports.rtps.messages.parameters import (
 
 UNKNOWN_NUMBER: Final = -(2**32)
 """The number in the identity of a request of Fast DDS: that of the sample itself counts."""
+CLIENT_SIZE: Final = 8
+"""Bytes of the ID of a client in a header."""
 _HEADER = struct.Struct("<8sq")
 _PIDS = (FAST_DDS_RELATED_SAMPLE_IDENTITY, RELATED_SAMPLE_IDENTITY)
 
@@ -70,5 +72,10 @@ def split_header(payload: bytes) -> tuple[bytes, bytes] | None:
 
 
 def client_of(reader: Guid) -> bytes:
-    """Return what a client has for its GUID in headers: a part of that of its reply reader."""
-    return reader[:4] + reader.entity
+    """Return the ID of a client in headers, made of the GUID of its reader of replies.
+
+    A server sends replies to all clients, so each needs an ID of its own: the first random bytes of
+    the participant's GUID, and the number of the reader in it.
+    """
+    random, number = reader.prefix[len(OWN_VENDOR) :], reader.entity[:-1]
+    return random[: CLIENT_SIZE - 2] + number[-2:]
