@@ -64,7 +64,9 @@ class Network:
             guid=writer_of(OWN), topic="requests", readers=[reader_of(one) for one in others]
         )
         reader = SimpleNamespace(
-            guid=reader_of(OWN), topic="replies", writers=[writer_of(one) for one in others]
+            guid=reader_of(OWN),
+            topic="replies",
+            confirmed_writers=[writer_of(one) for one in others],
         )
         self.ends: Any = ServiceEnds(self, writer, reader)  # type: ignore[arg-type]  # stand-ins
 
@@ -212,7 +214,7 @@ async def test_requests_that_are_never_answered_are_forgotten() -> None:
 async def test_a_service_is_available_if_one_server_has_both_of_its_ends() -> None:
     client = Client(FAST)
     assert client.caller.is_available()
-    client.ends.reader.writers = [writer_of(CYCLONE)]
+    client.ends.reader.confirmed_writers = [writer_of(CYCLONE)]
     assert not client.caller.is_available()
 
 

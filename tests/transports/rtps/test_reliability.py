@@ -472,6 +472,28 @@ def test_a_new_reader_is_told_of_samples_that_are_gone_before_it_has_answered() 
     assert new.writer.kept == 0
 
 
+def test_a_writer_is_confirmed_when_its_heartbeat_shows_that_it_has_found_the_reader() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one)
+    is_found = False
+
+    def is_lost(datagram: bytes, address: object) -> bool:
+        heartbeats = (
+            each for each in read_packet(datagram).submessages if isinstance(each, WriterHeartbeat)
+        )
+        return not is_found and any(each.writer == writer.guid.entity for each in heartbeats)
+
+    world.is_lost = is_lost
+    reader, modest = reader_of(world, other), reader_of(world, other, BEST_EFFORT)
+    world.run(1.0)
+    assert reader.writers == modest.writers == [writer.guid]
+    assert reader.confirmed_writers == []
+    assert modest.confirmed_writers == [writer.guid]
+    is_found = True
+    assert world.run_until(lambda: reader.confirmed_writers == [writer.guid], 3.0)
+
+
 def test_a_fragment_size_that_does_not_fit_is_rejected() -> None:
     with pytest.raises(ValueError, match="fragment size 65000 is not between 256 and 63,000"):
         World().join(fragment_size=65_000)

@@ -131,8 +131,9 @@ class DdsCaller(ServiceCaller):
                 _put(self._of_sample, number, call)
 
     def is_available(self) -> bool:
+        # A server that has not found the reader yet would lose the first answers.
         ends = self._ends
-        answering = {writer.prefix for writer in ends.reader.writers}
+        answering = {writer.prefix for writer in ends.reader.confirmed_writers}
         return any(reader.prefix in answering for reader in ends.writer.readers)
 
     def receive(self, sample: Sample) -> None:

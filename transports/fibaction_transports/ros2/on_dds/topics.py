@@ -62,7 +62,8 @@ class DdsSubscription(TopicSubscription):
         self._take(sample.payload, bytes(sample.writer))
 
     def publisher_count(self) -> int:
-        return len(self._reader.writers)
+        # Without those that have not found the reader yet, and would lose the first messages.
+        return len(self._reader.confirmed_writers)
 
 
 class DdsLifeWatch(LifeWatch):

@@ -47,6 +47,13 @@ class DataReader:
         """The matched writers of other participants."""
         return list(self._writers)
 
+    @property
+    def confirmed_writers(self) -> list[Guid]:
+        """The matched writers that have found this reader, too, as far as they tell: reliable ones
+        send heartbeats, and only to readers that they have found.
+        """
+        return [guid for guid, proxy in self._writers.items() if proxy.is_confirmed]
+
     def is_matched(self, writer: Guid) -> bool:
         """Return whether samples of this writer are taken."""
         return writer in self._writers

@@ -82,6 +82,11 @@ class WriterProxy:
         self._requested = -math.inf
         self._fragment_pause = FRAGMENT_PAUSE
 
+    @property
+    def is_confirmed(self) -> bool:
+        """True if the writer is known to have found the reader, or does not tell."""
+        return not self._is_reliable or self._next is not None
+
     def start_reliable(self, heartbeat: WriterHeartbeat | None, now: float) -> None:
         """Take the first heartbeat of the writer, or ask for it until it comes."""
         self._is_reliable = True
