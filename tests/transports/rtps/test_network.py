@@ -173,6 +173,25 @@ async def test_errors_of_what_was_sent_before_do_not_end_a_participant(domain: i
         assert network.participant.counters.invalid == MANY
 
 
+@pytest.mark.anyio
+async def test_each_datagram_has_the_time_at_which_its_turn_comes(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times: set[float] = set()
+    async with participant(DomainSettings(domain=domain, discovery_range=OFF)) as network:
+        monkeypatch.setattr(network.participant, "receive", lambda *of: times.add(of[-1]))
+        with FailingSocket() as source:
+            source.bind(("127.0.0.1", 0))
+            source.setblocking(False)
+            for _ in range(MANY):
+                source.sendto(b"a", source.getsockname())
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(network.receive_from, source)
+                await source.received.wait()
+                tasks.cancel_scope.cancel()
+    assert len(times) > MANY // 2
+
+
 class FailingSocket(socket.socket):
     """A socket that fails once, as after an answer of ICMP."""
 

@@ -113,7 +113,6 @@ class ParticipantNetwork:
         """Take the datagrams that arrive at a socket, until it is canceled."""
         while True:
             await anyio.wait_readable(source)
-            now = anyio.current_time()
             for _ in range(MOST_AT_ONCE):
                 try:
                     datagram, address = source.recvfrom(_LARGEST_DATAGRAM)
@@ -121,7 +120,8 @@ class ParticipantNetwork:
                     break
                 except OSError:
                     continue  # an answer of ICMP to something that was sent
-                self.participant.receive(datagram, address, now)
+                # Not of the first one: many large ones take longer than some pauses.
+                self.participant.receive(datagram, address, anyio.current_time())
             self.settle()
 
     async def keep_deadlines(self) -> None:
