@@ -73,6 +73,8 @@ class MessageDefinition(NamedTuple):
     fields: tuple[FieldDefinition, ...]
     constants: tuple[ConstantDefinition, ...]
     comment: str
+    text: str = ""
+    """The lines of its definition, with their comments."""
 
 
 class SourceLine(NamedTuple):

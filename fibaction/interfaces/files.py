@@ -10,7 +10,7 @@ import os
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ MAX_MESSAGES = 100_000
 
 _PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*", re.ASCII)
+_ACTION = re.compile(r"action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 # https://github.com/ros2/rcl_interfaces/tree/rolling/builtin_interfaces/msg
 _BUILTIN = {
@@ -73,6 +74,15 @@ class ActionFile(NamedTuple):
     result: InterfaceMessage
     feedback: InterfaceMessage
 
+    def texts(self) -> dict[str, str]:
+        """Return the text of the file by the type of the action, and those of the messages that it
+        nests by theirs; `read_action_texts` reads them again.
+        """
+        parts = (self.goal, self.result, self.feedback)
+        found = {self.type_name: "---\n".join(part.definition.text for part in parts)}
+        found |= {one.type_name: one.definition.text for one in self.messages() if one not in parts}
+        return found
+
     def messages(self) -> list[InterfaceMessage]:
         """Return all messages, each once, and each after those that it nests."""
         found: dict[str, InterfaceMessage] = {}
@@ -109,11 +119,29 @@ def read_action(
     package = type_name.partition("/")[0] if type_name else _package_of(path)
     if package and not type_name:
         type_name = f"{package}/action/{path.stem}"
-    found = _Messages(package, [*_around(path), *map(Path, search), *ros_folders()])
+    found = _Messages(package, [*_around(path), *map(Path, search), *ros_folders()], {})
+    return _action(path, text, found, name, type_name)
+
+
+def read_action_texts(type_name: str, texts: Mapping[str, str], *, name: str = "") -> ActionFile:
+    """Read an action from texts, by the types that they define; no file is searched for.
+
+    Raises:
+        InterfaceError: A text is malformed, or that of the action or a nested message is missing.
+    """
+    path = Path(f"{type_name}.action")
+    package, _, rest = type_name.partition("/")
+    if type_name not in texts or not _PACKAGE.fullmatch(package) or not _ACTION.fullmatch(rest):
+        problem = f"expected a type like 'example_interfaces/action/Fibonacci', found {type_name!r}"
+        raise InterfaceError(path, 1, problem)
+    return _action(path, texts[type_name], _Messages(package, [], texts), name, type_name)
+
+
+def _action(path: Path, text: str, found: _Messages, name: str, type_name: str) -> ActionFile:
     definitions = parse_action(text, path)
     found.read(definitions)
     goal, result, feedback = (
-        found.message(definition, package, f"the {part} of `{path.stem}`")
+        found.message(definition, found.package, f"the {part} of `{path.stem}`")
         for definition, part in zip(definitions, ("goal", "result", "feedback"), strict=True)
     )
     return ActionFile(path, name or _snake(path.stem), type_name, goal, result, feedback)
@@ -183,9 +211,11 @@ def _too_deep(definition: MessageDefinition, field: FieldDefinition) -> Interfac
 class _Messages:
     """The messages that are nested in an action, at any depth."""
 
-    def __init__(self, package: str, roots: list[Path]) -> None:
-        self._package = package
+    def __init__(self, package: str, roots: list[Path], texts: Mapping[str, str]) -> None:
+        """`texts` are those of messages that need no file, by their types."""
+        self.package = package
         self._roots = roots
+        self._texts = texts
         self._definitions: dict[tuple[str, str], MessageDefinition] = {}
         self._made: dict[tuple[str, str], InterfaceMessage] = {}
         self._extents: dict[tuple[str, str], _Extent] = {}
@@ -194,7 +224,7 @@ class _Messages:
     def read(self, definitions: Iterable[MessageDefinition]) -> None:
         """Read the files of all messages that the definitions nest."""
         for definition in definitions:
-            self._read(definition, self._package, ())
+            self._read(definition, self.package, ())
         self._namesakes = Counter(name for _, name in self._definitions)
 
     def _read(
@@ -227,6 +257,9 @@ class _Messages:
     def _definition(
         self, user: Path, field: FieldDefinition, package: str, name: str
     ) -> MessageDefinition:
+        text = self._texts.get(f"{package}/msg/{name}")
+        if text is not None:
+            return parse_message(text, Path(package, "msg", f"{name}.msg"))
         for path in self._places(package, name):
             if path.is_file():
                 return parse_message(_text_of(path), path)

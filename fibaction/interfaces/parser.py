@@ -93,7 +93,8 @@ def _message(lines: Sequence[SourceLine], path: Path, name: str) -> MessageDefin
             fields.append(_field(line, kind, rest, _joined(comments)))
     _check_unique(path, fields)
     _check_unique(path, constants)
-    return MessageDefinition(path, name, tuple(fields), tuple(constants), _joined(about))
+    text = "".join(f"{line.text}\n" for line in lines)
+    return MessageDefinition(path, name, tuple(fields), tuple(constants), _joined(about), text)
 
 
 def _with_comments(lines: Iterable[SourceLine]) -> Iterator[tuple[SourceLine, list[str]]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fibaction.interfaces.definitions import InterfaceError
-from fibaction.interfaces.files import read_action
+from fibaction.interfaces.files import read_action, read_action_texts
 
 FILES = Path(__file__).parent.parent / "action_files"
 
@@ -304,3 +304,35 @@ def test_namesakes_keep_their_type_names(tmp_path: Path) -> None:
         ("arm_msgs_Joint", "arm_msgs/msg/Joint"),
         ("leg_msgs_Joint", "leg_msgs/msg/Joint"),
     ]
+
+
+LIFT = "lift_msgs/action/Lift"
+
+
+def test_an_action_is_read_from_the_texts_that_another_one_gives(tmp_path: Path) -> None:
+    write(tmp_path / "other_msgs/msg/Load.msg", "# What is lifted.\nfloat32 mass 1.5  # in kg\n")
+    path = write(
+        tmp_path / f"{LIFT}.action", "other_msgs/Load load\nbuiltin_interfaces/Time at\n---\n---\n"
+    )
+    action = read_action(path, search=[tmp_path])
+    texts = action.texts()
+    assert list(texts) == [LIFT, "other_msgs/msg/Load", "builtin_interfaces/msg/Time"]
+    again = read_action_texts(LIFT, texts, name="hoist")
+    assert (again.name, again.type_name, again.texts()) == ("hoist", LIFT, texts)
+    (mass,) = again.goal.nested["load"].definition.fields
+    assert (mass.default, mass.comment) == (1.5, "in kg")
+
+
+@pytest.mark.parametrize(
+    ("type_name", "problem"),
+    [
+        (LIFT, "expected 'other_msgs/Load' on the search path"),
+        ("lift_msgs/action/Lower", "expected a type like"),
+        ("Lift", "expected a type like"),
+        ("lift_msgs/msg/Lift", "expected a type like"),
+    ],
+)
+def test_texts_without_what_is_needed_are_an_error(type_name: str, problem: str) -> None:
+    texts = dict.fromkeys((LIFT, "Lift", "lift_msgs/msg/Lift"), "other_msgs/Load load\n---\n---\n")
+    with pytest.raises(InterfaceError, match=problem):
+        read_action_texts(type_name, texts)
