@@ -88,7 +88,8 @@ def composed(type_name: str, text: str, parts: Mapping[str, InterfaceMessage]) -
 
     The text names the messages in it as `parts` does: without package.
     """
-    definition = parse_message(text, Path(type_name))
+    # Its text is left out, because in a file the packages are needed.
+    definition = parse_message(text, Path(type_name))._replace(text="")
     nested = {
         each.name: parts[each.type.base] for each in definition.fields if each.type.is_message
     }

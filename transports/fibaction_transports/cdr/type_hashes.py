@@ -20,7 +20,7 @@ Description: TypeAlias = dict[str, Any]
 
 _MESSAGE = 1
 # `char` is a uint8 in ROS 2, and the type named CHAR (13) is not used by interface files.
-_TYPE_NUMBERS: dict[str, int] = {
+TYPE_NUMBERS: Final[dict[str, int]] = {
     "int8": 2,
     "uint8": 3,
     "char": 3,
@@ -42,7 +42,7 @@ _BOUNDED_TEXT = 4
 _ARRAY, _BOUNDED, _UNBOUNDED = 48, 96, 144
 """The offsets that make the number of a type that of an array of it."""
 
-_NO_FIELDS = ("structure_needs_at_least_one_member", FieldType("uint8"))
+NO_FIELDS: Final = ("structure_needs_at_least_one_member", FieldType("uint8"))
 """The member that ROS puts into a message without fields."""
 
 
@@ -85,7 +85,7 @@ def _individual(message: InterfaceMessage) -> Description:
             f"{message.full_name} has no type hash, because its package is unknown: put its file"
             " into package/msg/ or package/action/"
         )
-    fields = [(field.name, field.type) for field in message.definition.fields] or [_NO_FIELDS]
+    fields = [(field.name, field.type) for field in message.definition.fields] or [NO_FIELDS]
     return {
         "type_name": message.type_name,
         "fields": [
@@ -96,7 +96,7 @@ def _individual(message: InterfaceMessage) -> Description:
 
 
 def _field_type(kind: FieldType, nested: InterfaceMessage | None) -> Description:
-    number = _MESSAGE if nested is not None else _TYPE_NUMBERS[kind.base]
+    number = _MESSAGE if nested is not None else TYPE_NUMBERS[kind.base]
     if kind.characters is not None:
         number += _BOUNDED_TEXT
     if kind.size is not None:

@@ -174,15 +174,19 @@ class RosConnection(Connection):
         found = self._ros.types.find(type_name, info.name)
         codecs = found.codecs(info)
         client = self._clients.get((full.feedback, type_name))
-        if client is None:
+        if client is None or client.impl is not found.impl:
             client = RosActionClient(self._ros, info.name, found.impl, self._settings)
             self._clients[full.feedback, type_name] = client
             self._tasks.start_soon(client.run, name=f"client of {info.name}")
         return RosEndpoint(client, info, codecs)
 
     async def actions(self) -> list[ActionInfo]:
-        """See `Connection.actions`. Actions whose types are not installed here have no schemas."""
+        """See `Connection.actions`. Actions whose types are not installed here have no schemas,
+        but for what their servers tell of them.
+        """
         found = await self._settled(self._found)
+        await self._ros.learn(found)
+        self._check_ros()
         types = self._ros.types
         return [_described(types, self._relative(topic), type_name) for topic, type_name in found]
 

@@ -31,6 +31,10 @@ class EndInfo(NamedTuple):
     node: str
     """The full name of its node, for example `/robot/arm`; empty if it is not known yet."""
     qos: EndQos
+    type_hash: str = ""
+    """The hash of the type of its messages, if the middleware tells it."""
+    action_hash: str = ""
+    """That of the action whose feedback it publishes, if it is one of fibaction over DDS."""
 
 
 class LifeSigns(NamedTuple):

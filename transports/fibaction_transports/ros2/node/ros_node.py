@@ -179,6 +179,13 @@ class RosNode(ABC):
 
     # The graph
 
+    async def learn(self, actions: Sequence[tuple[str, str]]) -> None:  # noqa: B027
+        """Learn the types of actions that `types` does not know from their servers, if the
+        middleware can ask them. It takes a second at most.
+
+        Each action is given by its feedback topic and its type.
+        """
+
     @abstractmethod
     def topics(self) -> list[tuple[str, str]]:
         """Return the topics, with or without a publisher, each with the name of its type."""

@@ -20,6 +20,7 @@ from fibaction_transports.cdr.standard_messages import (
 )
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.on_dds.messages.action_types import standard_type
+from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes
 from fibaction_transports.ros2.on_dds.names import (
     GRAPH_TOPIC,
     ros_topic,
@@ -172,4 +173,5 @@ class DdsGraph:
             node = str(self._node)
         else:
             node = self._nodes.get(end.guid.prefix, {}).get(bytes(end.guid), "")
-        return EndInfo(bytes(end.guid), node, _end_qos(end.qos))
+        data = end.user_data if isinstance(end, EndpointData) else b""
+        return EndInfo(bytes(end.guid), node, _end_qos(end.qos), *read_hashes(data))

@@ -28,13 +28,16 @@ from fibaction_transports.ros2.node.parts import (
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_dds.arguments import NameResolver
 from fibaction_transports.ros2.on_dds.clock import CLOCK_TOPIC, DdsClock
+from fibaction_transports.ros2.on_dds.descriptions.description_messages import GET_TYPE_DESCRIPTION
+from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeLearner
+from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.on_dds.graph import DdsGraph, NodeName, dds_qos
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
 from fibaction_transports.ros2.on_dds.messages.node_messages import CLOCK
 from fibaction_transports.ros2.on_dds.names import reply_topic, request_topic, topic_name
 from fibaction_transports.ros2.on_dds.parameters import DdsParameters
-from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds
+from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds, provide
 from fibaction_transports.ros2.on_dds.topics import (
     DdsLifeWatch,
     DdsPublisher,
@@ -86,7 +89,10 @@ class DdsNode(RosNode):
         }
         self._watches: dict[Guid, DdsLifeWatch] = {}
         self._simulated_time: DdsSubscription | None = None
+        self._in_use = TypeRegistry()
+        self._learner = TypeLearner(self, types)
         self.parameters.serve(self, str(name))
+        provide(self, f"{name}/get_type_description", GET_TYPE_DESCRIPTION, self._in_use.answer)
         tasks.start_soon(self.graph.run, name="announcements of a ROS node")
 
     # What arrives
@@ -174,17 +180,27 @@ class DdsNode(RosNode):
         # The reader first, so that a server that knows the writer knows where its answers go.
         reader = self._reader(reply_topic(service), service_type.Response, qos)
         writer = self._writer(request_topic(service), service_type.Request, qos)
+        self._in_use.add_service(service_type)
         ends = ServiceEnds(self._network, writer, reader)
         caller = DdsCaller(ends, service_type, take, take_unreadable)
         self._takers[reader.guid] = caller.receive
         self._tasks.start_soon(caller.ask, name=f"client of {service}")
         return caller
 
+    def remove_caller(self, caller: DdsCaller) -> None:
+        """Remove a client of a service."""
+        caller.close()
+        self._takers.pop(caller.ends.reader.guid, None)
+        for end in (caller.ends.writer, caller.ends.reader):
+            self.graph.remove(end)
+            self._network.remove(end)
+
     def provider(
         self, service: str, service_type: ServiceType, qos: EndQos, take: RequestSink
     ) -> DdsProvider:
         writer = self._writer(reply_topic(service), service_type.Response, qos)
         reader = self._reader(request_topic(service), service_type.Request, qos)
+        self._in_use.add_service(service_type)
         provider = DdsProvider(ServiceEnds(self._network, writer, reader), service_type, take)
         self._takers[reader.guid] = provider.receive
         return provider
@@ -201,6 +217,7 @@ class DdsNode(RosNode):
             )
 
     def _writer(self, topic: str, message_type: MessageType, qos: EndQos) -> DataWriter:
+        self._in_use.add_messages(message_type)
         made = self._network.create_writer(
             topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
         )
@@ -208,6 +225,7 @@ class DdsNode(RosNode):
         return made
 
     def _reader(self, topic: str, message_type: MessageType, qos: EndQos) -> DataReader:
+        self._in_use.add_messages(message_type)
         made = self._network.create_reader(
             topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
         )
@@ -215,6 +233,9 @@ class DdsNode(RosNode):
         return made
 
     # The graph
+
+    async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
+        await self._learner.learn(actions)
 
     def topics(self) -> list[tuple[str, str]]:
         return self.graph.topics()

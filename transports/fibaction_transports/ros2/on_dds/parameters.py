@@ -6,19 +6,15 @@ A node has one parameter, as those of rclpy have it: `use_sim_time`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Final
+from typing import Final
 
-from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_dds.messages import parameter_messages as messages
 from fibaction_transports.ros2.on_dds.messages.node_messages import Parameter, ParameterValue
-from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.on_dds.services import provide
 
 USE_SIM_TIME: Final = "use_sim_time"
 _NOT_SET, _BOOL = 0, 1
-_SERVICES = EndQos(depth=1000)
-
-logger = clean_logger("fibaction.ros2")
 
 
 class DdsParameters:
@@ -47,7 +43,7 @@ class DdsParameters:
                 self._set_atomically,
             ),
         ):
-            _provide(ros, f"{node}/{name}", service_type, answer)
+            provide(ros, f"{node}/{name}", service_type, answer)
 
     def set_use_sim_time(self, value: bool) -> None:
         """Set the parameter."""
@@ -91,11 +87,3 @@ class DdsParameters:
         for one in parameters:
             self.set_use_sim_time(one.value.bool_value)
         return messages.SetParametersResult(successful=True)
-
-
-def _provide(ros: RosNode, service: str, service_type: Any, answer: Callable[[Any], Any]) -> None:
-    def take(header: Any, request: Any) -> None:
-        if not provider.answer(header, answer(request)):
-            logger.info("%s: an answer cannot reach its client, and is lost", service)
-
-    provider = ros.provider(service, service_type, _SERVICES, take)

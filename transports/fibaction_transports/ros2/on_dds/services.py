@@ -16,6 +16,7 @@ answer of Fast DDS comes after 3 s, with its next heartbeat.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import anyio
@@ -31,6 +32,7 @@ from fibaction_transports.ros2.node.parts import (
     ServiceCaller,
     ServiceProvider,
 )
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
 from fibaction_transports.ros2.on_dds.service_identity import (
     UNKNOWN_NUMBER,
@@ -43,6 +45,7 @@ from fibaction_transports.ros2.on_dds.service_identity import (
     uses_header,
     with_header,
 )
+from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
@@ -54,6 +57,8 @@ FIRST_ASK, LONGEST_ASK = 0.03, 2.0
 """Seconds after which a client asks for an answer: the first time, and at most."""
 OPEN_REQUESTS = 10_000
 """Requests whose answers a client still knows; then the oldest is forgotten."""
+
+_SERVICES = EndQos(depth=1000)
 
 logger = clean_logger("fibaction.ros2")
 
@@ -92,6 +97,7 @@ class DdsCaller(ServiceCaller):
         """The calls that have no answer yet."""
         self._of_sample: OrderedDict[int, int] = OrderedDict()
         """The calls, by the numbers of their samples."""
+        self._is_closed = False
         self._sent = Notifier()
         self._pause = FIRST_ASK
         self._due = current_time()
@@ -165,11 +171,23 @@ class DdsCaller(ServiceCaller):
         known = self._of_sample.get(identity.number)
         return None if known is None else (known, sample.payload)
 
+    @property
+    def ends(self) -> ServiceEnds:
+        """The writer of requests, and the reader of answers."""
+        return self._ends
+
+    def close(self) -> None:
+        """Wait for no answer any more."""
+        self._is_closed = True
+        self._open.clear()
+        self._sent.notify()
+
     async def ask(self) -> None:
-        """Ask for answers that may have been lost, until canceled."""
-        while True:
-            while not self._open:
+        """Ask for answers that may have been lost, until closed."""
+        while not self._is_closed:
+            if not self._open:
                 await self._sent.wait()
+                continue
             await anyio.sleep_until(self._due)
             if current_time() < self._due or not self._open:
                 continue
@@ -240,6 +258,22 @@ class DdsProvider(ServiceProvider):
             return [header.identity.writer] if header.identity.writer in readers else []
         # A header does not name the reader, so all of the client's participant get the answer.
         return [reader for reader in readers if reader.prefix == header.client.prefix]
+
+
+def provide(
+    ros: RosNode, service: str, service_type: ServiceType, answer: Callable[[Any], Any]
+) -> None:
+    """Serve a service of a node whose answers need no time.
+
+    Raises:
+        TransportError: The service cannot be made.
+    """
+
+    def take(header: Any, request: Any) -> None:
+        if not provider.answer(header, answer(request)):
+            logger.info("%s: an answer cannot reach its client, and is lost", service)
+
+    provider = ros.provider(service, service_type, _SERVICES, take)
 
 
 def _put(table: OrderedDict[int, Any], key: int, value: Any) -> None:

@@ -16,15 +16,18 @@ from fibaction_transports.cdr.action_messages import (
     SendGoalResponse,
     standard_codec,
 )
+from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.standard_messages import (
     MESSAGES,
     STRUCTS,
     TimeMessage,
     UuidMessage,
+    composed,
 )
 from fibaction_transports.ros2.convert.conversion import RosAction
 from fibaction_transports.ros2.on_dds.messages.message_kinds import message_kind
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
+from fibaction_transports.ros2.on_dds.messages.partly_known import PartlyKnownAction
 
 
 @cache
@@ -39,12 +42,22 @@ CANCEL_GOAL: Final = ServiceType(
 )
 
 
-def action_of(file: ActionFile) -> RosAction:
+_STATUS: Final = composed("fibaction/msg/ResultStatus", "int8 status", {})
+_STATUS_ONLY: Final = CdrCodec(
+    _STATUS, {_STATUS.class_name: lambda status: GetResultResponse(status, None)}
+)
+"""The codec of answers whose results cannot be read: these follow the status."""
+
+
+def action_of(file: ActionFile, advice: str = "") -> RosAction:
     """Return the type of an action from its interface file.
+
+    With an `advice`, only the feedback of the file is known: it says what makes the rest known.
 
     Raises:
         TransportError: The file has no type name of ROS.
     """
+    is_known = not advice
     codecs = ActionCodecs(file, as_arrays=True)
     parts = codecs.interface.nested
     send_goal, get_result = parts["send_goal_service"].nested, parts["get_result_service"].nested
@@ -57,6 +70,7 @@ def action_of(file: ActionFile) -> RosAction:
                 send_goal["request_message"],
                 codecs.send_goal_request,
                 lambda: SendGoalRequest(UuidMessage(), goal()),
+                is_known=is_known,
             ),
             MessageType(
                 send_goal["response_message"],
@@ -72,8 +86,9 @@ def action_of(file: ActionFile) -> RosAction:
             ),
             MessageType(
                 get_result["response_message"],
-                codecs.get_result_response,
+                codecs.get_result_response if is_known else _STATUS_ONLY,
                 lambda: GetResultResponse(0, result()),
+                is_known=is_known,
             ),
         ),
         CancelGoalService=CANCEL_GOAL,
@@ -81,8 +96,11 @@ def action_of(file: ActionFile) -> RosAction:
             parts["feedback_message"],
             codecs.feedback_message,
             lambda: FeedbackMessage(UuidMessage(), feedback()),
+            action=codecs.interface if is_known else None,
         ),
         GoalStatusMessage=standard_type("GoalStatusArray"),
     )
     kinds = [message_kind(part, codecs.structs) for part in (file.goal, file.feedback, file.result)]
+    if not is_known:
+        return PartlyKnownAction(file.type_name, impl, kinds, advice)
     return RosAction(file.type_name, impl, kinds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +22,8 @@ from fibaction_transports.ros2.on_dds.messages.node_messages import PARAMETER
 
 FOLDERS: Final = "FIBACTION_SEARCH"
 """The variable of the environment with folders of packages, separated as in PATH."""
+MOST_LEARNED: Final = 1_000
+"""Types that are kept as other nodes describe them."""
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 
@@ -32,37 +35,73 @@ class DdsTypes(RosTypes):
         given = filter(None, os.environ.get(FOLDERS, "").split(os.pathsep))
         self._folders = [*map(Path, folders), *map(Path, given)]
         self._found: dict[str, RosAction] = {}
+        self._learned: OrderedDict[str, tuple[str, RosAction]] = OrderedDict()
+        """The actions that other nodes have described, each with the hash that was asked for."""
         self.GoalInfo = STRUCTS["action_msgs/msg/GoalInfo"]
         self.Parameter = PARAMETER
 
     def find(self, type_name: str, action: str = "") -> RosAction:
         if type_name not in self._found:
-            self._found[type_name] = action_of(self._file(type_name, action))
+            if not _TYPE_NAME.fullmatch(type_name):
+                which = f" {action!r}" if action else ""
+                raise TransportError(
+                    f"give the Action{which} a type_name such as"
+                    " 'example_interfaces/action/Fibonacci', which ROS needs:"
+                    f" {type_name!r} is not a ROS action type"
+                )
+            file = self._file(type_name)
+            if file is None and type_name in self._learned:
+                return self._learned[type_name][1]
+            if file is None:
+                raise TransportError(f"{type_name} is not known here: {self._advice(type_name)}")
+            self._found[type_name] = action_of(file)
         return self._found[type_name]
 
-    def _file(self, type_name: str, action: str) -> ActionFile:
-        if not _TYPE_NAME.fullmatch(type_name):
-            which = f" {action!r}" if action else ""
-            raise TransportError(
-                f"give the Action{which} a type_name such as"
-                f" 'example_interfaces/action/Fibonacci', which ROS needs: {type_name!r} is not a"
-                " ROS action type"
-            )
+    def has_file(self, type_name: str) -> bool:
+        """Return whether a type needs not be learned: it has a file, or cannot have one."""
+        try:
+            self.find(type_name)
+        except TransportError:
+            return not _TYPE_NAME.fullmatch(type_name) or self._path(type_name) is not None
+        return type_name in self._found
+
+    def has_learned(self, type_name: str, type_hash: str) -> bool:
+        """Return whether another node has described a type by this hash."""
+        return self._learned.get(type_name, ("",))[0] == type_hash
+
+    def learn(self, file: ActionFile, type_hash: str, *, is_whole: bool) -> None:
+        """Take a type as another node describes it. Without `is_whole`, its goal and its result
+        are not known.
+        """
+        advice = "" if is_whole else self._advice(file.type_name)
+        self._learned[file.type_name] = type_hash, action_of(file, advice)
+        if len(self._learned) > MOST_LEARNED:
+            self._learned.popitem(last=False)
+
+    def _folders_now(self) -> list[Path]:
+        return [*self._folders, *ros_folders()]
+
+    def _path(self, type_name: str) -> Path | None:
+        paths = (folder / f"{type_name}.action" for folder in self._folders_now())
+        return next((path for path in paths if path.is_file()), None)
+
+    def _file(self, type_name: str) -> ActionFile | None:
         known = known_action(type_name)
         if known is not None:
             return known
-        folders = [*self._folders, *ros_folders()]
-        for folder in folders:
-            path = folder / f"{type_name}.action"
-            if path.is_file():
-                try:
-                    return read_action(path, type_name=type_name, search=folders)
-                except (InterfaceError, OSError) as exc:
-                    raise TransportError(f"{type_name} cannot be used: {exc}") from exc
-        searched = ", ".join(map(str, folders)) or "no folder"
-        raise TransportError(
-            f"{type_name} is not known here: put {type_name}.action into a folder, and name that"
-            f" folder with search=FOLDER or in {FOLDERS} (searched: {searched})"
+        path = self._path(type_name)
+        if path is None:
+            return None
+        try:
+            return read_action(path, type_name=type_name, search=self._folders_now())
+        except (InterfaceError, OSError) as exc:
+            raise TransportError(f"{type_name} cannot be used: {exc}") from exc
+
+    def _advice(self, type_name: str) -> str:
+        searched = ", ".join(map(str, self._folders_now())) or "no folder"
+        return (
+            f"put {type_name}.action into a folder, and name that folder with search=FOLDER or in"
+            f" {FOLDERS} (searched: {searched})"
         )
 
     def uuid(self, goal_id: bytes) -> bytes:

@@ -2,26 +2,64 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 from fibaction.interfaces.files import InterfaceMessage
+from fibaction_transports.cdr.action_messages import service_interface
 from fibaction_transports.cdr.codec import CdrCodec
-from fibaction_transports.cdr.type_hashes import type_hash
+from fibaction_transports.cdr.type_hashes import PREFIX, type_hash
 from fibaction_transports.ros2.on_dds.names import dds_type
+
+_TYPE_HASH: Final = "typehash"
+_ACTION_HASH: Final = "actionhash"
+_ITEMS = re.compile(rf"({_TYPE_HASH}|{_ACTION_HASH})=({PREFIX}[0-9a-f]{{64}});")
+_REQUEST = "_Request"
+
+
+class TypeHashes(NamedTuple):
+    """The hashes that an endpoint announces; empty if it announces none."""
+
+    of_type: str = ""
+    of_action: str = ""
+    """That of the action whose feedback it has; only our own endpoints announce it."""
+
+
+def read_hashes(user_data: bytes) -> TypeHashes:
+    """Return the hashes in the user data of an endpoint."""
+    found = dict(_ITEMS.findall(user_data.decode("latin-1")))
+    return TypeHashes(found.get(_TYPE_HASH, ""), found.get(_ACTION_HASH, ""))
 
 
 class MessageType:
     """A type of messages. Called, it makes one with its defaults, but for the fields given."""
 
     def __init__(
-        self, definition: InterfaceMessage, codec: CdrCodec, make: Callable[..., Any]
+        self,
+        definition: InterfaceMessage,
+        codec: CdrCodec,
+        make: Callable[..., Any],
+        *,
+        action: InterfaceMessage | None = None,
+        is_known: bool = True,
     ) -> None:
+        """Describe a type.
+
+        Args:
+            definition: Its fields.
+            codec: The codec of its messages.
+            make: Makes a message with its defaults.
+            action: The type of the action whose feedback these messages have.
+            is_known: False if the definition is not the whole one, so that it is not announced.
+        """
         self.name = definition.type_name
         """The name in ROS, for example `std_msgs/msg/String`."""
         self.codec = codec
-        self._definition = definition
+        self.definition = definition
+        self.action = action
+        self.is_known = is_known
         self._make = make
 
     def __call__(self, **fields: Any) -> Any:
@@ -33,9 +71,19 @@ class MessageType:
         return dds_type(self.name)
 
     @cached_property
+    def type_hash(self) -> str:
+        """The hash of the type; empty if it is not known."""
+        return type_hash(self.definition) if self.is_known else ""
+
+    @cached_property
     def user_data(self) -> bytes:
-        """The user data that an endpoint of this type announces: the hash of the type."""
-        return f"typehash={type_hash(self._definition)};".encode()
+        """The user data that an endpoint of this type announces: the hash of the type, and that of
+        the action.
+        """
+        items = [(_TYPE_HASH, self.type_hash)] if self.is_known else []
+        if self.action is not None:
+            items.append((_ACTION_HASH, type_hash(self.action)))
+        return "".join(f"{name}={value};" for name, value in items).encode()
 
 
 class ServiceType:
@@ -44,3 +92,9 @@ class ServiceType:
     def __init__(self, request: MessageType, response: MessageType) -> None:
         self.Request = request
         self.Response = response
+
+    @property
+    def definition(self) -> InterfaceMessage:
+        """The definition of the service."""
+        request, response = self.Request.definition, self.Response.definition
+        return service_interface(request.type_name.removesuffix(_REQUEST), request, response)

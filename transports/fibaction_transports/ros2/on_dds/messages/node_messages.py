@@ -45,14 +45,19 @@ _PARTS: dict[str, InterfaceMessage] = dict(MESSAGES)
 _STRUCTS: dict[str, Callable[..., Any]] = dict(STRUCTS)
 
 
-def node_message(type_name: str, text: str, made: Callable[..., Any]) -> MessageType:
+def node_message(
+    type_name: str,
+    text: str,
+    made: Callable[..., Any],
+    codec: type[CdrCodec] = CdrCodec,
+) -> MessageType:
     """Return the type of a message from its definition, in which messages are named without their
     packages.
     """
     definition = composed(type_name, text, _PARTS)
     _PARTS[type_name.rpartition("/")[2]] = definition
     _STRUCTS[type_name] = made
-    return MessageType(definition, CdrCodec(definition, _STRUCTS), made)
+    return MessageType(definition, codec(definition, _STRUCTS), made)
 
 
 node_message(

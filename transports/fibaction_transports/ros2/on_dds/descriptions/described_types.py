@@ -1,0 +1,144 @@
+"""Interface files made of the description of a type, as another node gives it.
+
+The description comes from a peer. It becomes text, which the parser of interface files checks as
+any file, and it counts only if its hash is the one that the endpoints of the peer announce. So an
+answer can be wrong only where the announcement is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from fibaction.interfaces import ActionFile, InterfaceError
+from fibaction.interfaces.files import InterfaceMessage, read_action_texts
+from fibaction.interfaces.parser import parse_message
+from fibaction_transports.cdr.action_messages import action_interface
+from fibaction_transports.cdr.type_hashes import NO_FIELDS, TYPE_NUMBERS, type_hash
+from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+    DescriptionResponse,
+    FieldDescription,
+    FieldTypeDescription,
+    IndividualTypeDescription,
+)
+
+MOST_VALUES = 100_000
+"""Values in a message with its defaults: the elements of arrays of a fixed size make them many."""
+
+_BASES = {number: name for name, number in TYPE_NUMBERS.items() if name != "char"} | {
+    21: "string<=",
+    22: "wstring<=",
+}
+_NESTED = 1
+_ARRAYS = ((144, "[]"), (96, "[<={}]"), (48, "[{}]"))
+_PARTS = ("Goal", "Result", "Feedback")
+
+
+class UnusableDescription(ValueError):
+    """A description that does not define the type that was asked for."""
+
+
+def described_action(
+    response: DescriptionResponse, type_name: str, *, feedback: str = "", action: str = ""
+) -> ActionFile:
+    """Return an action as another node describes it.
+
+    With the hash of an `action`, the response describes all of it. With the hash of its `feedback`,
+    it describes the messages that carry the feedback, and goal and result are empty.
+
+    Raises:
+        UnusableDescription: It is not that type, or has another hash, or is too large.
+    """
+    if not response.successful:
+        raise UnusableDescription(response.failure_reason)
+    described = response.type_description
+    individual = {
+        one.type_name: one
+        for one in (described.type_description, *described.referenced_type_descriptions)
+    }
+    made = _texts(individual, type_name)
+    # The sources have defaults and comments, too.
+    sources = {
+        one.type_name: one.raw_file_contents
+        for one in response.type_sources
+        if one.type_name in made and one.encoding in ("msg", "action")
+    }
+    problem = "it has another hash"
+    for texts in (made | sources, made):
+        try:
+            file = read_action_texts(type_name, texts)
+        except InterfaceError as exc:
+            problem = str(exc)
+            continue
+        if _values(file) > MOST_VALUES:
+            problem = f"it has more than {MOST_VALUES:,} values"
+        elif _hash(file, is_whole=bool(action)) == (action or feedback):
+            return file
+    raise UnusableDescription(problem)
+
+
+def _hash(file: ActionFile, *, is_whole: bool) -> str:
+    interface = action_interface(file)
+    return type_hash(interface if is_whole else interface.nested["feedback_message"])
+
+
+def _values(file: ActionFile) -> int:
+    """Return the number of values of an action with their defaults."""
+    counted: dict[str, int] = {}
+
+    def count(message: InterfaceMessage) -> int:
+        if message.type_name not in counted:
+            total = 1
+            for field in message.definition.fields:
+                nested = message.nested.get(field.name)
+                times = (field.type.size or 0) if field.type.is_array else 1
+                total += times * (1 if nested is None else count(nested))
+            counted[message.type_name] = total
+        return counted[message.type_name]
+
+    return sum(count(part) for part in (file.goal, file.result, file.feedback))
+
+
+def _texts(individual: Mapping[str, IndividualTypeDescription], type_name: str) -> dict[str, str]:
+    """Return the texts of files, by the types that they define."""
+    parts = [individual.get(f"{type_name}_{part}") for part in _PARTS]
+    action = "---\n".join("" if part is None else _text(part) for part in parts)
+    messages = {
+        name: _text(one) for name, one in individual.items() if name.split("/")[1:2] == ["msg"]
+    }
+    return {**messages, type_name: action}
+
+
+def _text(one: IndividualTypeDescription) -> str:
+    if [field.name for field in one.fields] == [NO_FIELDS[0]]:
+        return ""
+    return "".join(f"{_line(field)}\n" for field in one.fields)
+
+
+def _line(field: FieldDescription) -> str:
+    line = f"{_type(field.type)} {field.name}"
+    with_default = f"{line} {field.default_value}"
+    if field.default_value and _is_valid(with_default):
+        return with_default
+    return line
+
+
+def _is_valid(line: str) -> bool:
+    try:
+        return len(parse_message(line, Path("Default.msg")).fields) == 1
+    except InterfaceError:
+        return False
+
+
+def _type(described: FieldTypeDescription) -> str:
+    number = described.type_id
+    length, form = next(((low, form) for low, form in _ARRAYS if number > low), (0, ""))
+    base = _BASES.get(number - length, "")
+    if number - length == _NESTED:
+        package, _, name = described.nested_type_name.partition("/msg/")
+        base = f"{package}/{name}"
+    elif base.endswith("<="):
+        base += str(described.string_capacity)
+    if not base:
+        raise UnusableDescription(f"it has a field of the type {number}, which files cannot have")
+    return base + form.format(described.capacity)

@@ -1,0 +1,153 @@
+"""What a node asks other nodes about the types of their actions.
+
+Theory of operation
+-------------------
+
+An action whose interface file is not found here is looked up at the nodes that publish its
+feedback, with the service `get_type_description` that nodes have since ROS 2 Jazzy. A question
+needs the hash of a type, and endpoints announce the hashes of their messages only: so a node of
+rclpy describes the feedback, and not the goal and the result. The nodes of this project announce
+the hash of the action, too, and describe all of it.
+
+The service may be off, and the answer may be wrong: each action has `ASK_TIME` seconds, and a
+publisher that has not answered as it should is not asked again.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Any, Final, Protocol
+
+import anyio
+
+from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.words.errors import ConnectionLost
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.node.parts import AnswerSink, EndInfo, ErrorSink
+from fibaction_transports.ros2.on_dds.descriptions.described_types import (
+    UnusableDescription,
+    described_action,
+)
+from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+    GET_TYPE_DESCRIPTION,
+    DescriptionRequest,
+    DescriptionResponse,
+)
+from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
+from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
+from fibaction_transports.ros2.on_dds.services import DdsCaller
+from fibaction_transports.ros2.qos import EndQos
+
+ASK_TIME: Final = 1.0
+"""Seconds in which the type of an action is learned."""
+LOOK_PAUSE: Final = 0.02
+"""Seconds between two looks for the service of a node."""
+MOST_ACTIONS: Final = 100
+"""Actions that are asked for at a time."""
+MOST_SILENT: Final = 1_000
+"""Publishers that are remembered because they have not answered."""
+
+logger = clean_logger("fibaction.ros2")
+
+
+class AskingNode(Protocol):
+    """The node that asks."""
+
+    def publishers(self, topic: str) -> Sequence[EndInfo]:
+        """See `RosNode.publishers`."""
+
+    def caller(
+        self,
+        service: str,
+        service_type: ServiceType,
+        qos: EndQos,
+        take: AnswerSink,
+        take_unreadable: ErrorSink | None = None,
+    ) -> DdsCaller:
+        """See `RosNode.caller`."""
+
+    def remove_caller(self, caller: DdsCaller) -> None:
+        """Remove a client of a service."""
+
+
+class TypeLearner:
+    """Learns the types of actions from other nodes."""
+
+    def __init__(self, node: AskingNode, types: DdsTypes) -> None:
+        self._node = node
+        self._types = types
+        self._silent: OrderedDict[bytes, None] = OrderedDict()
+
+    async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
+        """See `RosNode.learn`."""
+        unknown = [one for one in actions if not self._types.has_file(one[1])]
+        async with anyio.create_task_group() as tasks:
+            for topic, type_name in unknown[:MOST_ACTIONS]:
+                tasks.start_soon(self._learn, topic, type_name)
+
+    async def _learn(self, topic: str, type_name: str) -> None:
+        with anyio.move_on_after(ASK_TIME):
+            for end in await self._publishers(topic):
+                if await self._learn_from(end, type_name):
+                    return
+
+    async def _publishers(self, topic: str) -> list[EndInfo]:
+        """Return the publishers of feedback, when their nodes are known."""
+        while True:
+            ends = [end for end in self._node.publishers(topic) if end.gid not in self._silent]
+            if all(end.node for end in ends):
+                return ends
+            await anyio.sleep(LOOK_PAUSE)
+
+    async def _learn_from(self, end: EndInfo, type_name: str) -> bool:
+        questions = (
+            ("action", type_name, end.action_hash),
+            ("feedback", f"{type_name}_FeedbackMessage", end.type_hash),
+        )
+        for part, name, type_hash in questions:
+            if not type_hash:
+                continue
+            if self._types.has_learned(type_name, type_hash):
+                return True
+            self._silent[end.gid] = None
+            if len(self._silent) > MOST_SILENT:
+                self._silent.popitem(last=False)
+            response = await self._ask(end.node, DescriptionRequest(name, type_hash))
+            try:
+                file = described_action(response, type_name, **{part: type_hash})
+            except UnusableDescription as exc:
+                logger.info("%s describes %s: %s", end.node, name, excerpt(str(exc)))
+                continue
+            self._types.learn(file, type_hash, is_whole=part == "action")
+            self._silent.pop(end.gid, None)
+            return True
+        return False
+
+    async def _ask(self, node: str, request: DescriptionRequest) -> DescriptionResponse:
+        """Ask a node, and wait for the answer as long as it takes."""
+        response = DescriptionResponse(failure_reason="the answer cannot be read")
+        is_answered = anyio.Event()
+
+        def take(number: int, answer: Any) -> None:
+            nonlocal response
+            response = answer
+            is_answered.set()
+
+        caller = self._node.caller(
+            f"{node}/get_type_description",
+            GET_TYPE_DESCRIPTION,
+            qos.services(),
+            take,
+            lambda error: is_answered.set(),
+        )
+        try:
+            while not caller.is_available():  # noqa: ASYNC110 - nothing tells of it
+                await anyio.sleep(LOOK_PAUSE)
+            caller.send(request)
+            await is_answered.wait()
+        except ConnectionLost as exc:
+            return DescriptionResponse(failure_reason=str(exc))
+        finally:
+            self._node.remove_caller(caller)
+        return response
