@@ -25,6 +25,7 @@ from rclpy.action.graph import (
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from test_msgs.action import Fibonacci as OtherFibonacci
+from type_description_interfaces.srv import GetTypeDescription
 from unique_identifier_msgs.msg import UUID
 
 from tests.ros2.stock.telling import leave, say, spin, told
@@ -100,6 +101,20 @@ class Client:
             self._feedback[goal_id] = feedback
         stamp = nanoseconds(handle.stamp)
         return {"goal": goal_id, "accepted": handle.accepted, "stamp": stamp}
+
+    async def publisher_hashes(self, topic: str) -> list[str]:
+        return [str(one.topic_type_hash) for one in self.node.get_publishers_info_by_topic(topic)]
+
+    async def type_description(self, node: str, type_name: str, type_hash: str) -> dict[str, Any]:
+        request = GetTypeDescription.Request(type_name=type_name, type_hash=type_hash)
+        answer = await self._call(GetTypeDescription, f"{node}/get_type_description", request)
+        described = answer.type_description
+        return {
+            "successful": answer.successful,
+            "reason": answer.failure_reason,
+            "type_name": described.type_description.type_name,
+            "types": [one.type_name for one in described.referenced_type_descriptions],
+        }
 
     async def send_many(self, action: str, orders: list[int]) -> list[dict[str, Any]]:
         client = self._action_client(action)

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import re
 import uuid
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
 
-from fibaction import Action, ActionServer, GoalHandle, TransportError, connect, serve
+from fibaction import (
+    Action,
+    ActionServer,
+    ConnectionLost,
+    GoalHandle,
+    TransportError,
+    connect,
+    serve,
+)
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.structs import make_structs
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
+from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_dds import graph
 from fibaction_transports.ros2.on_dds.descriptions import type_learner
 from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
@@ -27,6 +38,8 @@ from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegi
 from fibaction_transports.ros2.on_dds.messages import dds_types
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.on_dds.messages.message_type import TypeHashes, read_hashes
+from fibaction_transports.ros2.on_dds.services import provide
+from fibaction_transports.ros2.qos import EndQos
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
@@ -226,3 +239,94 @@ async def test_the_types_that_are_kept_are_bounded(
     assert not types.has_learned(PAINT, "one")
     assert types.has_learned("far_msgs/action/Draw", "two")
     assert GET_TYPE_DESCRIPTION.definition.type_name.endswith("/GetTypeDescription")
+
+
+async def test_another_version_of_a_type_is_told_before_the_first_goal(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, caplog: pytest.LogCaptureFixture
+) -> None:
+    name, other = new_name(), tmp_path_factory.mktemp("other")
+    path = other / f"{PAINT}.action"
+    path.parent.mkdir(parents=True)
+    path.write_text("int32 spot\n---\nint32 spots\n---\n")
+    async with (
+        painting(folder, name),
+        connect(DdsTransport(search=[str(other)])) as connection,
+    ):
+        info = await found(connection, name)
+        assert await found(connection, name) == info
+        (record,) = caplog.records
+        assert record.getMessage().startswith(f"{name} cannot be used: its server has another")
+        client = connection.client(Action.untyped(info))
+        await client.wait_for_server(PATIENCE)
+        assert len(caplog.records) == 2
+        for _ in range(2):
+            with pytest.raises(TransportError) as caught:
+                await client.send_goal({"spot": 1})
+        there, here = "RIHS01_[0-9a-f]{8}.. there", "RIHS01_[0-9a-f]{8}.. here"
+        (part,) = re.findall(
+            f"{PAINT}_SendGoal_Request is {there}, and {here}; {PAINT}_Feed", str(caught.value)
+        )
+        assert part
+        assert str(caught.value).startswith(
+            f"cannot use the action {name!r} in ROS: its server has another version of the types: "
+        )
+        assert "use the interface files with which the server was built" in str(caught.value)
+
+
+class SlowNode:
+    """A node that learns late of another one, whose service is late, and then lost."""
+
+    def __init__(self) -> None:
+        self.looks = self.tries = 0
+        self.removed: list[SlowNode] = []
+
+    def publishers(self, topic: str) -> list[EndInfo]:
+        self.looks += 1
+        return [EndInfo(b"gid", "/far" if self.looks > 1 else "", EndQos(), "RIHS01_")]
+
+    def caller(self, service: str, *_: object) -> SlowNode:
+        assert service == "/far/get_type_description"
+        return self
+
+    def is_available(self) -> bool:
+        self.tries += 1
+        return self.tries > 1
+
+    def send(self, request: DescriptionRequest) -> int:
+        raise ConnectionLost("the line is cut")
+
+    def remove_caller(self, caller: SlowNode) -> None:
+        self.removed.append(caller)
+
+
+async def test_a_node_and_its_service_are_waited_for_and_may_be_lost(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level("INFO")
+    node = SlowNode()
+    learner = type_learner.TypeLearner(cast("type_learner.AskingNode", node), DdsTypes())
+    await learner.learn([("/go/_action/feedback", "gone_msgs/action/Go")])
+    assert node.removed == [node]
+    assert [record.getMessage() for record in caplog.records] == [
+        "/far describes gone_msgs/action/Go_FeedbackMessage: the line is cut"
+    ]
+
+
+def test_an_answer_that_cannot_reach_its_client_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+
+    class Ros:
+        def provider(self, service: str, kind: object, qos: object, take: Any) -> Ros:
+            self.take = take
+            return self
+
+        def answer(self, header: str, response: object) -> bool:
+            return header == "near"
+
+    ros = Ros()
+    provide(cast("RosNode", ros), "/n/s", GET_TYPE_DESCRIPTION, lambda request: request)
+    for header in ("near", "far"):
+        ros.take(header, DescriptionRequest())
+    assert [record.getMessage() for record in caplog.records] == [
+        "/n/s: an answer cannot reach its client, and is lost"
+    ]

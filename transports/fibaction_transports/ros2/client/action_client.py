@@ -126,7 +126,7 @@ class RosActionClient:
         self.presence = Presence(
             ros,
             action,
-            impl.GoalStatusMessage,
+            impl,
             full,
             callers,
             (feedback, status),
@@ -141,8 +141,10 @@ class RosActionClient:
 
         Raises:
             GoalRejected, ServerNotFound, ConnectionLost: See `Endpoint.offer_goal`.
+            TransportError: The server has other versions of the types.
         """
         await self.presence.needed()
+        self.presence.check_versions()
         servers = self.presence.servers()
         self._rivals.note(servers, self.presence.count())
         stream.is_counted = self._counts.come_from(servers)
@@ -203,8 +205,10 @@ class RosActionClient:
         Raises:
             UnknownGoal, ServerNotFound, ConnectionLost: See `Endpoint.feedback`.
             ProtocolError: The goal has ended, and its result cannot be read.
+            TransportError: The server has other versions of the types.
         """
         await self.presence.needed()
+        self.presence.check_versions()
         self._forget_gone()
         self._follow(stream)
         try:

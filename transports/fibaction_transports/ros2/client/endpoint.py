@@ -12,6 +12,7 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Connection, Endpoint, GoalRequest
 from fibaction.border.event_loop import Background
+from fibaction.border.peer_text import clean_logger
 from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (
@@ -32,6 +33,7 @@ from fibaction.words.goals import (
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
+from fibaction_transports.ros2.client.type_versions import explain_versions
 from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.parts import EndInfo
@@ -43,6 +45,8 @@ SETTLED = 0.2
 """Seconds without a change after which a list of actions or nodes counts as complete."""
 LIST_PAUSE = 0.05
 """Seconds between two looks at the graph."""
+
+logger = clean_logger("fibaction.ros2")
 
 FoundT = TypeVar("FoundT")
 
@@ -161,6 +165,8 @@ class RosConnection(Connection):
         self._settings = settings
         self._deadline = current_time() + settings.discovery_timeout
         self._clients: dict[tuple[str, str], RosActionClient] = {}
+        self._warned: dict[str, str] = {}
+        """What the log has said last of the versions of each action's types."""
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         """See `Connection.endpoint`.
@@ -182,13 +188,27 @@ class RosConnection(Connection):
 
     async def actions(self) -> list[ActionInfo]:
         """See `Connection.actions`. Actions whose types are not installed here have no schemas,
-        but for what their servers tell of them.
+        but for what their servers tell of them. The log says which have other versions there.
         """
         found = await self._settled(self._found)
         await self._ros.learn(found)
         self._check_ros()
-        types = self._ros.types
-        return [_described(types, self._relative(topic), type_name) for topic, type_name in found]
+        named = [(self._relative(topic), type_name) for topic, type_name in found]
+        infos = [_described(self._ros.types, *one) for one in named]
+        for info in infos:
+            self._warn_of_versions(info)
+        return infos
+
+    def _warn_of_versions(self, info: ActionInfo) -> None:
+        """Log once that a server has other versions of the types than this end."""
+        if not info.feedback:
+            return  # there are no types here
+        full = action_names(self._ros.resolve, info.name)
+        impl = self._ros.types.find(info.type_name).impl
+        problem = explain_versions(self._ros, full, impl)
+        if problem and self._warned.get(info.name) != problem:
+            logger.warning("%s cannot be used: %s", info.name, problem)
+        self._warned[info.name] = problem
 
     async def peers(self, action: str) -> ActionPeers:
         """See `Connection.peers`. Peers are named by their nodes. The clients are the nodes that

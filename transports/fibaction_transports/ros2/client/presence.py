@@ -10,9 +10,10 @@ import anyio
 from anyio import current_time
 
 from fibaction.border.peer_text import clean_logger
-from fibaction.words.errors import ConnectionLost, ServerNotFound
+from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
+from fibaction_transports.ros2.client.type_versions import explain_versions
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node.parts import ServiceCaller, TopicSubscription
 from fibaction_transports.ros2.node.ros_node import RosNode
@@ -47,15 +48,18 @@ class Presence:
         self,
         ros: RosNode,
         action: str,
-        status_type: Any,
+        impl: Any,
         full: ActionNames,
         clients: Sequence[ServiceCaller],
         subscriptions: tuple[TopicSubscription, TopicSubscription],
         settings: EndSettings,
     ) -> None:
-        """`subscriptions` are those to the feedback and to the statuses, in this order."""
+        """`impl` has the types of the action. `subscriptions` are those to the feedback and to the
+        statuses, in this order.
+        """
         self._ros = ros
         self._action = action
+        self._impl = impl
         self._names = full
         self._clients = clients
         self._subscriptions = subscriptions
@@ -70,8 +74,10 @@ class Presence:
         """The time at which a server was found silent; None if there is one that is not."""
         self._servers: frozenset[bytes] = frozenset()
         self._counted: tuple[int, float] = 0, -math.inf
+        self._checked: frozenset[bytes] = frozenset()
+        """The servers whose versions of the types are those here."""
         lease = qos.liveliness(settings.lease)
-        self._watch = ros.life_watch(full.status, status_type, lease)
+        self._watch = ros.life_watch(full.status, impl.GoalStatusMessage, lease)
         self._tells_signs = ros.tells_signs
 
     @property
@@ -154,6 +160,18 @@ class Presence:
             await anyio.sleep(LOOK_PAUSE)
         self._deadline = -math.inf  # from now on, a server that leaves is missed at once
 
+    def check_versions(self) -> None:
+        """Check that the servers have the types that this client has.
+
+        Raises:
+            TransportError: They have other versions of them.
+        """
+        servers = self.servers()
+        if servers != self._checked:
+            if problem := explain_versions(self._ros, self._names, self._impl):
+                raise TransportError(f"cannot use the action {self._action!r} in ROS: {problem}")
+            self._checked = servers
+
     def _why_not_found(self) -> str:
         if mismatch := self._mismatch():
             return f"cannot reach the action {self._action!r} in ROS: {mismatch}"
@@ -171,11 +189,14 @@ class Presence:
         Raises:
             ConnectionLost: ROS has been shut down.
         """
-        with anyio.move_on_after(MATCH_TIME):
-            return await self._come()
-        if mismatch := self._mismatch():
-            logger.warning("%s cannot be reached yet: %s", self._action, mismatch)
-        return await self._come()
+        with anyio.move_on_after(MATCH_TIME) as scope:
+            await self._come()
+        if scope.cancelled_caught:
+            if mismatch := self._mismatch():
+                logger.warning("%s cannot be reached yet: %s", self._action, mismatch)
+            await self._come()
+        if problem := explain_versions(self._ros, self._names, self._impl):
+            logger.warning("%s cannot be used: %s", self._action, problem)
 
     async def _come(self) -> None:
         while not self.is_there():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.convert.conversion import RosAction
@@ -43,6 +43,13 @@ class RosClock(ABC):
         """Return the time, in nanoseconds; 0 if the clock of a simulation has not said any yet."""
 
 
+class TypeVersion(NamedTuple):
+    """A type of messages, and the hash of its definition."""
+
+    type_name: str
+    type_hash: str
+
+
 class RosTypes(ABC):
     """The types of messages that a middleware knows.
 
@@ -65,6 +72,10 @@ class RosTypes(ABC):
         Raises:
             TransportError: There is no such type that can be used; the text says what to do.
         """
+
+    def version(self, message_type: Any) -> TypeVersion | None:
+        """Return the version of a type of messages; None if the middleware does not tell it."""
+        return None
 
     @abstractmethod
     def uuid(self, goal_id: bytes) -> Any:

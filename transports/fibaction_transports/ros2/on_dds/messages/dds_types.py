@@ -15,7 +15,7 @@ from fibaction.interfaces.known import known_action
 from fibaction.words.errors import TransportError
 from fibaction_transports.cdr.standard_messages import STRUCTS
 from fibaction_transports.ros2.convert.conversion import RosAction
-from fibaction_transports.ros2.node.ros_node import RosTypes
+from fibaction_transports.ros2.node.ros_node import RosTypes, TypeVersion
 from fibaction_transports.ros2.on_dds.messages.action_types import action_of
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
 from fibaction_transports.ros2.on_dds.messages.node_messages import PARAMETER
@@ -103,6 +103,11 @@ class DdsTypes(RosTypes):
             f"put {type_name}.action into a folder, and name that folder with search=FOLDER or in"
             f" {FOLDERS} (searched: {searched})"
         )
+
+    def version(self, message_type: MessageType) -> TypeVersion | None:
+        if not message_type.is_known:
+            return None
+        return TypeVersion(message_type.name, message_type.type_hash)
 
     def uuid(self, goal_id: bytes) -> bytes:
         return bytes(goal_id)

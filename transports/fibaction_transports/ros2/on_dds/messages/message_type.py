@@ -72,8 +72,8 @@ class MessageType:
 
     @cached_property
     def type_hash(self) -> str:
-        """The hash of the type; empty if it is not known."""
-        return type_hash(self.definition) if self.is_known else ""
+        """The hash of the definition."""
+        return type_hash(self.definition)
 
     @cached_property
     def user_data(self) -> bytes:
