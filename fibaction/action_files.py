@@ -5,9 +5,11 @@ from fibaction.interfaces.action_files import (
     action_source,
     load_action,
 )
+from fibaction.interfaces.known import define_action
 
 __all__ = [
     "InterfaceError",
     "action_source",
+    "define_action",
     "load_action",
 ]

@@ -47,6 +47,7 @@ def python_source(action: ActionFile) -> str:
         f"{constant} = {names.use('Action', 'fibaction')}(",
         *(f"    {argument}," for argument in arguments),
         ")",
+        *_definition(action, names),
     ]
     head = [
         f'"""The messages of `{action.type_name or action.path.stem}`.',
@@ -56,6 +57,25 @@ def python_source(action: ActionFile) -> str:
         '"""',
     ]
     return "\n".join([*head, *names.imports(), *classes, "", "", *made, ""])
+
+
+def _definition(action: ActionFile, names: _Names) -> Iterator[str]:
+    """Yield the call that defines the type for `dds://`, if it is known."""
+    if not action.type_name:
+        return
+    yield ""
+    yield f"{names.use('define_action', 'fibaction.action_files')}("
+    yield f"    {_literal(action.type_name)},"
+    yield "    {"
+    for type_name, text in action.texts().items():
+        yield f"        {_literal(type_name)}: {_literal(_without_comments(text))},"
+    yield "    },"
+    yield ")"
+
+
+def _without_comments(text: str) -> str:
+    lines = (line.partition("#")[0].rstrip() for line in text.splitlines())
+    return "".join(f"{line}\n" for line in lines if line)
 
 
 class _Names:

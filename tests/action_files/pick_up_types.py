@@ -7,6 +7,7 @@ Change that file, not this one.
 from typing import Annotated, ClassVar
 
 from fibaction import Action
+from fibaction.action_files import define_action
 from fibaction.ros_types import Int32, Int8, UInt16, UInt32, UInt64, UInt8
 from msgspec import Meta, Struct, field
 
@@ -90,4 +91,16 @@ PICK_UP = Action(
     feedback=PickUp_Feedback,
     result=PickUp_Result,
     type_name="robot_msgs/action/PickUp",
+)
+
+define_action(
+    "robot_msgs/action/PickUp",
+    {
+        "robot_msgs/action/PickUp": 'int8 CAREFUL = 1\nint8 HASTY = 2\nstring GREETING = "hello"\nfloat64 HALF = 0.5\nbool ALWAYS = true\nint8 manner 1\nstring<=20 thing "a \\"box\\""\nGripper gripper\nother_msgs/Gripper[2] spare\nfloat64[3] where [0.5, -0.5, 0.0]\nfloat32[<=4] speeds [1.5]\nuint16[2] ports\nstring[] names ["one", "two, and three"]\nuint8[4] address\nbyte[] token [1, 2, 255]\nwstring<=5[<=3] labels\nbuiltin_interfaces/Time start\nbuiltin_interfaces/Duration[] pauses\nuint64 large 18446744073709551615\n---\n---\nfloat32 progress\nbool lost\n',
+        "robot_msgs/msg/Pad": "uint8 wear\nfloat64[] pressure\n",
+        "robot_msgs/msg/Gripper": "int32 FINGERS = 2\nfloat64 width 0.1\nPad[2] pads\n",
+        "other_msgs/msg/Gripper": "string name\n",
+        "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec\n",
+        "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec\n",
+    },
 )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fibaction.action_files import load_action
-from fibaction.interfaces.known import known_action
+import pytest
+
+from fibaction.action_files import InterfaceError, load_action
+from fibaction.interfaces.known import define_action, known_action
 
 
 def write(path: Path, field: str) -> Path:
@@ -25,3 +27,28 @@ def test_a_file_that_was_loaded_is_known_by_its_type(tmp_path: Path) -> None:
 def test_a_file_without_a_package_is_not_known(tmp_path: Path) -> None:
     load_action(write(tmp_path / "Lost.action", "x"))
     assert known_action("") is None
+
+
+def test_a_type_that_was_defined_is_known_until_another_file_of_it_is_loaded(
+    tmp_path: Path,
+) -> None:
+    type_name = "defined_msgs/action/Go"
+    texts = {type_name: "Part part\n---\n---\n", "defined_msgs/msg/Part": "int32 z\n"}
+    for _ in range(2):
+        define_action(type_name, texts)
+        found = known_action(type_name)
+        assert found is not None
+        assert found is known_action(type_name)
+        assert found.goal.nested["part"].definition.fields[0].name == "z"
+        define_action(type_name, {})
+        load_action(write(tmp_path / f"{type_name}.action", "x"))
+        found = known_action(type_name)
+        assert found is not None
+        assert found.goal.definition.fields[0].name == "x"
+
+
+def test_texts_that_do_not_define_a_type_are_an_error_whenever_it_is_used() -> None:
+    define_action("broken_msgs/action/Go", {"broken_msgs/action/Go": "int33 x\n---\n---\n"})
+    for _ in range(2):
+        with pytest.raises(InterfaceError, match=r"broken_msgs/action/Go\.action:1: expected"):
+            known_action("broken_msgs/action/Go")

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from fibaction import Action, ActionInfo, ProtocolError, TransportError
-from fibaction.action_files import load_action
+from fibaction.action_files import action_source, define_action, load_action
 from fibaction.interfaces.ros_types import Int32
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 
@@ -45,6 +45,28 @@ def test_a_type_that_this_program_has_loaded_needs_no_folder(
     write(tmp_path, "elsewhere/loaded_msgs/action/Go.action", "int32 x\n---\n---\n")
     load_action(tmp_path / "elsewhere/loaded_msgs/action/Go.action")
     assert types.find("loaded_msgs/action/Go").types[0](x=3).x == 3
+
+
+def test_a_module_that_was_written_from_a_file_needs_no_folder(
+    types: DdsTypes, tmp_path: Path
+) -> None:
+    go = "written_msgs/action/Go"
+    write(tmp_path, f"elsewhere/{go}.action", "Part part  # which\nstring say no\n---\n---\n")
+    write(tmp_path, "elsewhere/written_msgs/msg/Part.msg", "# A part.\nint32 x 3\n")
+    source = action_source(tmp_path / f"elsewhere/{go}.action")
+    with pytest.raises(TransportError, match="is not known here"):
+        types.find(go)
+    module: dict[str, Any] = {}
+    exec(compile(source, "go_types.py", "exec", dont_inherit=True), module)
+    found = types.find(go)
+    codecs = found.codecs(module["GO"].info)
+    assert codecs.goal.to_ros(msgspec.msgpack.encode({})).part.x == 3
+
+
+def test_a_module_with_broken_definitions_is_an_error(types: DdsTypes) -> None:
+    define_action("torn_msgs/action/Go", {"torn_msgs/action/Go": "int32\n---\n---\n"})
+    with pytest.raises(TransportError, match=r"torn_msgs/action/Go cannot be used: .*int32"):
+        types.find("torn_msgs/action/Go")
 
 
 def test_a_type_that_is_nowhere_says_where_to_put_it(types: DdsTypes, tmp_path: Path) -> None:

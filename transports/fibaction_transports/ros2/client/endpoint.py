@@ -166,7 +166,7 @@ class RosConnection(Connection):
         self._deadline = current_time() + settings.discovery_timeout
         self._clients: dict[tuple[str, str], RosActionClient] = {}
         self._warned: dict[str, str] = {}
-        """What the log has said last of the versions of each action's types."""
+        """The last warning of the versions of each action's types."""
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         """See `Connection.endpoint`.

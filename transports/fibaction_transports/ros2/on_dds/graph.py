@@ -99,6 +99,11 @@ class DdsGraph:
         self._own[end.guid] = end
         self._announce_later()
 
+    def remove(self, end: DataWriter | DataReader) -> None:
+        """Remove an end of this node."""
+        del self._own[end.guid]
+        self._announce_later()
+
     def _announce_later(self) -> None:
         self._is_announced = False
         self._changed.notify()

@@ -1,4 +1,4 @@
-"""What a node asks other nodes about the types of their actions.
+"""The questions of a node about the types of actions, which other nodes answer.
 
 Theory of operation
 -------------------

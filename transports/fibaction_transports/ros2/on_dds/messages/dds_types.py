@@ -86,13 +86,11 @@ class DdsTypes(RosTypes):
         return next((path for path in paths if path.is_file()), None)
 
     def _file(self, type_name: str) -> ActionFile | None:
-        known = known_action(type_name)
-        if known is not None:
-            return known
-        path = self._path(type_name)
-        if path is None:
-            return None
         try:
+            known = known_action(type_name)
+            path = self._path(type_name)
+            if known is not None or path is None:
+                return known
             return read_action(path, type_name=type_name, search=self._folders_now())
         except (InterfaceError, OSError) as exc:
             raise TransportError(f"{type_name} cannot be used: {exc}") from exc

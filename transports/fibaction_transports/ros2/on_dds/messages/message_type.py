@@ -77,9 +77,7 @@ class MessageType:
 
     @cached_property
     def user_data(self) -> bytes:
-        """The user data that an endpoint of this type announces: the hash of the type, and that of
-        the action.
-        """
+        """The announcement of an endpoint: the hash of the type, and that of the action."""
         items = [(_TYPE_HASH, self.type_hash)] if self.is_known else []
         if self.action is not None:
             items.append((_ACTION_HASH, type_hash(self.action)))
