@@ -365,6 +365,18 @@ def test_gaps_are_answered_as_far_as_the_budget_goes() -> None:
     assert sent < 2 * REPAIRS_AT_ONCE
 
 
+def test_a_gap_is_repeated_no_sooner_than_a_sample() -> None:
+    victim = large_writer(4, 3)
+    reader, writer = victim.peer_reader.guid.entity, victim.writer.guid.entity
+    for _ in range(6):
+        victim.writer.write(payload("x"), victim.world.now)
+    victim.answer()
+    nacks = [AckNack(reader, writer, NumberSet(1, (1, 2, 3)), count) for count in range(100)]
+    assert 0 < victim.receive(*nacks) < 200
+    victim.later(0.01)
+    assert 0 < victim.receive(*nacks) < 200
+
+
 def test_a_budget_grows_with_what_is_written_and_with_the_time() -> None:
     budget = PeerBudget(0.0)
     assert budget.may_repair(REPAIRS_AT_ONCE + 1, 0.0)

@@ -98,8 +98,8 @@ class ReaderProxy:
                 left_out.append(number)
             else:
                 self._send_sample(number, sample)
-                if self.is_reliable:
-                    self._sent[number] = now
+            if self.is_reliable:
+                self._sent[number] = now
         if self.is_reliable:
             for gap in self._gaps(left_out):
                 self._shared.outbox.add(self._route, gap)
