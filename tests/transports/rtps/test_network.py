@@ -21,6 +21,8 @@ from fibaction_transports.rtps.events import (
     ParticipantLost,
     SampleReceived,
 )
+from fibaction_transports.rtps.loops.fair_inbox import FairInbox
+from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop
 from fibaction_transports.rtps.network import MOST_AT_ONCE, ParticipantNetwork, open_network
 from fibaction_transports.rtps.ports import (
     PARTICIPANTS,
@@ -164,12 +166,13 @@ async def test_errors_of_what_was_sent_before_do_not_end_a_participant(domain: i
         with FailingSocket() as source:
             source.bind(("127.0.0.1", 0))
             source.setblocking(False)
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(network.receive_from, source)
-                for _ in range(MANY):
-                    source.sendto(b"not RTPS", source.getsockname())
-                await source.received.wait()
-                tasks.cancel_scope.cancel()
+            for _ in range(MANY):
+                source.sendto(b"not RTPS", source.getsockname())
+            network.read(source)
+            assert not network.work()
+            assert network.participant.counters.invalid == MOST_AT_ONCE - 1
+            network.read(source)
+            network.work()
         assert network.participant.counters.invalid == MANY
 
 
@@ -180,16 +183,53 @@ async def test_each_datagram_has_the_time_at_which_its_turn_comes(
     times: set[float] = set()
     async with participant(DomainSettings(domain=domain, discovery_range=OFF)) as network:
         monkeypatch.setattr(network.participant, "receive", lambda *of: times.add(of[-1]))
-        with FailingSocket() as source:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as source:
             source.bind(("127.0.0.1", 0))
             source.setblocking(False)
-            for _ in range(MANY):
+            for _ in range(MOST_AT_ONCE):
                 source.sendto(b"a", source.getsockname())
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(network.receive_from, source)
-                await source.received.wait()
-                tasks.cancel_scope.cancel()
-    assert len(times) > MANY // 2
+            network.read(source)
+        while network.work():
+            pass
+    assert len(times) > MOST_AT_ONCE // 2
+
+
+@pytest.mark.anyio
+async def test_what_takes_long_is_taken_in_several_turns(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction_transports.rtps.network.TURN", -1.0)
+    await exchange(DomainSettings(domain=domain))
+
+
+@pytest.mark.anyio
+async def test_datagrams_of_one_sender_are_read_up_to_a_limit(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction_transports.rtps.network.INBOX_OF_ONE", 1000)
+    async with participant(DomainSettings(domain=domain, discovery_range=OFF)) as network:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as source:
+            source.bind(("127.0.0.1", 0))
+            source.setblocking(False)
+            for _ in range(9):
+                source.sendto(b"not RTPS", source.getsockname())
+            network.read(source)
+        network.work()
+        counters = network.participant.counters
+        assert (counters.invalid, counters.over_limit) == (3, 6)
+
+
+@pytest.mark.anyio
+async def test_an_error_of_the_callback_ends_the_block(domain: int) -> None:
+    def told(event: Event) -> None:
+        if isinstance(event, ParticipantFound):
+            raise ValueError(f"a bug with {event.prefix.hex()}")
+
+    settings = DomainSettings(domain=domain)
+    with pytest.raises(ExceptionGroup) as raised:
+        async with participant(settings), open_network(settings, told):
+            await anyio.sleep(PATIENCE)
+    assert raised.group_contains(ValueError, match="a bug with")
 
 
 class FailingSocket(socket.socket):
@@ -198,18 +238,62 @@ class FailingSocket(socket.socket):
     def __init__(self) -> None:
         super().__init__(socket.AF_INET, socket.SOCK_DGRAM)
         self._has_failed = False
-        self._count = 0
-        self.received = anyio.Event()
 
     def recvfrom(self, *args: Any) -> Any:
         if not self._has_failed:
             self._has_failed = True
             raise ConnectionRefusedError
-        datagram = super().recvfrom(*args)
-        self._count += 1
-        if self._count == MANY:
-            self.received.set()
-        return datagram
+        return super().recvfrom(*args)
+
+
+# Whose turn it is
+
+
+def test_a_datagram_of_another_sender_does_not_wait_for_a_flood() -> None:
+    inbox = FairInbox(10_000, 4_000)
+    flood, other = ("127.0.0.1", 1), ("127.0.0.1", 2)
+    taken = [inbox.put(bytes([number]), flood) for number in range(50)]
+    assert taken.count(True) == 15
+    assert inbox.put(b"a", other)
+    assert inbox.put(b"b", other)
+    found = [inbox.take() for _ in range(5)]
+    first, second, third = bytes([0]), bytes([1]), bytes([2])
+    assert found == [(first, flood), (b"a", other), (second, flood), (b"b", other), (third, flood)]
+    while inbox:
+        inbox.take()
+    assert inbox.put(bytes(3_000), flood)
+    assert inbox.put(bytes(3_000), other)
+    assert inbox.put(bytes(3_000), ("127.0.0.1", 3))
+    assert not inbox.put(bytes(3_000), ("127.0.0.1", 4))
+
+
+@pytest.mark.asyncio
+async def test_a_loop_of_asyncio_wakes_once_for_the_earliest_time() -> None:
+    woken = list[float]()
+
+    class Sleeper:
+        def on_deadline(self) -> None:
+            woken.append(anyio.current_time())
+            if len(woken) > 1:
+                raise ValueError("enough")
+            loop.wake(anyio.current_time())
+
+        def read(self, source: socket.socket) -> None:
+            raise AssertionError
+
+        def work(self) -> bool:
+            raise AssertionError
+
+    loop, now, sleeper = AsyncioLoop(), anyio.current_time(), Sleeper()
+    for when in (now + 100, now + 0.001, now + 50):
+        loop.wake(when)
+    with pytest.raises(ValueError, match="enough"):
+        await loop.run(sleeper, ())
+    assert woken[0] >= now
+    loop.wake(now)
+    await anyio.sleep(0.001)
+    assert len(woken) == 2
+    loop._guarded(sleeper.on_deadline)  # a second error of the same turn
 
 
 # Sockets

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-import math
 import socket
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, closing
+from time import perf_counter
 
 import anyio
 
-from fibaction.border.event_loop import Background
+from fibaction.border.event_loop import Background, asyncio_task
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import Event
+from fibaction_transports.rtps.limits import MIB
+from fibaction_transports.rtps.loops.driven import DrivingLoop
+from fibaction_transports.rtps.loops.fair_inbox import FairInbox
+from fibaction_transports.rtps.loops.on_anyio import AnyioLoop
+from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
@@ -29,7 +34,11 @@ from fibaction_transports.rtps.qos import Qos
 from fibaction_transports.rtps.sockets import ParticipantSockets, default_interface
 
 MOST_AT_ONCE = 64
-"""Datagrams that are taken from a socket before other tasks get their turn."""
+"""Datagrams that are read from a socket at once."""
+TURN = 0.005
+"""Seconds after which other tasks get their turn, before more datagrams are taken."""
+INBOX, INBOX_OF_ONE = 32 * MIB, 8 * MIB
+"""Bytes of datagrams that were read and not taken, of all senders and of one."""
 CLOSING_TIME = 1.0
 """Seconds for which a participant that leaves waits for room to say so."""
 _LARGEST_DATAGRAM = 2**16
@@ -43,16 +52,17 @@ class ParticipantNetwork:
         participant: Participant,
         sockets: ParticipantSockets,
         on_event: Callable[[Event], None],
+        loop: DrivingLoop,
     ) -> None:
         self.participant = participant
         """The participant. After calling its methods that change something, call `settle`."""
         self._sockets = sockets
         self._on_event = on_event
+        self._loop = loop
+        self._inbox = FairInbox(INBOX, INBOX_OF_ONE)
         self._sending = participant.datagrams_to_send()
         self._unsent: tuple[bytes, Address] | None = None
         self._is_blocked = anyio.Event()
-        self._woken = anyio.Event()
-        self._wake_at = math.inf
 
     def create_writer(
         self, topic: str, type_name: str, qos: Qos, *, user_data: bytes = b""
@@ -97,8 +107,7 @@ class ParticipantNetwork:
         self._send()
         for event in self.participant.events():
             self._on_event(event)
-        if self.participant.next_deadline() < self._wake_at:
-            self._woken.set()
+        self._loop.wake(self.participant.next_deadline())
 
     async def close(self) -> None:
         """Tell others that this participant is gone, when its tasks have ended."""
@@ -109,30 +118,33 @@ class ParticipantNetwork:
             while self._is_blocked.is_set():
                 await self._send_rest()
 
-    async def receive_from(self, source: socket.socket) -> None:
-        """Take the datagrams that arrive at a socket, until it is canceled."""
-        while True:
-            await anyio.wait_readable(source)
-            for _ in range(MOST_AT_ONCE):
-                try:
-                    datagram, address = source.recvfrom(_LARGEST_DATAGRAM)
-                except BlockingIOError:
-                    break
-                except OSError:
-                    continue  # an answer of ICMP to something that was sent
-                # Not of the first one: many large ones take longer than some pauses.
-                self.participant.receive(datagram, address, anyio.current_time())
-            self.settle()
+    def read(self, source: socket.socket) -> None:
+        """Read what has arrived at a socket."""
+        for _ in range(MOST_AT_ONCE):
+            try:
+                datagram, address = source.recvfrom(_LARGEST_DATAGRAM)
+            except BlockingIOError:
+                return
+            except OSError:
+                continue  # an answer of ICMP to something that was sent
+            if not self._inbox.put(datagram, address):
+                self.participant.counters.over_limit += 1
 
-    async def keep_deadlines(self) -> None:
-        """Wake the participant at its deadlines, until it is canceled."""
-        while True:
-            self._woken = anyio.Event()
-            self._wake_at = self.participant.next_deadline()
-            with anyio.CancelScope(deadline=self._wake_at):
-                await self._woken.wait()
-            self.participant.handle_deadline(anyio.current_time())
-            self.settle()
+    def work(self) -> bool:
+        """Take what was read, for a short time; return whether something is left."""
+        end = perf_counter() + TURN
+        while self._inbox:
+            # Not the time of the first one: many large ones take longer than some pauses.
+            self.participant.receive(*self._inbox.take(), anyio.current_time())
+            if perf_counter() > end:
+                break
+        self.settle()
+        return bool(self._inbox)
+
+    def on_deadline(self) -> None:
+        """Do what is due."""
+        self.participant.handle_deadline(anyio.current_time())
+        self.settle()
 
     async def send_later(self) -> None:
         """Go on sending when the system has room again, until it is canceled."""
@@ -200,13 +212,12 @@ async def open_network(
             ),
             anyio.current_time(),
         )
-        network = ParticipantNetwork(participant, sockets, on_event)
+        loop = AnyioLoop() if asyncio_task() is None else AsyncioLoop()
+        network = ParticipantNetwork(participant, sockets, on_event, loop)
         try:
             async with Background() as tasks:
-                if reach is not DiscoveryRange.OFF:
-                    for source in sockets.received:
-                        tasks.start_soon(network.receive_from, source)
-                tasks.start_soon(network.keep_deadlines)
+                sources = sockets.received if reach is not DiscoveryRange.OFF else ()
+                tasks.start_soon(loop.run, network, sources)
                 tasks.start_soon(network.send_later)
                 network.settle()
                 yield network
