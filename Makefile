@@ -154,6 +154,7 @@ fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for some minutes in all
 
 attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, beside an honest client
 	$(BIN)/python -m tests.hostile
+	$(BIN)/python -m tests.hostile.rtps
 
 mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
 	$(MUTANTS_VENV)/bin/python -m tests.tools.mutants --keep

@@ -1,0 +1,1 @@
+"""Attacks on a participant of RTPS, beside an honest pair."""

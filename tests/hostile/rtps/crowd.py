@@ -1,0 +1,236 @@
+"""The crowd of an attack: a victim with a meter, an honest peer of it, and an attacker."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import AsyncGenerator, Generator
+from contextlib import ExitStack, asynccontextmanager, contextmanager
+from multiprocessing import get_context
+from multiprocessing.sharedctypes import Synchronized
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import anyio
+
+from fibaction_transports.rtps.budgets import MOST_REPAIRS
+from fibaction_transports.rtps.events import EndpointMatched, Event, SampleReceived
+from fibaction_transports.rtps.network import open_network
+from fibaction_transports.rtps.ports import DomainSettings
+from fibaction_transports.rtps.qos import Qos
+from tests.hostile.arena import ROOT, SHUTDOWN, Server, environment
+from tests.hostile.meter import Reading
+from tests.hostile.raw_client import until
+from tests.hostile.rtps import echo_victim
+from tests.hostile.rtps.datagram_attacks import (
+    DATAGRAM_ATTACKS,
+    Attacker,
+    DatagramAttack,
+    attacker_of,
+)
+from tests.hostile.rtps.echo_victim import ANSWERED, ASKED, EchoIdentity
+from tests.hostile.verdict import LONGEST_TURN
+from tests.support.ros_domain import claim_domain
+from tests.transports.rtps.world import TYPE, payload
+
+PATIENCE = 60.0
+"""Seconds for one attack in its short form."""
+WORK = 0.3
+"""Seconds of the processor that the victim uses until it has answered, at the 99th percentile: some
+datagrams of the attack, at their dearest.
+"""
+HONEST_QUESTIONS = 20
+"""Questions of the honest peer during an attack, at least."""
+
+
+class CrowdFigures(NamedTuple):
+    """The costs of one attack."""
+
+    reading: Reading
+    above: float
+    """MiB of memory of the victim at the peak, above those before the attack."""
+    latencies: list[float]
+    """Seconds of each question of the honest peer, in order of length."""
+    work: list[float]
+    """Seconds of the processor that the victim has used between each of these questions and its
+    answer, in order of length: other programs do not change them."""
+    attacked: int
+    """Bytes that the attacker has sent; 0 if it was another process."""
+    sent: int
+    """Bytes that the victim has sent, but those for the honest peer's questions."""
+    stopped: float
+    code: int | None
+
+    def latency(self, quantile: float) -> float:
+        """Return the latency that this part of the questions did not exceed."""
+        return self.latencies[min(len(self.latencies) - 1, int(len(self.latencies) * quantile))]
+
+    def work_of(self, quantile: float) -> float:
+        """Return the work of the victim that this part of the questions did not exceed."""
+        return self.work[min(len(self.work) - 1, int(len(self.work) * quantile))]
+
+
+def broken_bounds(attack: DatagramAttack, found: CrowdFigures) -> list[str]:
+    """Return the bounds that were broken."""
+    wrong: list[str] = []
+    if found.work_of(0.99) > WORK:
+        wrong.append(f"{found.work_of(0.99) * 1000:.0f} ms of work until an answer")
+    if found.reading.longest > LONGEST_TURN:
+        wrong.append(f"a turn took {found.reading.longest * 1000:.0f} ms")
+    if found.above > attack.above:
+        wrong.append(f"{found.above:.0f} MiB above the idle victim, not {attack.above}")
+    if found.code != 0 or found.stopped > SHUTDOWN:
+        wrong.append(f"SIGTERM took {found.stopped:.1f} s, exit code {found.code}")
+    most = attack.factor * found.attacked + MOST_REPAIRS
+    if found.attacked and found.sent > most:
+        wrong.append(f"it sent {found.sent:,} bytes for {found.attacked:,}")
+    return wrong
+
+
+@contextmanager
+def started_victim(
+    domain: int,
+) -> Generator[tuple[Server, EchoIdentity, Synchronized[int]], None, None]:
+    """Start a victim; it ends with the block, at the latest."""
+    processes = get_context("forkserver")
+    processes.set_forkserver_preload(["tests.hostile.rtps.echo_victim", "pytest"])
+    here, there = processes.Pipe()
+    orders, of_meter = processes.Pipe()
+    total = processes.Value("Q", 0)
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "log.txt"
+        log.touch()
+        process = processes.Process(
+            target=echo_victim.run, args=(domain, there, of_meter, str(log), total), daemon=True
+        )
+        process.start()
+        try:
+            there.close()
+            of_meter.close()
+            try:
+                identity = EchoIdentity(*here.recv())
+            except EOFError:
+                raise AssertionError(f"it has not started: {log.read_text()[-2000:]}") from None
+            yield Server(process, ["", ""], orders, log), identity, total
+        finally:
+            process.kill()
+            process.join()
+            here.close()
+            orders.close()
+
+
+class HonestPeer:
+    """A peer that asks one question after another, and checks the answers."""
+
+    def __init__(self, victim: Server) -> None:
+        self.latencies: list[float] = []
+        self.work: list[float] = []
+        self._victim = victim
+        self._matched = 0
+        self._answers: list[bytes] = []
+        self._news = anyio.Event()
+
+    def told(self, event: Event) -> None:
+        """Take an event of its participant."""
+        self._matched += isinstance(event, EndpointMatched)
+        if isinstance(event, SampleReceived):
+            self._answers.append(event.sample.payload)
+        self._news.set()
+
+    async def ask(self, domain: int) -> None:
+        """Ask until canceled. Each answer is the question that was just asked."""
+        async with open_network(DomainSettings(domain=domain), self.told) as network:
+            writer = network.create_writer(ASKED, TYPE, Qos())
+            network.create_reader(ANSWERED, TYPE, Qos())
+            while self._matched < 2:
+                await self._told()
+            for number in range(10**9):
+                question = payload(f"question {number} of the honest peer")
+                begun, used = perf_counter(), self._victim.cpu
+                network.write(writer, question)
+                while question not in self._answers:
+                    await self._told()
+                self._answers.clear()
+                self.latencies.append(perf_counter() - begun)
+                self.work.append(self._victim.cpu - used)
+                await anyio.sleep(0.002)
+
+    def clear(self) -> None:
+        """Forget the figures so far."""
+        self.latencies.clear()
+        self.work.clear()
+
+    async def _told(self) -> None:
+        self._news = anyio.Event()
+        await self._news.wait()
+
+
+async def repeat(name: str, attacker: Attacker, waves: list[float], *, pause: float) -> None:
+    """Attack again and again."""
+    while True:
+        for _ in DATAGRAM_ATTACKS[name].wave(attacker):
+            await anyio.sleep(pause)
+        waves.append(perf_counter())
+
+
+@asynccontextmanager
+async def attacked(
+    name: str, victim: EchoIdentity, *, is_long: bool
+) -> AsyncGenerator[Attacker | None, None]:
+    """Attack inside of the block: by a process, or by this one after a first wave."""
+    if is_long:
+        command = [sys.executable, "-m", "tests.hostile.rtps.attacker", name, *_words(victim)]
+        async with await anyio.open_process(
+            command, cwd=ROOT, env=environment(), stderr=None
+        ) as it:
+            assert it.stdout is not None
+            await it.stdout.receive()
+            yield None
+            it.kill()
+        return
+    waves = list[float]()
+    async with attacker_of(victim) as attacker, anyio.create_task_group() as tasks:
+        tasks.start_soon(lambda: repeat(name, attacker, waves, pause=0.001))
+        await until(lambda: len(waves) > 0)
+        yield attacker
+        tasks.cancel_scope.cancel()
+
+
+def _words(victim: EchoIdentity) -> list[str]:
+    return [
+        str(victim.domain),
+        victim.prefix.hex(),
+        str(victim.address[1]),
+        victim.reader.hex(),
+        victim.writer.hex(),
+        victim.large.hex(),
+    ]
+
+
+async def figures_of(name: str, seconds: float = 0.0) -> CrowdFigures:
+    """Attack a victim beside an honest peer, and end it during the attack."""
+    with ExitStack() as stack:
+        domain, claim = claim_domain(20)
+        stack.enter_context(claim)
+        server, victim, total = stack.enter_context(started_victim(domain))
+        honest = HonestPeer(server)
+        with anyio.fail_after(PATIENCE + 4 * seconds):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(honest.ask, domain)
+                await until(lambda: len(honest.latencies) >= 10)
+                idle, before = (await server.reset()).memory, total.value
+                honest.clear()
+                async with attacked(name, victim, is_long=seconds > 0) as attacker:
+                    if seconds:
+                        idle, before = (await server.reset()).memory, total.value
+                        honest.clear()
+                        await anyio.sleep(seconds)
+                    await until(lambda: len(honest.latencies) >= HONEST_QUESTIONS)
+                    reading, sent = await server.read(), total.value - before
+                    said = 0 if attacker is None else attacker.sent
+                    stopped, code = await server.stop(SHUTDOWN + 10)
+                tasks.cancel_scope.cancel()
+        above = (reading.peak - idle) / 2**20
+        latencies, work = sorted(honest.latencies), sorted(honest.work)
+        return CrowdFigures(reading, above, latencies, work, said, sent, stopped, code)
