@@ -17,7 +17,8 @@ removed while the first is held.
 
 A goal that has no worker, and that none can run, waits. Each worker counts those that it cannot run
 itself (`UnreadableGoals`), by their notes and by its scans, and tells the number in its lease and
-in its log. In each lease it looks whether some of them have found a worker.
+in its log. In each lease it looks whether some of them have found a worker, and those that were
+found less than a lease ago are not told: a worker that can run them may be taking them.
 
 A server may end such goals (`unreadable="abort"`). They are to wait for ten leases before, as a
 worker that can run them may be starting again. Then each living worker of the action is asked
@@ -58,8 +59,6 @@ RATE = 100.0
 """The number of notes in a second above which they are held for longer."""
 MOST_KNOWN = 100_000
 """The number of goals that are remembered."""
-FIRST_LOOK = 1.0
-"""Seconds after the first of these goals was found until they are told: others may take them."""
 LOOKS = 64
 """The number of goals that are looked at in each lease."""
 LEASES = 10
@@ -152,9 +151,8 @@ class UnreadableGoals:
     def look_at(self, goal: StoredGoal) -> str:
         """Return why the server cannot run a goal that has no worker; empty if it can."""
         obstacle = self._journal.obstacle(goal)
-        if obstacle and goal.goal_id not in self._known:
-            if len(self._known) >= MOST_KNOWN:
-                del self._known[next(iter(self._known))]
+        is_new = goal.goal_id not in self._known and len(self._known) < MOST_KNOWN
+        if obstacle and is_new:
             self._known[GoalID(goal.goal_id)] = _Unread(current_time(), obstacle)
             self._news.notify()
         return obstacle
@@ -170,11 +168,9 @@ class UnreadableGoals:
         subscription = await self._listen(on_question)
         try:
             while True:
-                pause = self._membership.lease
                 if not self._known:
                     await self._news.wait()
-                    pause = FIRST_LOOK
-                await sleep(pause)
+                await sleep(self._membership.lease)
                 await self._count()
         finally:
             subscription.close()
@@ -216,14 +212,16 @@ class UnreadableGoals:
         return True
 
     def _tell(self) -> None:
-        action, count = self._journal.action, len(self._known)
+        """Tell the number of the goals that were found a lease ago: others may take newer ones."""
+        latest = current_time() - self._membership.lease
+        left = [goal_id for goal_id, unread in self._known.items() if unread.since <= latest]
+        action, count = self._journal.action, len(left)
         before = self._counts.get(action, 0)
         if count == before:
             return
         self._counts[action] = count
         self._membership.note_change()
         if count > before:
-            goal_id, unread = next(iter(self._known.items()))
             goals = "1 goal" if count == 1 else f"{count:,} goals"
             or_else = "or they are ended" if self._ends else "or end them with unreadable='abort'"
             logger.warning(
@@ -231,8 +229,8 @@ class UnreadableGoals:
                 " worker of the version that accepted them, %s",
                 goals,
                 action,
-                goal_id,
-                unread.obstacle,
+                left[0],
+                self._known[left[0]].obstacle,
                 or_else,
             )
         elif not count:
