@@ -26,7 +26,7 @@ from fibaction.border.abc import (
     Transport,
 )
 from fibaction.types.action import Action, ActionInfo
-from fibaction.words.errors import ActionError, ConnectionLost, UnknownGoal
+from fibaction.words.errors import ActionError, ConnectionLost, StoreError, UnknownGoal
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
@@ -354,6 +354,9 @@ async def test_a_connection_need_not_know_its_peers() -> None:
 @pytest.mark.asyncio
 async def test_a_transport_need_not_be_a_fleet() -> None:
     assert await Nowhere().workers() == []
+    assert await Nowhere().given_up() == {}
+    with pytest.raises(StoreError, match="only fleets keep such goals"):
+        await Nowhere().rerun("fibonacci", GoalID.random())
     async with InProcessTransport().goal_store() as store:
         assert store is None
 

@@ -41,3 +41,24 @@ async def test_the_goals_of_a_store_without_leases_belong_to_their_server_for_ev
 
 def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:
     assert no_obstacle(a_goal(1)) == ""
+
+
+def test_a_goal_that_was_given_up_is_one_that_has_ended_and_is_kept_whole() -> None:
+    goal = a_goal(1, checkpoint=b"half")
+    assert not goal.is_given_up, "it is active"
+    goal.status = GoalStatus.ABORTED
+    assert goal.is_given_up
+    goal.drop_request()
+    assert (goal.goal, goal.checkpoint, goal.meta) == (b"", None, None)
+    assert not goal.is_given_up
+
+
+def test_a_goal_that_was_given_up_is_a_new_one_when_it_runs_again() -> None:
+    goal = a_goal(1, checkpoint=b"half", attempt=3, lost=3, deadline=5, reason="given up")
+    goal.status = GoalStatus.ABORTED
+    new = goal.as_new(9)
+    assert new.goal_id == goal.as_new(10).goal_id
+    assert new.goal_id not in (goal.goal_id, new.as_new(9).goal_id)
+    expected = a_goal(1, checkpoint=b"half")
+    expected.goal_id, expected.stamp = new.goal_id, 9
+    assert new == expected
