@@ -6,10 +6,13 @@ import gc
 import logging
 import os
 import signal
+import sys
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from fibaction._runtime import log
 
 settings.register_profile(
     "fibaction",
@@ -30,10 +33,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# The lines of all tests together would be a flood: each is written, but in the tests of that limit.
+log.QUOTA = sys.maxsize
+
+
 def _levels() -> dict[str, int]:
     """Return the level of each logger, and the level that is disabled for all."""
     loggers = {"": logging.getLogger(), **logging.root.manager.loggerDict}
-    levels = {name: log.level for name, log in loggers.items() if isinstance(log, logging.Logger)}
+    levels = {name: one.level for name, one in loggers.items() if isinstance(one, logging.Logger)}
     return {"all": logging.root.manager.disable, **levels}
 
 

@@ -1,4 +1,4 @@
-"""Loggers that write nothing of a peer's text as it was sent.
+"""Loggers that write nothing of a peer's text as it was sent, and no flood of lines.
 
 Theory of operation
 -------------------
@@ -19,15 +19,25 @@ that is an error becomes text, because the error may keep a whole payload alive.
 
 A filter is called for the records of enabled levels only, once for each record. It must not raise,
 whatever an error's own `__str__` does: that would end in the code that logs.
+
+The same filter leaves out lines of a flood (`LineLimit`). Lines are of one kind if one call of a
+logger has made them, with the same level and, if it says one, the same `kind` (in `extra`). Of each
+kind, the first `QUOTA` lines of an interval are written, and the others are counted. The number is
+a line of its own, written with the next line of any kind after the interval, or at the end of the
+process; no task or thread waits for it. While a flood lasts, its next intervals have that line
+only. The table of kinds is bounded (`MOST_KINDS`).
 """
 
 from __future__ import annotations
 
+import atexit
 import logging
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
-from typing import Any, cast
+from threading import RLock
+from time import monotonic
+from typing import Any, TypeAlias, cast
 
 from fibaction._runtime.text import REASON, excerpt, shortened
 
@@ -46,6 +56,15 @@ ERRORS = 10
 DEPTH = 5
 """Groups in groups."""
 
+INTERVAL = 10.0
+"""Seconds in which lines of one kind are counted."""
+LOOK_AGAIN = 0.1
+"""Seconds after which a line looks again whether intervals are over."""
+MOST_KINDS = 1000
+"""Kinds that are told apart; beyond them, those of one call are one kind."""
+QUOTA = 20
+"""Lines of one kind that are written in one interval."""
+
 INDENT = "  "
 
 _CAUSE = "The above exception was the direct cause of the following exception:"
@@ -56,14 +75,125 @@ _EXPLAINED = (AttributeError, ImportError, NameError, SyntaxError)
 
 
 def clean_logger(name: str) -> logging.Logger:
-    """Return the logger of that name, whose records are clean."""
+    """Return the logger of that name, whose records are clean, and not too many of one kind."""
     logger = logging.getLogger(name)
-    logger.addFilter(_clean)
+    logger.addFilter(_filter)
     return logger
 
 
-def _clean(record: logging.LogRecord) -> bool:
-    """Clean a record; return True, since every record passes."""
+Kind: TypeAlias = tuple[str, int, str, int, object]
+"""The logger, the level, the call in the code, and what the call says about it."""
+Count: TypeAlias = tuple[Kind, int, float, str]
+"""The lines of a kind that were left out, in how many seconds, and the first of them."""
+
+
+class _Written:
+    """The lines of one kind in one interval."""
+
+    __slots__ = ("began", "example", "left", "left_out")
+
+    def __init__(self, began: float, left: int) -> None:
+        self.began = began
+        self.left = left
+        """Lines that are still to be written."""
+        self.left_out = 0
+        """Lines that were not written."""
+        self.example = ""
+        """The first line that was not written."""
+
+
+class LineLimit:
+    """A limit for the lines of each kind in an interval."""
+
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+        """Take the time from this clock, in seconds."""
+        self._clock = clock
+        self._kinds: dict[Kind, _Written] = {}
+        self._look_at = 0.0  # the time at which intervals may be over
+        self._lock = RLock()  # any thread may log, and so may the text of an argument
+
+    def passes(self, record: logging.LogRecord) -> bool:
+        """Return whether a record is to be written. Counts whose interval is over are written
+        first.
+        """
+        kind = _kind_of(record)
+        now = self._clock()
+        with self._lock:
+            counts = self._end_intervals(now) if now >= self._look_at else []
+            if len(self._kinds) >= MOST_KINDS and kind not in self._kinds:
+                kind = (*kind[:-1], None)
+            lines = self._kinds.setdefault(kind, _Written(now, QUOTA))
+            is_written = lines.left > 0
+            if is_written:
+                lines.left -= 1
+            else:
+                lines.left_out += 1
+                lines.example = lines.example or _message_of(record)
+        for count in counts:
+            _write(count)
+        return is_written
+
+    def _end_intervals(self, now: float) -> list[Count]:
+        """Begin a new interval for kinds whose interval is over; return what was left out."""
+        self._look_at = now + LOOK_AGAIN
+        counts: list[Count] = []
+        for kind, lines in tuple(self._kinds.items()):
+            if now - lines.began < INTERVAL:
+                continue
+            if lines.left_out:
+                counts.append((kind, lines.left_out, now - lines.began, lines.example))
+                self._kinds[kind] = _Written(now, 0)  # the flood may last
+            else:
+                del self._kinds[kind]
+        return counts
+
+    def flush(self) -> None:
+        """Write all counts, and forget all lines: the process ends."""
+        with self._lock:
+            kinds, self._kinds = self._kinds, {}
+        now = self._clock()
+        for kind, lines in kinds.items():
+            if lines.left_out:
+                _write((kind, lines.left_out, now - lines.began, lines.example))
+
+
+LIMIT = LineLimit()
+"""The limit of this process."""
+atexit.register(LIMIT.flush)
+
+
+def _kind_of(record: logging.LogRecord) -> Kind:
+    says = getattr(record, "kind", None)
+    return record.name, record.levelno, record.pathname, record.lineno, says
+
+
+def _write(count: Count) -> None:
+    """Write the number of lines of a kind that were left out."""
+    (name, level, path, line, _), number, seconds, example = count
+    logger = logging.getLogger(name)
+    text = "%d more lines like this one in %.0f s: %s"
+    record = logger.makeRecord(name, level, path, line, text, (number, seconds, example), None)
+    _clean(record)
+    logger.callHandlers(record)
+
+
+def _filter(record: logging.LogRecord) -> bool:
+    """Return whether a record is to be written, and clean it."""
+    if not LIMIT.passes(record):
+        return False
+    _clean(record)
+    return True
+
+
+def _message_of(record: logging.LogRecord) -> str:
+    try:
+        return record.getMessage()
+    except Exception:  # an argument that has no text, or that does not fit the message
+        return str(record.msg)
+
+
+def _clean(record: logging.LogRecord) -> None:
+    """Clean a record."""
     if isinstance(record.args, tuple):
         record.args = tuple(map(_argument, record.args))
     try:
@@ -77,7 +207,6 @@ def _clean(record: logging.LogRecord) -> bool:
         record.exc_text = traceback_text(record.exc_info[1])
     if record.stack_info:
         record.stack_info = _indented(record.stack_info.split("\n"))
-    return True
 
 
 def _argument(value: Any) -> Any:

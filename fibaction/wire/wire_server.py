@@ -121,7 +121,8 @@ class WireServer:
         wrong = isinstance(error, ProtocolError | AuthenticationFailed | LimitReached)
         if wrong:
             CONNECTIONS.errors[type(error).__name__] += 1
-        logger.log(logging.WARNING if wrong else logging.INFO, "%s", naming(line.peer, error))
+        level, kind = logging.WARNING if wrong else logging.INFO, type(error).__name__
+        logger.log(level, "%s", naming(line.peer, error), extra={"kind": kind})
 
     def _forget(self, session: Session) -> None:
         self._sessions.pop(session, None)

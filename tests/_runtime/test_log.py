@@ -12,14 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fibaction._runtime import log as log_module
 from fibaction._runtime.log import (
     ARGUMENT,
     ERRORS,
     FRAMES,
     INDENT,
+    INTERVAL,
     LINE,
     LINES,
     MESSAGE,
+    LineLimit,
     clean_logger,
     traceback_text,
 )
@@ -361,3 +364,126 @@ def test_no_text_makes_a_line_of_its_own(text: str, name: str) -> None:
     assert first.startswith("ERROR fibaction.test: ")
     assert all(line.startswith(INDENT) for line in others)
     assert all(line.isprintable() for line in log.lines)
+
+
+# Floods of lines
+
+
+QUOTA = 20
+"""As in the module, where the other tests have another one."""
+
+
+class Clock:
+    """A clock that a test sets."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The clock of the limit of lines."""
+    clock = Clock()
+    monkeypatch.setattr(log_module, "LIMIT", LineLimit(clock))
+    monkeypatch.setattr(log_module, "QUOTA", QUOTA)
+    return clock
+
+
+def reject(log: Log, number: int, **how: object) -> None:
+    log.logger.warning("%s is rejected", f"client {number}", **how)  # type: ignore[arg-type]
+
+
+def test_a_flood_of_one_kind_is_some_lines_and_then_a_count_in_each_interval(
+    log: Log, clock: Clock
+) -> None:
+    for number in range(1000):
+        reject(log, number)
+    assert log.lines == [
+        f"WARNING fibaction.test: client {number} is rejected" for number in range(QUOTA)
+    ]
+    for _ in range(2):
+        clock.now += INTERVAL
+        for number in range(500):
+            reject(log, number)
+    clock.now += INTERVAL
+    reject(log, 7)
+    left_out, first = 1000 - QUOTA, f"client {QUOTA}"
+    assert log.lines[QUOTA:] == [
+        f"WARNING fibaction.test: {left_out} more lines like this one in 10 s: {first} is rejected",
+        "WARNING fibaction.test: 500 more lines like this one in 10 s: client 0 is rejected",
+        "WARNING fibaction.test: 500 more lines like this one in 10 s: client 0 is rejected",
+    ]
+
+
+def test_a_count_is_written_with_the_next_line_of_any_kind(log: Log, clock: Clock) -> None:
+    for number in range(QUOTA + 3):
+        reject(log, number)
+    log.logger.error("something else")
+    clock.now += INTERVAL
+    log.logger.error("something else again")
+    assert [line.partition(": ")[2] for line in log.lines[QUOTA:]] == [
+        "something else",
+        f"3 more lines like this one in 10 s: client {QUOTA} is rejected",
+        "something else again",
+    ]
+
+
+def test_lines_are_written_again_when_a_flood_is_over(log: Log, clock: Clock) -> None:
+    for number in range(QUOTA + 1):
+        reject(log, number)
+    for _ in range(2):
+        clock.now += INTERVAL
+        log.logger.info("a line of another kind")
+    reject(log, 999)
+    assert log.lines[-1].endswith(" client 999 is rejected")
+
+
+def test_the_same_call_about_something_else_is_of_another_kind(log: Log, clock: Clock) -> None:
+    for number in range(QUOTA + 1):
+        reject(log, number, extra={"kind": 404})
+    reject(log, 7, extra={"kind": 401})
+    assert len(log.lines) == QUOTA + 1
+    assert log.lines[-1].endswith(" client 7 is rejected")
+
+
+def test_what_was_left_out_is_written_at_the_end_of_the_process(log: Log, clock: Clock) -> None:
+    for number in range(QUOTA + 5):
+        reject(log, number)
+    log_module.LIMIT.flush()
+    log_module.LIMIT.flush()
+    assert log.lines[QUOTA:] == [
+        f"WARNING fibaction.test: 5 more lines like this one in 0 s: client {QUOTA} is rejected"
+    ]
+
+
+def test_a_count_is_clean_and_one_whose_example_has_no_text_is_written_too(
+    log: Log, clock: Clock
+) -> None:
+    for _ in range(QUOTA + 1):
+        log.logger.warning("%s came", NASTY)
+        log.logger.warning("%s came", Mute())
+        log.logger.warning("%d came", "nobody")
+    log_module.LIMIT.flush()
+    said = [
+        line.partition(" more lines like this one in 0 s: ")[2] for line in log.lines[3 * QUOTA :]
+    ]
+    assert said == [f"{CLEAN} came", "%s came", "%d came"]
+
+
+def test_the_kinds_of_lines_are_forgotten_after_their_interval(log: Log, clock: Clock) -> None:
+    for status in range(1000):
+        reject(log, 1, extra={"kind": status})
+    clock.now += INTERVAL
+    reject(log, 1)
+    assert len(log_module.LIMIT._kinds) == 1
+
+
+def test_kinds_beyond_the_most_are_one_kind(
+    log: Log, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_module, "MOST_KINDS", 3)
+    for status in range(100):
+        reject(log, 1, extra={"kind": status})
+    assert len(log.lines) == 3 + QUOTA

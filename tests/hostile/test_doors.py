@@ -271,3 +271,33 @@ async def test_an_address_at_its_limit_takes_the_place_of_its_own_idle_connectio
             assert await is_served(await connection_from(stack, server.url, FLOOD), door)
             await rest_of(flood[0])
             assert await is_served(honest, door)
+
+
+NONSENSE = 100
+"""Clients that say nonsense: each is a line or more, if all are written."""
+
+
+async def say_nonsense(url: str) -> None:
+    """Say something that no door understands, and wait until the server ends the connection."""
+    async with AsyncExitStack() as stack:
+        stream = await connection_from(stack, url)
+        with suppress(OSError, anyio.BrokenResourceError):
+            await stream.send(b"\0 nonsense\r\n\r\n")
+        await rest_of(stream)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("name", ["http", "https", "websocket", "tcp", "tls", "unix"])
+async def test_a_flood_of_nonsense_is_few_lines_of_the_log_and_their_number(
+    name: str, tmp_path: Path
+) -> None:
+    door = DOORS[name]
+    url = f"{door.url}{tmp_path}/door" if name == "unix" else door.url
+    with started(Settings(url=with_certificate(url))) as server, anyio.fail_after(PATIENCE):
+        async with anyio.create_task_group() as tasks:
+            for _ in range(NONSENSE):
+                tasks.start_soon(say_nonsense, server.url)
+        await server.stop(SHUTDOWN + 10)
+        lines = server.log.splitlines()
+        assert len(lines) < NONSENSE / 2
+        assert sum("more lines like this one in" in line for line in lines) == 1

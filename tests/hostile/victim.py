@@ -20,6 +20,7 @@ import anyio
 import msgspec
 
 from fibaction import Action, ActionServer, GoalHandle, GoalRejected, Limits, Permission, serve
+from fibaction._runtime.log import LIMIT
 from fibaction.wire.auth import Peer
 from tests.hostile.documents import ANYTHING, NUMBERS, TREE
 from tests.hostile.meter import Meter
@@ -201,3 +202,4 @@ def run(settings: Settings, test: Connection, orders: Connection, log: str) -> N
             "loop_factory": lambda: asyncio.SelectorEventLoop(Meter(orders, looks=settings.looks))
         },
     )
+    LIMIT.flush()  # a process of multiprocessing calls nothing at its exit

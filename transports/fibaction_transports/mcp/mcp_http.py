@@ -74,7 +74,7 @@ class Guarded:
 
 
 async def _refuse(refused: Refused, send: Send) -> None:
-    logger.warning("HTTP %d: %s", refused.status, refused)
+    logger.warning("HTTP %d: %s", refused.status, refused, extra={"kind": refused.status})
     body = f"{refused}\n".encode()
     headers = [
         (name.lower().encode(), value.encode("latin-1"))

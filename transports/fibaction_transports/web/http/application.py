@@ -175,7 +175,8 @@ class WebApplication:
         """Answer with a problem, if there is no answer yet; log it if the request is wrong."""
         if is_wrong:
             detail = excerpt(problem.detail)
-            logger.warning("%s: HTTP %d: %s", exchange.peer, problem.status, detail)
+            kind = {"kind": problem.status}
+            logger.warning("%s: HTTP %d: %s", exchange.peer, problem.status, detail, extra=kind)
         if not exchange.has_begun:
             with suppress(ActionError):  # the client may have gone
                 await exchange.tell(problem)
@@ -189,7 +190,7 @@ class WebApplication:
             self._check_socket(scope)
         except Refused as exc:
             reason = excerpt(str(exc))
-            logger.warning("%s: HTTP %d: %s", peer, exc.status, reason)
+            logger.warning("%s: HTTP %d: %s", peer, exc.status, reason, extra={"kind": exc.status})
             await _refuse_socket(scope, send, problem_of(exc))
             return
         if not scope.get("subprotocols"):

@@ -284,7 +284,8 @@ class _Connection:
     async def _refuse(self, refused: Refused) -> None:
         """Answer a request that the application does not see."""
         reason = excerpt(str(refused))
-        logger.warning("%s: HTTP %d: %s", self._peer, refused.status, reason)
+        kind = {"kind": refused.status}
+        logger.warning("%s: HTTP %d: %s", self._peer, refused.status, reason, extra=kind)
         await leave(self._stream, http_answer(refused.status, reason, *refused.headers))
 
     # WebSocket
