@@ -13,9 +13,9 @@ import anyio
 import pytest
 from rich.console import Console
 
-from fibaction import ActionClient, ConnectionLost, GoalID, connect, serve
+from fibaction import ActionClient, ConnectionLost, GoalID, GoalInfo, GoalStatus, connect, serve
 from fibaction.cli.arguments.namespaces import Namespace
-from fibaction.cli.output.goal_table import picture
+from fibaction.cli.output.goal_table import GoalRow, picture
 from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import list_goals
@@ -68,6 +68,60 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
         "parent": None,
         "children": [],
     }
+
+
+def row(number: int, status: GoalStatus) -> GoalRow:
+    return GoalRow("count", GoalInfo(GoalID(bytes([number] * 16)), number, status))
+
+
+def test_active_goals_and_then_the_newest_are_chosen_and_stay_in_their_order() -> None:
+    statuses = [GoalStatus.EXECUTING, GoalStatus.ABORTED, GoalStatus.SUCCEEDED, GoalStatus.ACCEPTED]
+    rows = [row(number, status) for number, status in enumerate(statuses)]
+    assert list_goals.GoalChoice(limit=3).of(rows) == ([rows[0], rows[2], rows[3]], 1)
+    assert list_goals.GoalChoice(limit=4).of(rows) == (rows, 0)
+    assert list_goals.GoalChoice().of(rows) == (rows, 0)
+
+
+def test_goals_are_chosen_by_the_words_for_their_statuses() -> None:
+    rows = [row(number, status) for number, status in enumerate(GoalStatus)]
+
+    def chosen(*words: str) -> list[str]:
+        return [one.info.status.name for one in list_goals.GoalChoice(words).of(rows)[0]]
+
+    assert chosen("active") == ["ACCEPTED", "EXECUTING", "CANCELING"]
+    assert chosen("ended") == ["SUCCEEDED", "CANCELED", "ABORTED"]
+    assert chosen("aborted", "executing") == ["EXECUTING", "ABORTED"]
+
+
+def test_goals_lists_those_of_a_status(here: Run, url: str) -> None:
+    running = detached(here, url, "wait", "{seconds: 60, steps: 600}")
+    over = detached(here, url, "fibonacci", "order: 5")
+    active = here("goals", "--status", "ACTIVE", "--json", url=url)
+    ended_ones = here("goals", "--status", "succeeded", "--status", "aborted", "--json", url=url)
+
+    assert running in active.out
+    assert over not in active.out
+    assert over in ended_ones.out
+    assert running not in ended_ones.out
+    none = here("goals", "fibonacci", "--status", "canceling", "--status", "aborted", url=url)
+    assert none.err == "There are no canceling or aborted goals of /fibonacci.\n"
+
+
+def test_goals_tells_how_many_goals_it_leaves_out(here: Run, url: str) -> None:
+    for _ in range(3):
+        detached(here, url, "fibonacci", "order: 1")
+    found = here("goals", "/fibonacci", "--limit", "1", "--json", url=url)
+
+    assert len(found.json) == 1
+    assert found.err.endswith(" more goals are not listed: --limit 0 lists all.\n")
+
+
+@pytest.mark.parametrize("option", [("--status", "active"), ("--limit", "5")])
+def test_a_list_that_is_watched_has_no_choice(here: Run, url: str, option: tuple[str, str]) -> None:
+    found = here("goals", "--watch", *option, url=url)
+
+    assert found.code == ExitCode.USAGE
+    assert "--watch shows all goals: leave out --status and --limit" in found.err
 
 
 def test_goals_limits_itself_to_a_namespace(here: Run, url: str) -> None:

@@ -63,6 +63,17 @@ def test_the_goals_of_a_namespace_are_listed_and_names_are_relative_to_it(
     assert here(*store, "-n", "/leg").err == "There are no goals in /leg.\n"
 
 
+def test_the_newest_goals_of_a_store_are_listed_and_the_others_counted(
+    here: Run, path: Path
+) -> None:
+    found = here("goals", "--store", str(path), "--limit", "2", "--json")
+
+    assert [goal["result"] for goal in found.json] == ["done 2", "done 3"]
+    assert found.err == "1 more goal is not listed: --limit 0 lists all.\n"
+    everything = here("goals", "--store", str(path), "--limit", "0", "--json")
+    assert (len(everything.json), everything.err) == (3, "")
+
+
 def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> None:
     found = here("goals", "/paint", "--store", str(path), "--json")
 
