@@ -10,7 +10,7 @@ import pytest
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalStatus, SqliteStore
 from tests.cli.conftest import Run
-from tests.stores.made import a_goal
+from tests.stores.made import a_goal, after_end
 
 PAINT = Action("paint", goal=int, feedback=int, result=str)
 DRIVE = Action("arm/drive", goal=int, feedback=int, result=str)
@@ -92,6 +92,22 @@ def test_a_goal_that_runs_again_tells_its_attempt_and_its_parent(here: Run, tmp_
 
     assert (goal["status"], goal["attempt"]) == ("EXECUTING", 2)
     assert goal["parent"] == {"goal_id": "1" * 32, "step": "paint"}
+
+
+def test_a_result_of_another_encoding_is_told_in_place_of_it(here: Run, tmp_path: Path) -> None:
+    anyio.run(end_with, tmp_path / "goals.db", b"\xc1")
+    [goal] = here("goals", "--store", str(tmp_path / "goals.db"), "--json").json
+
+    assert (goal["status"], goal["result"]) == ("ABORTED", None)
+    assert goal["reason"].startswith("its result cannot be read: ")
+
+
+async def end_with(path: Path, result: bytes) -> None:
+    goal = a_goal(status=GoalStatus.EXECUTING)
+    async with SqliteStore(path).open("paint", max_results=1, claim=print, lose=print) as journal:
+        journal.accept(goal, lambda error: None)
+        goal = after_end(a_goal(), result=result, status=GoalStatus.ABORTED, keep_until=2**62)
+        journal.end(goal, lambda error: None)
 
 
 async def begin_twice(path: Path) -> None:

@@ -9,7 +9,7 @@ import msgspec
 from fibaction.border.goal_store import StoredGoal
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.goal_table import GoalRow
-from fibaction.cli.output.outcomes import with_outcome
+from fibaction.cli.output.outcomes import readable, with_outcome
 from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.meta import parent_in
 
@@ -47,5 +47,5 @@ def _outcome(goal: StoredGoal) -> Outcome[Any] | None:
     """Return the outcome of a goal that has ended, its result as plain data."""
     if goal.told_status.is_active:
         return None
-    result = None if goal.result is None else msgspec.msgpack.decode(goal.result)
-    return Outcome(goal.told_status, result, goal.reason)
+    raw = Outcome(goal.told_status, goal.result, goal.reason)
+    return readable(raw, msgspec.msgpack.decode)
