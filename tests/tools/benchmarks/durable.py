@@ -1,10 +1,12 @@
 """The costs of a store: servers with one beside a server without, and beside DBOS.
 
-    python -m tests.tools.benchmarks.durable [--rounds N] [--folder FOLDER]
+    python -m tests.tools.benchmarks.durable [--rounds N] [--folder FOLDER] [--rates KIND]
 
 A server without a store, one with `sync="full"` and one with `sync="normal"` do the same goals in
 turns, so that other programs disturb all of them. DBOS takes part where it is installed: one
-workflow with one step for each goal, in a file of SQLite. `make bench` ends with this.
+workflow with one step for each goal, in a file of SQLite. `make bench` ends with this. Between the
+servers, the disk alone makes small writes durable, one after another: the rate of its own. With
+`--rates tcp` or `--rates inproc`, only the rates over this transport are measured.
 
 Garbage is collected as rarely as `fibaction serve` does it: goals that wait for the disk are alive
 for many turns, and Python's default would look at them again and again.
@@ -39,6 +41,8 @@ from tests.tools.benchmarks import over_dbos
 WORK = Action("work", goal=int, feedback=int, result=str)
 GOALS = {1: 200, 100: 5000, 500: 5000}
 """The number of goals of a round, by the number of goals at once."""
+KINDS = ("inproc", "tcp")
+"""The transports over which rates are measured."""
 KEPT = 10_000
 """Goals that a start finds in its store."""
 RECORD = bytes(200)
@@ -96,11 +100,11 @@ async def rates(kind: str, folder: Path, rounds: int) -> None:
                     if number:  # the first round fills caches
                         found[name].append(taken)
                 disk.append(sync_seconds(folder / "disk", 20))
-            _print_rates(kind, at_once, found, median(disk))
+            _print_rates(kind, at_once, found, disk)
 
 
 def _print_rates(
-    kind: str, at_once: int, found: dict[str, list[tuple[float, float]]], sync: float
+    kind: str, at_once: int, found: dict[str, list[tuple[float, float]]], disk: list[float]
 ) -> None:
     base = found["memory"]
     for name, taken in found.items():
@@ -113,8 +117,14 @@ def _print_rates(
         )
         if at_once == 1:
             more = median(other[0] - one[0] for one, other in zip(base, taken, strict=True))
-            text += f"; {more * 1e3:+.2f} ms, and one fdatasync takes {sync * 1e3:.2f} ms"
+            text += f"; {more * 1e3:+.2f} ms, one fdatasync takes {median(disk) * 1e3:.2f} ms"
         print(text, flush=True)
+    syncs = sorted(1 / seconds for seconds in disk)
+    print(
+        f"{kind}, {at_once:3} at once, disk  : {median(syncs):6.0f} fdatasync/s, one after another"
+        f" ({syncs[0]:.0f} to {syncs[-1]:.0f})",
+        flush=True,
+    )
 
 
 def sync_seconds(path: Path, times: int) -> float:
@@ -214,9 +224,11 @@ async def beside_dbos(folder: Path, rounds: int) -> None:
             )
 
 
-async def measure(rounds: int, folder: Path) -> None:
-    for kind in ("inproc", "tcp"):
+async def measure(rounds: int, folder: Path, only: str | None) -> None:
+    for kind in KINDS if only is None else (only,):
         await rates(kind, folder, rounds)
+    if only is not None:
+        return
     await restores(folder, rounds)
     await beside_dbos(folder, rounds)
 
@@ -225,9 +237,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.durable")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--folder", type=Path, default=Path())
+    parser.add_argument("--rates", choices=KINDS, help="measure only the rates over this")
     arguments = parser.parse_args()
     with rare_collections(), tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
-        anyio.run(measure, arguments.rounds, Path(folder))
+        anyio.run(measure, arguments.rounds, Path(folder), arguments.rates)
 
 
 if __name__ == "__main__":
