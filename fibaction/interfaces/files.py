@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from fibaction.interfaces.common_messages import advice, common_message
 from fibaction.interfaces.definitions import FieldDefinition, InterfaceError, MessageDefinition
 from fibaction.interfaces.parser import parse_action, parse_message
 
@@ -265,12 +266,16 @@ class _Messages:
                 return parse_message(_text_of(path), path)
         if package == "builtin_interfaces" and name in _BUILTIN:
             return parse_message(_BUILTIN[name], Path(package, "msg", f"{name}.msg"))
+        common = common_message(package, name)
+        if common is not None:
+            return parse_message(common, Path(package, "msg", f"{name}.msg"))
         roots = ", ".join(dict.fromkeys(map(str, self._roots)))
         raise InterfaceError(
             user,
             field.line,
             f"expected {_full(package, name)!r} on the search path, found no"
-            f" {Path(package, 'msg', f'{name}.msg')} and no {name}.msg in {roots}",
+            f" {Path(package, 'msg', f'{name}.msg')} and no {name}.msg in {roots}"
+            f"{advice(package)}",
         )
 
     def _places(self, package: str, name: str) -> Iterator[Path]:

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from fibaction.interfaces import common_messages
 from fibaction.interfaces.definitions import InterfaceError
 from fibaction.interfaces.files import read_action, read_action_texts
 
@@ -15,6 +17,8 @@ FILES = Path(__file__).parent.parent / "action_files"
 def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
+    library = SimpleNamespace(fielddefs={})  # it has no messages
+    monkeypatch.setattr(common_messages, "_store", lambda: library)
 
 
 @pytest.fixture
@@ -165,6 +169,19 @@ def test_a_file_comes_before_a_builtin_interface(lift: Path) -> None:
     time = write(lift.parent / "builtin_interfaces/msg/Time.msg", "int64 ticks\n")
 
     assert found(path) == time
+
+
+def test_a_common_message_of_ros_needs_no_file_if_the_library_is_installed(
+    lift: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = SimpleNamespace(
+        fielddefs=["std_msgs/msg/Header"],
+        generate_msgdef=lambda name, ros_version: ("string frame_id\n" + "=" * 80 + "\nMSG: x", ""),
+    )
+    monkeypatch.setattr(common_messages, "_store", lambda: library)
+    header = read_action(with_goal(lift, "std_msgs/Header header")).goal.nested["header"]
+    assert header.definition.text == "string frame_id\n"
+    assert header.type_name == "std_msgs/msg/Header"
 
 
 def test_there_are_no_other_builtin_interfaces(lift: Path) -> None:

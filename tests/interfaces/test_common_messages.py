@@ -1,0 +1,76 @@
+"""The messages of ROS's common packages, from a library where ROS is not installed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fibaction.interfaces import common_messages
+from fibaction.interfaces.common_messages import common_message
+from fibaction.interfaces.definitions import InterfaceError
+from fibaction.interfaces.files import read_action
+from fibaction.interfaces.structs import make_structs
+from fibaction_transports.cdr.type_hashes import type_hash
+
+HASHES = {
+    "geometry_msgs/msg/Quaternion": (
+        "8a765f66778c8ff7c8ab94afcc590a2ed5325a1d9a076ffff38fbce36f458684"
+    ),
+    "geometry_msgs/msg/PoseStamped": (
+        "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"
+    ),
+}
+"""The hashes that ROS 2 Kilted has for these types, in the files `share/geometry_msgs/msg/*.json`.
+"""
+
+
+@pytest.fixture(autouse=True)
+def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
+    common_messages._store.cache_clear()
+    yield
+    common_messages._store.cache_clear()
+
+
+@pytest.mark.parametrize("type_name", HASHES)
+def test_a_common_message_is_that_of_ros(type_name: str, tmp_path: Path) -> None:
+    package, _, name = type_name.split("/")
+    path = tmp_path / "go_msgs/action/Go.action"
+    path.parent.mkdir(parents=True)
+    path.write_text(f"{package}/{name} it\n---\n---\n")
+    found = read_action(path).goal.nested["it"]
+    assert found.type_name == type_name
+    assert type_hash(found) == f"RIHS01_{HASHES[type_name]}"
+
+
+def test_a_common_message_has_its_defaults_and_constants(tmp_path: Path) -> None:
+    path = tmp_path / "Go.action"
+    path.write_text("geometry_msgs/Pose to\nsensor_msgs/NavSatStatus fix\n---\n---\n")
+    structs = make_structs(read_action(path))
+    assert structs["Go_Goal"]().to.orientation.w == 1.0  # type: ignore[attr-defined]
+    assert structs["NavSatStatus"].STATUS_FIX == 0  # type: ignore[attr-defined]
+
+
+def test_without_the_library_there_are_none_and_an_error_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "Go.action"
+    for package, ending in (
+        ("geometry_msgs/", "; fibaction[ros-types] has the messages of ROS's common packages"),
+        ("", str(tmp_path)),
+    ):
+        path.write_text(f"{package}Thing it\n---\n---\n")
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, "rosbags.typesys", None)
+            assert common_message("geometry_msgs", "Pose") is None
+            with pytest.raises(InterfaceError) as caught:
+                read_action(path)
+        assert str(caught.value).endswith(ending)
+    common_messages._store.cache_clear()
+    path.write_text("geometry_msgs/Thing it\n---\n---\n")
+    with pytest.raises(InterfaceError, match=r"in .*test_without_the_library\S*$"):
+        read_action(path)
