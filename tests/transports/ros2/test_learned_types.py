@@ -167,6 +167,19 @@ async def test_an_action_of_which_only_feedback_is_told_is_followed(
     assert [one.type_name for one in asked] == [f"{PAINT}_FeedbackMessage"]
 
 
+async def test_the_name_of_an_action_is_enough_if_its_file_is_found_here(folder: Path) -> None:
+    name = new_name()
+    async with (
+        painting(folder, name) as begun,
+        connect(DdsTransport(search=[str(folder)])) as connection,
+    ):
+        begun.set()
+        await connection.peers(name)
+        client = connection.client(Action.untyped(ActionInfo(name)))
+        await client.wait_for_server(PATIENCE)
+        assert await client.call({"spot": {"x": 4}}) == {"spots": 4}
+
+
 async def test_users_types_for_a_goal_that_is_not_known_are_an_error(
     folder: Path, as_rclpy: None
 ) -> None:
