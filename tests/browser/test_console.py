@@ -358,7 +358,7 @@ def test_a_mission_leads_to_its_children_and_they_lead_back(
     )
     children.first.get_by_role("link").click()
     expect(page.get_by_role("heading", name="fibonacci")).to_be_visible()
-    facts = goal(page).locator(".family")
+    facts = goal(page).locator(".family .step")
     expect(facts).to_have_text(f"Step the long one of goal mission {mission}")
     child = goal(page).locator("header code").inner_text()
     expect(row(page, child)).to_contain_text(f"the long one of {mission}")
@@ -370,7 +370,7 @@ def test_a_mission_leads_to_its_children_and_they_lead_back(
     expect(goal(page).locator("header code")).to_have_text(mission)
     other = context.new_page()
     other.goto(f"{robot.url}/#/fibonacci/{child}")
-    expect(goal(other).locator(".family")).to_have_text(
+    expect(goal(other).locator(".family .step")).to_have_text(
         f"Step the long one of goal mission {mission}"
     )
 
@@ -390,7 +390,9 @@ def test_a_parent_that_is_not_known_here_is_no_link_and_a_step_is_text(
     )
     page.get_by_role("link", name=child[:8], exact=True).click()
     family = goal(page).locator(".family")
-    expect(family).to_have_text("Step <b>lift</b> of goal abababab (not known here)")
+    expect(family.locator(".step")).to_have_text(
+        "Step <b>lift</b> of goal abababab (not known here)"
+    )
     expect(family.get_by_role("link")).to_have_count(0)
     expect(family.get_by_role("list")).to_have_count(0)
 

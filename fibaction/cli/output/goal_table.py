@@ -209,8 +209,8 @@ def _cells(
         action, kin = excerpt(shown(row.action)), family.text(row.info, digits)
         cells = [row.goal_id[:digits], action, row.status, kin, row.age(now)]
         table.append([*cells, row.feedback, row.client])
-    left_out = ({ACTION} if not actions else set()) | ({FAMILY} if not family else set())
-    kept = [column for column, head in enumerate(heads) if head not in left_out]
+    is_there = {ACTION: actions, FAMILY: bool(family)}
+    kept = [column for column, head in enumerate(heads) if is_there.get(head, True)]
     return [[cells[column] for column in kept] for cells in table]
 
 

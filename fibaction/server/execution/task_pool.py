@@ -61,11 +61,12 @@ class TaskPool:
         name: str,
         *,
         grace: float = GRACE,
-        clock: Callable[[], float] = perf_counter,
+        clock: Callable[[], float] | None = None,
     ) -> None:
         """Open a pool; `owner` does not end before the pool is closed and the jobs have ended."""
         self._name = name
-        self._clock = clock
+        # Not a default of the argument: simulations replace it in this module.
+        self._clock = clock or perf_counter
         self._jobs: FairQueue[Job] = FairQueue()
         self._idle: list[Notifier] = []
         self._working: set[CancelOnce] = set()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import TypeAlias
 
@@ -39,11 +39,6 @@ def action(name: str) -> Action[Goal, Feedback, Result]:
     return Action(name, goal=Goal, feedback=Feedback, result=Result, type_name=TYPE)
 
 
-def on_goal(goal: Goal) -> None:
-    if goal.order < 0:
-        raise GoalRejected("a sequence has no negative length")
-
-
 async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
     order = goal.request.order
     if order <= orders.MOST:
@@ -62,7 +57,16 @@ async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, N
             raise GoalCanceled("asked to stop", result=Result(orders.PART)) from None
 
 
-def server(name: str) -> ActionServer[Goal, Feedback, Result]:
+def server(
+    name: str, note: Callable[[int], None] = lambda order: None
+) -> ActionServer[Goal, Feedback, Result]:
+    """Return a server that notes the order of each goal."""
+
+    def on_goal(goal: Goal) -> None:
+        note(goal.order)
+        if goal.order < 0:
+            raise GoalRejected("a sequence has no negative length")
+
     return ActionServer(action(name), execute, on_goal=on_goal)
 
 

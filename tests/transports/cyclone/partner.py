@@ -40,11 +40,15 @@ CONFIG = f"""
 
 @asynccontextmanager
 async def partner(module: str, *arguments: str, lease: str = "10 s") -> AsyncGenerator[Peer, None]:
-    """Run a module of this package in a process of its own."""
+    """Run a module of this package in a process of its own.
+
+    It must not complain, as Cyclone does of each packet that breaks its rules.
+    """
     config = CONFIG.format(lease=lease)
     name = f"{__package__}.{module}"
     async with peer(name, *arguments, CYCLONEDDS_URI=config) as found:
         yield found
+        assert found.complaints() == ""
 
 
 async def matched(cyclone: Peer, count: int = 1, *names: str) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from fibaction import GoalAborted, GoalCanceled, GoalRejected, GoalStatus, serve
 from tests.ros2.stock import orders
+from tests.ros2.stock.waiting import eventually
 from tests.support.fibonacci import Feedback, Goal, Result
 from tests.transports.cyclone import dds_end
 from tests.transports.cyclone.dds_end import NINE, cyclone_server, new_name
@@ -94,16 +95,25 @@ async def test_two_clients_of_ours_at_a_cyclone_server_each_get_their_own_answer
             tasks.start_soon(call, order)
 
 
-async def test_a_client_at_servers_of_both_forms_is_answered_by_either() -> None:
+async def test_a_goal_reaches_servers_of_both_forms_and_is_answered_by_either() -> None:
     name = new_name()
+    ours: list[int] = []
     async with (
-        serve(dds_end.server(name), "dds://"),
+        serve(dds_end.server(name, ours.append), "dds://"),
         cyclone_server(name) as cyclone,
         dds_end.client(name) as client,
     ):
-        while not await cyclone.ask("offered"):
+        theirs: list[str] = []
+        while not (ours and theirs):  # one of the two may be found later
             assert await client.call(Goal(9)) == Result(NINE)
+            theirs = await cyclone.ask("offered")
+        found = len(ours), len(theirs)
         for _ in range(10):
             assert await client.call(Goal(9)) == Result(NINE)
-        offered = await cyclone.ask("offered")
-        assert len(offered) == len(set(offered)) >= 11
+
+        async def offered() -> tuple[int, int]:
+            theirs = await cyclone.ask("offered")
+            assert len(theirs) == len(set(theirs))
+            return len(ours), len(theirs)
+
+        await eventually(offered, lambda now: now == (found[0] + 10, found[1] + 10))

@@ -11,8 +11,9 @@ export class GoalFamily {
     this.link = h("a", { class: "parent" });
     this.parent = h("p", { class: "step" }, this.step, this.link, this.elsewhere);
     this.items = new Map();
+    this.title = h("h3", {}, "Children");
     this.children = h("ul", { "aria-label": "Children" });
-    this.element = h("div", { class: "family" }, this.parent, this.children);
+    this.element = h("div", { class: "family" }, this.parent, this.title, this.children);
   }
 
   /** Show the family of a goal as far as it is known now. */
@@ -20,6 +21,7 @@ export class GoalFamily {
     this.updateParent(record.parent);
     const children = this.store.childrenOf(record);
     arrange(this.children, children.map((child) => this.itemOf(child)));
+    show(this.title, children.length > 0);
     show(this.children, children.length > 0);
   }
 
