@@ -3,10 +3,9 @@
 Theory of operation
 -------------------
 
-A goal has one `FeedbackLog`: the window of its feedback, the statuses that it has had, and its
-outcome. Each follower has a `FeedbackCursor`: the number of the message that it took last, and the
-number of statuses that it has taken. If the log has pushed out a message that a cursor has yet to
-take, the cursor counts it as dropped.
+A goal has one `FeedbackLog`: the window of its feedback, its statuses, and its outcome. Each
+follower has a `FeedbackCursor`: the numbers of the messages and statuses that it has taken. A
+message that the log pushes out before a cursor has taken it counts there as dropped.
 
 Nothing is copied to followers. `append`, `tell_status` and `finish` notify the cursors, and each
 reader then calls `take`. It returns the statuses first, then feedback, and when no feedback is left
@@ -14,12 +13,9 @@ and the goal has ended, the outcome. Only the stream of the client that sent the
 so make the executor wait: see `feedback_window`.
 
 Until the end, a log references the cursors that read feedback, and has weak references to those
-that only wait for the end. So a stream that was closed, and is otherwise unused, is freed before
-its goal ends; afterwards, every stream is freed when nothing else references it, without the
-garbage collector.
+that only wait for the end. So an unused stream is freed without the garbage collector.
 
-This module does not depend on executors, nor on the rules for statuses. The goal may be one of a
-server here or of another system: see `followed_goal`.
+The goal may be one of a server here or of another system: see `followed_goal`.
 """
 
 from __future__ import annotations

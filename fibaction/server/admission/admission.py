@@ -11,14 +11,12 @@ a coroutine: the server half of a transport then starts no task for most goals, 
 goals over TCP 1.4 times as fast (`python -m tests.tools.benchmarks.parts`).
 
 A goal that is sent again while it is being decided waits for the decision (`decided`), and so does
-a cancel with its ID. They wait for that goal alone: `_decisions` has one notifier per undecided
-goal, made by the first task that waits.
+a cancel with its ID: `_decisions` has a notifier per undecided goal that a task waits for.
 
 With a store, an acceptance is written before the goal is accepted and anything is told. Until then
 the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
-meanwhile, the goal is accepted all the same. `_writing` has the offers whose acceptance is being
-written. If another server turns out to have the goal (`lose`), the call is told so.
-
+meanwhile, the goal is accepted all the same. `_writing` has the offers that are being written. If
+another server turns out to have the goal (`lose`), the call is told so.
 A server that drains rejects new goals as busy, so that clients of several servers go elsewhere.
 """
 
