@@ -451,9 +451,11 @@ def test_the_same_call_about_something_else_is_of_another_kind(log: Log, clock: 
 def test_what_was_left_out_is_written_at_the_end_of_the_process(log: Log, clock: Clock) -> None:
     for number in range(QUOTA + 5):
         reject(log, number)
+    log.logger.debug("a line of another kind, which is not enabled")
+    log.logger.info("a line of another kind")
     log_module.LIMIT.flush()
     log_module.LIMIT.flush()
-    assert log.lines[QUOTA:] == [
+    assert log.lines[QUOTA + 1 :] == [
         f"WARNING fibaction.test: 5 more lines like this one in 0 s: client {QUOTA} is rejected"
     ]
 
