@@ -15,6 +15,7 @@ class Driven(Protocol):
 
     def work(self) -> bool:
         """Take what was read, for a short time; return whether something is left."""
+        ...
 
     def on_deadline(self) -> None:
         """Do what is due."""
