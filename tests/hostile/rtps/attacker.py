@@ -21,7 +21,7 @@ async def main(name: str, domain: str, prefix: str, port: str, *entities: str) -
     )
     async with attacker_of(victim) as attacker, anyio.create_task_group() as tasks:
         print("it begins", flush=True)
-        tasks.start_soon(lambda: repeat(name, attacker, [], pause=0))
+        tasks.start_soon(lambda: repeat(name, attacker, [], is_long=True))
         await anyio.to_thread.run_sync(sys.stdin.read, abandon_on_cancel=True)
         tasks.cancel_scope.cancel()
 
