@@ -2,6 +2,7 @@
 
 from fibaction.border.abc import (
     Connection,
+    Diagnosis,
     Endpoint,
     FeedbackItem,
     ForwardingEndpoint,
@@ -17,6 +18,7 @@ from fibaction.border.abc import (
 
 __all__ = [
     "Connection",
+    "Diagnosis",
     "Endpoint",
     "FeedbackItem",
     "ForwardingEndpoint",

@@ -54,14 +54,9 @@ def log_is_left_as_it_was() -> Iterator[None]:
     assert changed == {}  # modules imported for the first time may add loggers
 
 
-<<<<<<< ours
 @pytest.fixture(autouse=True, scope="module")
 def what_stays_is_spared() -> None:
     """Spare what stays to the end, modules and tests, the collections of garbage in a file.
-=======
-def pytest_collection_finish() -> None:
-    """Spare what stays to the end, modules and tests, all collections of garbage from now on.
->>>>>>> theirs
 
     Many tests collect garbage, so that what they leave open is found there. With some 14,000 tests
     in memory each collection takes 0.4 s. It is done for each file, since some tests undo it.

@@ -16,6 +16,8 @@ from abc import ABC, abstractmethod
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Any, ClassVar
 
+import msgspec
+
 from fibaction._runtime.notify import Notifier
 from fibaction.border.endpoints import Endpoint, ForwardingEndpoint, Startable
 from fibaction.border.goal_request import GoalRequest
@@ -28,6 +30,7 @@ from fibaction.words.meta import Meta
 
 __all__ = [
     "Connection",
+    "Diagnosis",
     "Endpoint",
     "FeedbackItem",
     "ForwardingEndpoint",
@@ -94,6 +97,17 @@ class Connection(ABC):
         raise StoreError(f"goal {goal_id} was not given up: only fleets keep such goals here")
 
 
+class Diagnosis(msgspec.Struct, frozen=True):
+    """The findings of a transport about the way to its servers."""
+
+    is_found: bool
+    """True if what was looked for can be reached."""
+    facts: dict[str, Any]
+    """Values of JSON by their names, in the order in which they are shown."""
+    advice: tuple[str, ...] = ()
+    """Sentences that say what to do."""
+
+
 class Transport(ABC):
     """A way to reach endpoints, configured by its constructor or its URL alone.
 
@@ -144,3 +158,26 @@ class Transport(ABC):
             ServerNotFound: The server is not found, and this transport can tell at once.
             AuthenticationFailed: The server rejects this client.
         """
+
+    async def diagnose(self, seconds: float, action: str = "") -> Diagnosis:
+        """Find out what can be reached, or whether this action can be, and why not.
+
+        A transport whose servers are discovered listens for that many seconds. By default, a
+        connection is opened, and its actions are listed.
+
+        Raises:
+            TransportError, ProtocolError: As for `connect` and `Connection.actions`.
+        """
+        async with self.connect() as connection:
+            actions = await connection.actions()
+        names = [info.name for info in actions]
+        is_found = action.removeprefix("/") in [name.removeprefix("/") for name in names]
+        if is_found or not action:
+            advice = "" if names else "the server answers, and serves no action"
+        else:
+            advice = f"the server answers, and does not serve {action!r}"
+        return Diagnosis(
+            is_found or bool(names and not action),
+            {"actions": [{"name": info.name, "type": info.type_name} for info in actions]},
+            (advice,) if advice else (),
+        )

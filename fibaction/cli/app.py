@@ -32,6 +32,7 @@ VERBS = {
     "find": ("list", "find_command", "List the actions of a type."),
     "wait": ("wait", "wait_command", "Wait until an action is served."),
     "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
+    "doctor": ("doctor", "doctor_command", "Say why nothing is found."),
     "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
     "goals": ("list_goals", "goals_command", "List goals and their statuses."),
     "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),

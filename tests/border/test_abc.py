@@ -361,6 +361,29 @@ async def test_a_transport_need_not_be_a_fleet() -> None:
         assert store is None
 
 
+@pytest.mark.asyncio
+async def test_a_transport_without_discovery_is_diagnosed_by_its_actions() -> None:
+    transport = InProcessTransport()
+    async with transport.serve():
+        nothing = await transport.diagnose(1.0)
+    async with transport.serve(ActionServer(FIBONACCI, fibonacci)):
+        all_of_it = await transport.diagnose(1.0)
+        one = await transport.diagnose(1.0, "/fibonacci")
+        other = await transport.diagnose(1.0, "dance")
+
+    assert (nothing.is_found, nothing.advice) == (
+        False,
+        ("the server answers, and serves no action",),
+    )
+    assert (all_of_it.is_found, all_of_it.advice) == (True, ())
+    assert all_of_it.facts == {"actions": [{"name": "fibonacci", "type": FIBONACCI.type_name}]}
+    assert (one.is_found, one.advice) == (True, ())
+    assert (other.is_found, other.advice) == (
+        False,
+        ("the server answers, and does not serve 'dance'",),
+    )
+
+
 def test_a_stream_is_closed_at_the_end_of_its_block_and_lets_errors_pass() -> None:
     stream = OneEnd(UNKNOWN_OUTCOME)
     with pytest.raises(LookupError), stream as entered:
@@ -401,7 +424,7 @@ def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> No
     interfaces = [
         value for name, value in vars(abc).items() if inspect.isclass(value) and name in abc.__all__
     ]
-    assert len(interfaces) == 10
+    assert len(interfaces) == 11
     for interface in interfaces:
         assert inspect.getdoc(interface)
         for name, member in vars(interface).items():

@@ -284,10 +284,7 @@ def streams() -> list[FeedbackCursor]:
     return [one for one in found if one.status is GoalStatus.EXECUTING]
 
 
-<<<<<<< ours
 @pytest.mark.load
-=======
->>>>>>> theirs
 async def test_500_connections_that_are_opened_and_closed_leave_nothing_behind() -> None:
     abort = struct.pack("ii", 1, 0)
     async with scene() as here:

@@ -189,11 +189,11 @@ async def test_signs_of_life_are_counted() -> None:
             other.publisher(topic, PARAMETER, alive)
             await until(watch.news, LifeSigns(1, 0))
             assert watch.news() is None
-            network = other._network.participant
+            network = other.network.participant
             network._shared.timers.clear()  # it is there, and gives no sign of life
             await until(watch.news, LifeSigns(0, 1))
             network._assertions.plan(network._local.user_writers(), anyio.current_time())
-            other._network.settle()
+            other.network.settle()
             await until(watch.news, LifeSigns(1, 0))
         await until(watch.news, LifeSigns(0, 0))
 
@@ -310,7 +310,7 @@ async def test_a_request_that_cannot_be_answered_is_logged(
     async with opened(name) as node, opened() as other:
         answers = Answers(other, f"/{name}/list_parameters", messages.LIST_PARAMETERS)
         await answers.call(messages.ListRequest())
-        for writer in node._network.participant._local.user_writers():
+        for writer in node.network.participant._local.user_writers():
             writer._readers.clear()  # as if the answer's reader was not discovered yet
         answers._caller.send(messages.ListRequest())
         await until(lambda: "an answer cannot reach its client, and is lost" in caplog.text, True)
@@ -344,12 +344,12 @@ async def test_the_domain_and_the_range_may_be_settings(monkeypatch: pytest.Monk
     monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
     node = NodeSettings("", "", 7, [])
     settings = DdsSettings(discovery="SUBNET", peers=("one", "two"))
-    domain = DdsAdapter(node, settings)._domain()
+    domain = DdsAdapter(node, settings).domain()
     assert (domain.domain, domain.discovery_range.value) == (7, "SUBNET")
     assert domain.static_peers == ("one", "two")
     monkeypatch.setenv("ROS_DOMAIN_ID", "many")
     with pytest.raises(TransportError, match="ROS_DOMAIN_ID='many'"):
-        DdsAdapter(NodeSettings(), DdsSettings())._domain()
+        DdsAdapter(NodeSettings(), DdsSettings()).domain()
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,19 @@ async def test_they_find_each_other_by_multicast_on_the_interfaces_asked_for(dom
 
 
 @pytest.mark.anyio
+async def test_the_addresses_and_the_others_can_be_asked_for(domain: int) -> None:
+    settings = DomainSettings(domain=domain, static_peers=("localhost",))
+    found = Listener()
+    async with participant(settings, found) as one, participant(settings) as other:
+        await found.wait(ParticipantFound)
+        (remote,) = one.participant.remote_participants
+        assert (remote.data.prefix, remote.source) == (other.participant.prefix, "127.0.0.1")
+        assert {one.addresses.number, other.addresses.number} == {0, 1}
+        assert one.addresses.peers == ("127.0.0.1",)
+        assert one.addresses.interfaces == ()
+
+
+@pytest.mark.anyio
 async def test_static_peers_are_found_without_multicast(domain: int) -> None:
     await exchange(DomainSettings(domain=domain, static_peers=("localhost",)))
 

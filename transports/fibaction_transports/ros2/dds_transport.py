@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
+from fibaction.border.abc import Diagnosis
 from fibaction.border.urls import check_settings, without_settings
 from fibaction.words.errors import InvalidURL
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
+from fibaction_transports.ros2.on_dds.diagnosis import diagnose_domain
 from fibaction_transports.ros2.ros_transport import (
     IN_URLS,
     RosTransport,
@@ -117,7 +119,12 @@ class DdsTransport(RosTransport):
         node = NodeSettings(node_name or "", namespace, domain_id, arguments)
         shared = shared_settings(namespace, domain_id, ends)
         shared |= {"discovery": discovery or None, "peers": ",".join(peers) or None}
-        super().__init__(DdsAdapter(node, settings), ends, shared)
+        self._dds = DdsAdapter(node, settings)
+        super().__init__(self._dds, ends, shared)
+
+    async def diagnose(self, seconds: float, action: str = "") -> Diagnosis:
+        """See `Transport.diagnose`."""
+        return await diagnose_domain(self._dds, self._ends, seconds, action)
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> DdsTransport:

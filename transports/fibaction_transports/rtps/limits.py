@@ -45,6 +45,10 @@ class RtpsCounters(Struct):
 
     datagrams: int = 0
     """Datagrams received."""
+    own: int = 0
+    """Those of this participant itself, which multicast brings back."""
+    of_other_domains: int = 0
+    """Announcements of participants in another domain, or with a domain tag."""
     invalid: int = 0
     """Datagrams that broke the rules or limits of the wire format, or of discovery."""
     over_limit: int = 0

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager, closing
 from time import perf_counter
 
 import anyio
+from msgspec import Struct
 
 from fibaction.border.event_loop import Background, asyncio_task
 from fibaction.words.errors import TransportError
@@ -44,6 +45,19 @@ CLOSING_TIME = 1.0
 _LARGEST_DATAGRAM = 2**16
 
 
+class OwnAddresses(Struct, frozen=True, kw_only=True):
+    """The addresses that a participant uses."""
+
+    number: int
+    """The number of the participant on this host, which its ports tell."""
+    hosts: tuple[str, ...]
+    """The addresses of this host that it announces."""
+    interfaces: tuple[str, ...]
+    """The addresses of the interfaces at which it has joined multicast."""
+    peers: tuple[str, ...]
+    """The addresses of the static peers, in their order."""
+
+
 class ParticipantNetwork:
     """A participant that sends and receives. Made by `open_network`."""
 
@@ -53,9 +67,11 @@ class ParticipantNetwork:
         sockets: ParticipantSockets,
         on_event: Callable[[Event], None],
         loop: DrivingLoop,
+        addresses: OwnAddresses,
     ) -> None:
         self.participant = participant
         """The participant. After calling its methods that change something, call `settle`."""
+        self.addresses = addresses
         self._sockets = sockets
         self._on_event = on_event
         self._loop = loop
@@ -213,7 +229,13 @@ async def open_network(
             anyio.current_time(),
         )
         loop = AnyioLoop() if asyncio_task() is None else AsyncioLoop()
-        network = ParticipantNetwork(participant, sockets, on_event, loop)
+        own = OwnAddresses(
+            number=number,
+            hosts=tuple(hosts),
+            interfaces=tuple(interfaces) if is_multicast else (),
+            peers=peers,
+        )
+        network = ParticipantNetwork(participant, sockets, on_event, loop, own)
         try:
             async with Background() as tasks:
                 sources = sockets.received if reach is not DiscoveryRange.OFF else ()

@@ -148,6 +148,11 @@ class Participant:
         return self._shared.counters
 
     @property
+    def remote_participants(self) -> list[RemoteParticipant]:
+        """The other participants."""
+        return self._participants.all()
+
+    @property
     def remote_endpoints(self) -> list[EndpointData]:
         """The endpoints of other participants, matched or not."""
         return self._remote.all()

@@ -64,6 +64,7 @@ class MessageRouter:
             InvalidPacket: An announcement of discovery is broken; what came before it is taken.
         """
         prefix, vendor, size = packet.prefix, packet.vendor, packet.size
+        self._counters.own += prefix == self._own
         sender = self._participants.sender(prefix, source[0], size)
         time: float | None = None
         is_ours, of_discovery = True, 0

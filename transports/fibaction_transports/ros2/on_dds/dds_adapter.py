@@ -25,6 +25,7 @@ from fibaction_transports.ros2.on_dds.parameters import USE_SIM_TIME
 from fibaction_transports.ros2.settings import NodeSettings, check_range
 from fibaction_transports.rtps.ports import DiscoveryRange, DomainSettings
 
+_USUAL = "default"
 _YES_OR_NO = {"true": True, "false": False}
 
 
@@ -66,7 +67,7 @@ class DdsAdapter(RosAdapter):
         full = node_name(name, self._node.namespace, arguments)
         resolver = NameResolver(full, arguments)
         opened = open_node(
-            self._domain(),
+            self.domain(),
             full,
             resolver,
             self._types,
@@ -78,7 +79,33 @@ class DdsAdapter(RosAdapter):
                 node.parameters.set_use_sim_time(value)
             yield node
 
-    def _domain(self) -> DomainSettings:
+    def origins(self) -> dict[str, str]:
+        """Return where the domain, the range and the static peers come from: a setting, a variable
+        of the environment, or the default.
+        """
+        settings = self._settings
+        range_variable = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+        if os.environ.get("ROS_LOCALHOST_ONLY") == "1":
+            range_variable = "ROS_LOCALHOST_ONLY"
+        return {
+            name: f"setting {setting}"
+            if is_set
+            else variable
+            if os.environ.get(variable)
+            else _USUAL
+            for name, setting, is_set, variable in (
+                ("domain", "domain_id", self._node.domain_id is not None, "ROS_DOMAIN_ID"),
+                ("range", "discovery", settings.discovery, range_variable),
+                ("peers", "peers", settings.peers, "ROS_STATIC_PEERS"),
+            )
+        }
+
+    def domain(self) -> DomainSettings:
+        """Return the domain by the settings and the environment.
+
+        Raises:
+            TransportError: A variable of the environment has a value that ROS does not know.
+        """
         settings, domain = self._settings, self._node.domain_id
         environ = dict(os.environ)
         if domain is not None:

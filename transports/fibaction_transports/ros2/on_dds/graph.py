@@ -152,6 +152,10 @@ class DdsGraph:
 
     # Questions
 
+    def nodes_of(self, prefix: bytes) -> list[str]:
+        """Return the full names of the nodes of another participant that have endpoints."""
+        return sorted(set(self._nodes.get(prefix, {}).values()))
+
     def topics(self) -> list[tuple[str, str]]:
         """Return the topics that have a publisher, each with the name of its type."""
         found = {

@@ -81,7 +81,8 @@ class DdsNode(RosNode):
         self.namespace = name.namespace
         self._resolver = resolver
         self.graph = DdsGraph(network, name)
-        self._network = network
+        self.network = network
+        """The participant with its sockets."""
         self._tasks = tasks
         self._lost: list[Callable[[ConnectionLost], None]] = []
         self._takers: dict[Guid, Callable[[Sample], None]] = {
@@ -153,7 +154,7 @@ class DdsNode(RosNode):
 
     def publisher(self, topic: str, message_type: MessageType, qos: EndQos) -> DdsPublisher:
         writer = self._writer(topic_name(topic), message_type, qos)
-        return DdsPublisher(writer, message_type, self._network.write)
+        return DdsPublisher(writer, message_type, self.network.write)
 
     def subscription(
         self,
@@ -181,7 +182,7 @@ class DdsNode(RosNode):
         reader = self._reader(reply_topic(service), service_type.Response, qos)
         writer = self._writer(request_topic(service), service_type.Request, qos)
         self._in_use.add_service(service_type)
-        ends = ServiceEnds(self._network, writer, reader)
+        ends = ServiceEnds(self.network, writer, reader)
         caller = DdsCaller(ends, service_type, take, take_unreadable)
         self._takers[reader.guid] = caller.receive
         self._tasks.start_soon(caller.ask, name=f"client of {service}")
@@ -193,7 +194,7 @@ class DdsNode(RosNode):
         self._takers.pop(caller.ends.reader.guid, None)
         for end in (caller.ends.writer, caller.ends.reader):
             self.graph.remove(end)
-            self._network.remove(end)
+            self.network.remove(end)
 
     def provider(
         self, service: str, service_type: ServiceType, qos: EndQos, take: RequestSink
@@ -201,7 +202,7 @@ class DdsNode(RosNode):
         writer = self._writer(reply_topic(service), service_type.Response, qos)
         reader = self._reader(request_topic(service), service_type.Request, qos)
         self._in_use.add_service(service_type)
-        provider = DdsProvider(ServiceEnds(self._network, writer, reader), service_type, take)
+        provider = DdsProvider(ServiceEnds(self.network, writer, reader), service_type, take)
         self._takers[reader.guid] = provider.receive
         return provider
 
@@ -218,7 +219,7 @@ class DdsNode(RosNode):
 
     def _writer(self, topic: str, message_type: MessageType, qos: EndQos) -> DataWriter:
         self._in_use.add_messages(message_type)
-        made = self._network.create_writer(
+        made = self.network.create_writer(
             topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
         )
         self.graph.add(made)
@@ -226,7 +227,7 @@ class DdsNode(RosNode):
 
     def _reader(self, topic: str, message_type: MessageType, qos: EndQos) -> DataReader:
         self._in_use.add_messages(message_type)
-        made = self._network.create_reader(
+        made = self.network.create_reader(
             topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
         )
         self.graph.add(made)

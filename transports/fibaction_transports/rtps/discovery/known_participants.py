@@ -73,6 +73,10 @@ class KnownParticipants:
         """Return a participant; None if it is not known."""
         return self._found.get(prefix)
 
+    def all(self) -> list[RemoteParticipant]:
+        """Return the participants that are known."""
+        return list(self._found.values())
+
     def of(self, endpoint: Guid) -> RemoteParticipant:
         """Return the participant of an endpoint that it has announced."""
         return self._found[endpoint.prefix]
@@ -120,6 +124,7 @@ class KnownParticipants:
         if data.prefix != prefix:
             raise InvalidPacket("announcement is about another participant than its sender")
         if data.domain not in (None, self._own.domain) or data.domain_tag:
+            self._shared.counters.of_other_domains += 1
             return
         remote = remote or self._add(data, host, max(size, len(sample.payload)), now)
         if remote is None:
