@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from anyio import current_time
 
+from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction_transports.nats.client.call_routes import (
     FIRST_PAUSE,
@@ -134,7 +135,7 @@ class Placement:
     def _type_at(self, lease: LeaseEntry) -> dict[str, Any]:
         """Return the type of goals at a worker, as a JSON Schema."""
         served = (one.info for one in lease.actions if one.info.name == self._action)
-        return next((info.goal for info in served), {})
+        return next(served, ActionInfo(self._action)).goal
 
     def goes_to(self, found: FoundGoal | None) -> bool:
         """Go to the owner of the goal next, or to any worker if it has none; return whether that

@@ -23,6 +23,10 @@ from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import Membership
 
 
+def _ignore(_journal: FleetJournal, _tasks: TaskGroup, _ends_unreadable: bool) -> None:
+    """Do nothing with a journal."""
+
+
 class FleetStore(GoalStore):
     """The goals of all servers of one worker."""
 
@@ -40,7 +44,7 @@ class FleetStore(GoalStore):
         """True if a server has stopped whose goals could not be released."""
         self.unreadable: dict[str, int] = {}
         """The number of goals without a worker that this one cannot run, by their actions."""
-        self.on_open: Callable[[FleetJournal, TaskGroup, bool], None] = lambda *_: None
+        self.on_open: Callable[[FleetJournal, TaskGroup, bool], None] = _ignore
         """The function that is called with each journal that is opened, with its tasks, and with
         whether its server ends the goals that no worker can run."""
         self.on_room: Callable[[], None] = lambda: None
