@@ -183,7 +183,7 @@ class FakeBroker(Broker):
         if self.is_away:
             raise BrokerAway("away")
         self.watches += 1
-        yield _Watch(self, subject.replace("*", ""))
+        yield _Watch(self, subject.partition("*")[0])
 
     def add_note(self, subject: str, data: bytes) -> None:
         raise NotImplementedError

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from fibaction import ActionPeers, ConnectionLost, ServerNotFound
+from fibaction import ActionPeers, ConnectionLost, ServerNotFound, StoreError
 from tests.support.virtual_time import in_virtual_time
-from tests.transports.nats.fake_fleet import COUNT, FakeFleet, client_of, server
+from tests.transports.nats.fake_fleet import (
+    COUNT,
+    ENDED,
+    GOAL_ID,
+    THREE,
+    FakeFleet,
+    client_of,
+    server,
+)
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 
@@ -29,6 +37,15 @@ async def test_actions_workers_and_peers_are_those_of_all_workers(fleet: FakeFle
         assert await connection.peers("count") == ActionPeers(("a", "b"), ("client",))
         with pytest.raises(ServerNotFound):
             await connection.peers("fly")
+
+
+async def test_goals_that_were_given_up_are_those_of_the_fleet(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID, **{**ENDED, "goal": THREE})
+        (goal,) = (await connection.given_up())["count"]
+        assert goal.goal_id == GOAL_ID
+        with pytest.raises(StoreError, match="was not given up"):
+            await connection.rerun("fly", GOAL_ID)
 
 
 async def test_a_connection_that_was_left_is_of_no_use(fleet: FakeFleet) -> None:

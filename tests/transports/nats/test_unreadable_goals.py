@@ -128,6 +128,11 @@ async def test_the_number_is_told_once_in_the_log_and_in_the_lease(log: Hearing)
             b.broker.add_note(NAMES.left("count"), bytes(waiting(4).goal_id))
             await sleep(2 * LEASE)
             assert [one.partition(" of ")[0] for one in log.warnings] == ["3 goals", "4 goals"]
+            b.cannot_run = {waiting(4).goal_id}
+            await b.claims(3, within=30 * LEASE)
+            await sleep(2 * LEASE)
+            assert b.store.unreadable == {"count": 1}
+            assert len(log.warnings) == 2, "fewer of them are no news"
             b.cannot_run.clear()
             await b.claims(4, within=30 * LEASE)
             await sleep(2 * LEASE)
