@@ -48,24 +48,26 @@ async def found(connection: Any, name: str) -> ActionInfo:
 async def test_a_robot_of_rclpy_tells_the_type_of_its_feedback(alone: str, no_files: None) -> None:
     with anyio.fail_after(2 * PATIENCE):
         async with (
-            peer("server", ROS_DOMAIN_ID=alone),
+            peer("tutorial_server", ROS_DOMAIN_ID=alone),
             connect(DdsTransport(domain_id=int(alone), discovery_timeout=PATIENCE)) as connection,
             connect(
                 DdsTransport(domain_id=int(alone), search=[FILES]),
-                Behaviour().server("stock").action,
+                Behaviour().server("tutorial").action,
             ) as knowing,
         ):
-            info = await found(connection, "stock")
+            info = await found(connection, "tutorial")
             assert info.type_name == TYPE
             assert (info.goal, info.result) == ({}, {})
             assert "partial_sequence" in str(info.feedback)
             client = connection.client(Action.untyped(info))
             await client.wait_for_server()
             await knowing.wait_for_server()
-            goal = await knowing.send_goal(knowing.action.goal.type(100))
+            # So long that some of its feedback is still to come.
+            goal = await knowing.send_goal(knowing.action.goal.type(40))
             followed = await client.attach(goal.goal_id)
-            await goal.cancel()
-            assert (await followed.outcome()).result is None
+            async for feedback in followed.feedback:
+                assert feedback["partial_sequence"][:3] == [0, 1, 1]
+                break
             with pytest.raises(TransportError, match="are not known here: put arduinobot_msgs"):
                 await client.send_goal({"order": 3})
 

@@ -20,7 +20,7 @@ def explain_versions(ros: RosNode, full: ActionNames, impl: Any) -> str:
     do; empty if there is none, or if hashes are not known. One server with the right versions is
     enough.
     """
-    wrong = []
+    wrong: list[str] = []
     for message_type, ends in (
         (impl.SendGoalService.Request, ros.request_readers(full.send_goal)),
         (impl.GetResultService.Response, ros.answer_writers(full.get_result)),

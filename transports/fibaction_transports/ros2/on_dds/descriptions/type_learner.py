@@ -15,6 +15,7 @@ publisher that has not answered as it should is not asked again.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Sequence
 from typing import Any, Final, Protocol
@@ -54,9 +55,11 @@ logger = clean_logger("fibaction.ros2")
 class AskingNode(Protocol):
     """The node that asks."""
 
+    @abstractmethod
     def publishers(self, topic: str) -> Sequence[EndInfo]:
         """See `RosNode.publishers`."""
 
+    @abstractmethod
     def caller(
         self,
         service: str,
@@ -67,6 +70,7 @@ class AskingNode(Protocol):
     ) -> DdsCaller:
         """See `RosNode.caller`."""
 
+    @abstractmethod
     def remove_caller(self, caller: DdsCaller) -> None:
         """Remove a client of a service."""
 

@@ -43,9 +43,13 @@ CANCEL_GOAL: Final = ServiceType(
 
 
 _STATUS: Final = composed("fibaction/msg/ResultStatus", "int8 status", {})
-_STATUS_ONLY: Final = CdrCodec(
-    _STATUS, {_STATUS.class_name: lambda status: GetResultResponse(status, None)}
-)
+
+
+def _without_result(status: int) -> GetResultResponse:
+    return GetResultResponse(status, None)
+
+
+_STATUS_ONLY: Final = CdrCodec(_STATUS, {_STATUS.class_name: _without_result})
 """The codec of answers whose results cannot be read: these follow the status."""
 
 
