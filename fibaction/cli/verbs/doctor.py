@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TypeAlias
 
 import click
 
@@ -16,6 +16,8 @@ from fibaction.cli.process.exit_codes import ExitCode, run
 
 WHERE = "dds://"
 """The default URL: that of the transport whose servers are discovered."""
+Fact: TypeAlias = "dict[str, Fact] | list[Fact] | str | int | float | bool"
+"""A fact of a diagnosis: a value of JSON."""
 _INDENT = "    "
 
 
@@ -69,7 +71,8 @@ async def diagnose(url: str, seconds: float, action: str, *, as_json: bool) -> i
 
 def lines(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield the lines of a diagnosis: the facts, and then the advice."""
-    for name, value in diagnosis.facts.items():
+    facts: dict[str, Fact] = diagnosis.facts
+    for name, value in facts.items():
         if not isinstance(value, list):
             yield f"{_words(name)}: {_text(value)}"
             continue
@@ -80,9 +83,10 @@ def lines(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"Advice: {sentence}"
 
 
-def _text(value: Any) -> str:
+def _text(value: Fact) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{_words(name, first=False)} {_text(one)}" for name, one in value.items())
+        parts = (f"{_words(name, first=False)} {_text(one)}" for name, one in value.items())
+        return ", ".join(parts)
     if isinstance(value, list):
         return " ".join(map(_text, value)) or "none"
     if isinstance(value, bool):

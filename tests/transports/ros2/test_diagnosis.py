@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import anyio
 import msgspec
 import pytest
 
-from fibaction import Action, ActionServer, serve
+from fibaction import Action, ActionServer, GoalHandle, serve
 from fibaction.border.abc import Diagnosis
 from fibaction.border.urls import transport_for
 from fibaction_transports.ros2.on_dds.diagnosis import DomainView, advice
@@ -210,7 +210,7 @@ def stir(name: str, folder: Path, number: str = "int32") -> tuple[ActionServer[A
     path.write_text(f"int32 rounds\n---\nstring said\n---\n{number} round\n")
     action = Action("stir", goal=Rounds, feedback=Round, result=Said, type_name=type_name)
 
-    async def run(goal: Any) -> Any:
+    async def run(goal: GoalHandle[Any]) -> AsyncGenerator[Any, None]:
         yield Said("smooth")  # pragma: no cover
 
     return ActionServer(action, run), f"dds://?search={folder}"
