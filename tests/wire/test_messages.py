@@ -53,9 +53,11 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
     Why,
+    parent_fields,
+    parent_from,
 )
 from fibaction.words.errors import ProtocolError
-from fibaction.words.goals import GoalID
+from fibaction.words.goals import GoalID, Parent
 from fibaction.words.statuses import GoalStatus
 from tests.support.golden import GOAL_ID, GOLDEN, STAMP
 
@@ -742,3 +744,10 @@ def test_an_announced_length_in_each_of_many_levels_takes_no_memory() -> None:
         assert tracemalloc.get_traced_memory()[1] < 2**18
     finally:
         tracemalloc.stop()
+
+
+def test_a_parent_comes_back_from_the_field_of_a_message() -> None:
+    parent = Parent(GoalID(bytes(range(16))), "pick")
+    assert parent_fields(parent) == (bytes(range(16)), "pick")
+    assert parent_from(parent_fields(parent)) == parent
+    assert parent_from(parent_fields(None)) is None
