@@ -143,8 +143,10 @@ async def test_the_nodes_of_ends_are_known() -> None:
         assert end.qos == EndQos(reliability="best_effort", lease=2.0)
         assert [end.node for end in one.publishers(topic)] == [f"/robot/{name}"]
         service = f"/robot/{name}/get_parameters"
-        assert [end.node for end in other.request_readers(service)] == [f"/robot/{name}"]
-        assert [end.node for end in other.answer_writers(service)] == [f"/robot/{name}"]
+        await until(
+            lambda: [end.node for end in other.request_readers(service)], [f"/robot/{name}"]
+        )
+        await until(lambda: [end.node for end in other.answer_writers(service)], [f"/robot/{name}"])
         assert other.count_callers(service) == 0
         assert other.subscriptions(topic) == []
         await until(lambda: bool(other.graph._nodes), True)
