@@ -47,7 +47,9 @@ def test_the_public_names_are_in_the_reference() -> None:
     page = (docs.DOCS / "reference" / "ros2.md").read_text(encoding="utf-8")
     documented = re.findall(r"^::: (\S+)$", page, re.MULTILINE)
 
-    assert sorted(name.rpartition(".")[2] for name in documented) == fibaction_transports.ros2.__all__
+    assert (
+        sorted(name.rpartition(".")[2] for name in documented) == fibaction_transports.ros2.__all__
+    )
     assert all(docs.resolve(name) is not None for name in documented)
 
 

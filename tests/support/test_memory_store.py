@@ -88,7 +88,7 @@ async def test_what_was_kept_is_claimed_by_the_next_server(answers: Answers) -> 
     async with opened(store) as (_, claimed):
         assert [each.stamp for each in claimed] == [2, 1, 3]
         assert claimed[0].result == b"result"
-        assert claimed[0].goal == b""
+        assert claimed[0].goal == b"goal", "as the end says it"
 
 
 async def test_only_what_a_method_is_about_is_kept(answers: Answers) -> None:

@@ -24,7 +24,7 @@ PARTS = {
 
 def _service_qos() -> Any:
     """Return what rmw_cyclonedds_cpp asks for; both ends of a service have the same ID."""
-    data = f"serviceid= {secrets.token_hex(8)};typehash=RIHS01_{'0' * 64};"
+    data = f"serviceid= {secrets.token_hex(8)};"
     return qos(depth=DEPTH, data=data.encode())
 
 

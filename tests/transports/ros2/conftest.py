@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[3]
 FOLDERS = (ROOT / "examples/ros2", ROOT / "tests/ros2")
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="package")
 def domain() -> Iterator[None]:
     """Take a domain that no other test run has, and the interface files of this project."""
     with own_domain() as patch:

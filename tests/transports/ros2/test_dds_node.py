@@ -258,7 +258,6 @@ async def test_the_time_of_a_simulation_is_that_of_its_topic() -> None:
         message = ClockMessage()
         message.clock.sec, message.clock.nanosec = 12, 5
 
-
         def told() -> int:
             time.publish(message)  # until the reader knows the writer, it takes nothing of it
             return node.clock.now()

@@ -135,13 +135,14 @@ class Ros2Transport(RosTransport):
             return DdsTransport.from_url(
                 rest.replace(cls.scheme, DdsTransport.scheme, 1), **settings
             )
-        logger.info("%s goes through rclpy", where)
         check_settings(cls.__name__, settings, (*_RCLPY_IN_URLS, "via", "arguments", "node"))
         name, found = url_parts(rest, _RCLPY_IN_URLS)
         try:
-            return cls(name, **{**found, **settings})
+            made = cls(name, **{**found, **settings})
         except ValueError as exc:
             raise InvalidURL(f"{where}: {exc}") from exc
+        logger.info("%s goes through rclpy", where)
+        return made
 
 
 def _split_via(url: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ import array
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, TypeAlias, cast
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -288,7 +288,8 @@ class Numbers(ArrayKind):
 
     def _read(self, numbers: Any) -> Any:
         if isinstance(numbers, list):  # a default of the field
-            return cast("list[Any]", numbers)
+            values: list[Any] = numbers
+            return values
         if numpy is None or len(numbers) < LARGE:
             return list(numbers) if isinstance(numbers, bytes) else numbers.tolist()
         return pack(numpy.frombuffer(numbers, self.number.dtype))

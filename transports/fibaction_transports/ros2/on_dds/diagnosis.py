@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from difflib import get_close_matches
 from typing import Any
@@ -15,6 +14,7 @@ from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter
+from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes
 from fibaction_transports.ros2.on_dds.names import ros_type, topic_name
 from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.settings import EndSettings
@@ -31,7 +31,6 @@ from fibaction_transports.rtps.ports import (
 
 _FEEDBACK, _MESSAGE = "/_action/feedback", "_FeedbackMessage"
 _VENDORS = {FAST_DDS: "Fast DDS", CYCLONE_DDS: "Cyclone DDS", OWN_VENDOR: "fibaction"}
-_TYPE_HASH = re.compile(rb"typehash=RIHS\w+;")
 
 
 class DomainView(Struct, frozen=True, kw_only=True):
@@ -182,8 +181,8 @@ def _type_problems(node: DdsNode, full: str) -> Iterator[str]:
         except TransportError as exc:
             yield str(exc)
             continue
-        ours: bytes = found.impl.FeedbackMessage.user_data
-        theirs = {part for end in writers for part in _TYPE_HASH.findall(end.user_data)}
+        ours: str = found.impl.FeedbackMessage.type_hash
+        theirs = {read_hashes(end.user_data).of_type for end in writers} - {""}
         if len(types) == 1 and theirs - {ours}:
             yield (
                 f"the feedback of {type_name} has other fields at the server than in the interface"
