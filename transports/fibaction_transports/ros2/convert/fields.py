@@ -287,12 +287,11 @@ class Numbers(ArrayKind):
         return Part(msgspec.Raw, self.made, bytes if as_bytes else self._read)
 
     def _read(self, numbers: Any) -> Any:
-        if isinstance(numbers, list):  # a default of the field
-            values: list[Any] = numbers
-            return values
-        if numpy is None or len(numbers) < LARGE:
-            return list(numbers) if isinstance(numbers, bytes) else numbers.tolist()
-        return pack(numpy.frombuffer(numbers, self.number.dtype))
+        # A default of the field is in a list, which shows no memory.
+        if numpy is not None and numbers.__class__ is not list and len(numbers) >= LARGE:
+            return pack(numpy.frombuffer(numbers, self.number.dtype))
+        to_list = getattr(numbers, "tolist", None)
+        return list(numbers) if to_list is None else to_list()
 
     def made(self, packed: msgspec.Raw) -> Any:
         """Make what a message has of a payload.
