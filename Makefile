@@ -219,11 +219,14 @@ test-lowest: build/lowest/.installed  ## Run the tests with the lowest versions 
 # What needs no ROS, `ros2/on_dds`, is covered by tests of its own in `make unit`.
 # `timeout` ends a process that hangs despite the timeouts of the tests. The tests wait for other
 # processes half of the time, so two of them run at once.
+# Some tests of `dds://` run there, too: they use parts of both halves that rclpy's tests do not.
+OVER_BOTH := tests/transports/ros2/test_dds_transport.py tests/transports/ros2/test_learned_types.py
+
 test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2 Kilted, or with ROS=jazzy
 	rm -f .coverage-ros .coverage-ros.*
 	FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml COVERAGE_FILE=.coverage-ros \
 	    $(no_other_ros) timeout --foreground --kill-after=10 1200 \
-	    $(ROS_BIN)/python -m pytest tests/ros2 -n 2 --dist loadfile \
+	    $(ROS_BIN)/python -m pytest tests/ros2 $(OVER_BOTH) -n 2 --dist loadfile \
 	    -o faulthandler_timeout=75 -o faulthandler_exit_on_timeout=true
 	$(ROS_BIN)/python -m coverage combine --quiet --data-file=.coverage-ros
 	$(ROS_BIN)/python -m coverage report --data-file=.coverage-ros \

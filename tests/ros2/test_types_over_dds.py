@@ -27,8 +27,9 @@ def anyio_backend() -> str:
 
 @pytest.fixture
 def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no interface file of ROS be found in this process."""
+    """Let no interface file be found in this process, also none that was loaded before."""
     monkeypatch.setattr(dds_types, "ros_folders", lambda: iter(()))
+    monkeypatch.setattr(dds_types, "known_action", lambda type_name: None)
 
 
 @pytest.fixture

@@ -337,6 +337,17 @@ async def test_a_client_that_does_not_read_makes_room(monkeypatch: pytest.Monkey
         await let_in(url)
 
 
+async def test_a_client_that_may_still_read_its_answer_keeps_its_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(server_module, "UNREAD", 1e9)
+    async with served(limits=Limits(connections=1)) as url, client_of(url) as slow:
+        await slow.stream.send(MANY)
+        await slow.stream.receive(1)
+        await anyio.wait_all_tasks_blocked()
+        assert (await fetch(url, "GET", "/actions")).status == 503
+
+
 async def test_a_client_that_asks_before_it_has_its_answer_makes_room() -> None:
     transport = HttpTransport(port=0, limits=Limits(connections=1))
     async with serve(new_server(), transport) as (url,), client_of(url) as hasty:

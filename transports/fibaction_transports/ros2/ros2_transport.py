@@ -141,7 +141,7 @@ class Ros2Transport(RosTransport):
             made = cls(name, **{**found, **settings})
         except ValueError as exc:
             raise InvalidURL(f"{where}: {exc}") from exc
-        logger.info("%s goes through rclpy", where)
+        logger.debug("%s goes through rclpy", where)
         return made
 
 
