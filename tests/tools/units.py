@@ -21,6 +21,7 @@ UNITS = {
         "tests/types/test_action.py",
         "tests/types/test_pydantic_codec.py",
     ],
+    "fibaction/client/client.py": ["tests/client/test_client.py", "tests/client/test_goal_step.py"],
     "fibaction/client/goal_span.py": ["tests/observe/test_otel.py"],
     "fibaction/client/goal_step.py": [
         "tests/client/test_goal_step.py",

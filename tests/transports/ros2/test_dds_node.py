@@ -30,10 +30,11 @@ from fibaction_transports.ros2.on_dds.messages.node_messages import (
     Parameter,
     ParameterValue,
 )
-from fibaction_transports.ros2.on_dds.node import DdsNode
+from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.events import ParticipantLost
 from fibaction_transports.rtps.messages.ids import Guid
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
@@ -368,3 +369,21 @@ async def test_the_domain_and_the_range_may_be_settings(monkeypatch: pytest.Monk
 def test_a_setting_that_is_out_of_range_is_an_error(settings: dict[str, Any], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         DdsSettings(**settings)
+
+
+def test_an_event_that_another_one_causes_is_handled_after_it() -> None:
+    handled: list[object] = []
+    inbox = _Inbox()
+
+    def handle(event: object) -> None:
+        if event == FIRST:
+            inbox.put(SECOND)
+        handled.append(event)
+
+    inbox.put(FIRST)
+    assert handled == []
+    inbox.open(handle)
+    assert handled == [FIRST, SECOND]
+
+
+FIRST, SECOND = (ParticipantLost(bytes([number]) * 12, has_left=True) for number in (1, 2))

@@ -370,6 +370,8 @@ def test_the_announcement_of_an_endpoint_is_dropped_and_those_after_it_are_read(
     assert node.participant.remote_endpoints == []
     peer.send(endpoint_payload(endpoint(1)))
     assert node.participant.remote_endpoints == [endpoint(1)]
+    assert node.participant.remote_endpoints_on(endpoint(1).topic) == [endpoint(1)]
+    assert node.participant.remote_endpoints_on("another topic") == []
 
 
 def test_an_endpoint_may_change_and_may_leave_by_its_key_alone() -> None:

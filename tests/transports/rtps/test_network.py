@@ -386,3 +386,39 @@ def test_the_default_interface_has_an_address(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(socket, "socket", Unconnected)
     assert default_interface() == "127.0.0.1"
+
+
+class Busy:
+    """A participant that always has more to do, and reads nothing of what has arrived."""
+
+    def __init__(self) -> None:
+        self.reads = self.turns = 0
+        self.is_enough = anyio.Event()
+
+    def read(self, source: socket.socket) -> None:
+        self.reads += 1
+        if self.reads > 3:
+            self.is_enough.set()
+
+    def work(self) -> bool:
+        self.turns += 1
+        return True
+
+    def on_deadline(self) -> None:
+        """Do nothing: it has no deadline."""
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_datagrams_that_arrive_during_the_work_wait_for_its_next_turn(
+    anyio_backend: str,
+) -> None:
+    busy, (one, other) = Busy(), socket.socketpair()
+    with one, other:
+        one.send(b"a datagram")
+        with anyio.fail_after(PATIENCE):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(AsyncioLoop().run, busy, [other])
+                await busy.is_enough.wait()
+                tasks.cancel_scope.cancel()
+    assert busy.turns <= busy.reads + 1
