@@ -13,7 +13,7 @@ from tests.support.ros_domain import claim_domain
 FOLDER = Path(__file__).parents[3] / "examples/ros2"
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="package")
 def domain() -> Iterator[None]:
     """Take a domain that no other test run has, and the interface files of the examples."""
     number, claim = claim_domain(os.getpid())
