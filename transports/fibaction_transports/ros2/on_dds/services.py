@@ -16,7 +16,7 @@ answer of Fast DDS comes after 3 s, with its next heartbeat.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import anyio
@@ -86,7 +86,8 @@ class DdsCaller(ServiceCaller):
         take: AnswerSink,
         take_unreadable: ErrorSink | None,
     ) -> None:
-        self._ends = ends
+        self.ends = ends
+        """The writer of requests, and the reader of answers."""
         self._encode = service_type.Request.codec.encode
         self._decode = service_type.Response.codec.decode
         self._take = take
@@ -108,7 +109,7 @@ class DdsCaller(ServiceCaller):
         try:
             self._write(self._calls, payload)
         except LimitReached as exc:
-            raise ConnectionLost(f"{self._ends.writer.topic} is not read: {exc}") from exc
+            raise ConnectionLost(f"{self.ends.writer.topic} is not read: {exc}") from exc
         _put(self._open, self._calls, None)
         self._pause = FIRST_ASK
         self._due = current_time() + self._pause
@@ -116,29 +117,29 @@ class DdsCaller(ServiceCaller):
         return self._calls
 
     def _write(self, call: int, payload: bytes) -> None:
-        ends = self._ends
-        servers = ends.writer.readers
-        by_header = [server for server in servers if ends.uses_header(server)]
-        identity = identity_items(SampleIdentity(ends.reader.guid, UNKNOWN_NUMBER))
-        in_header = with_header(header_of(self._client, call), payload)
-        if not by_header:
-            number = ends.network.write(ends.writer, payload, inline_qos=identity)
-            _put(self._of_sample, number, call)
-        elif len(by_header) == len(servers):
-            ends.network.write(ends.writer, in_header)
-        else:
+        servers = self.ends.writer.readers
+        by_header = set(filter(self.ends.uses_header, servers))
+        if by_header and len(by_header) < len(servers):
             for server in servers:
-                if server in by_header:
-                    ends.network.write(ends.writer, in_header, only_to=server)
-                    continue
-                number = ends.network.write(
-                    ends.writer, payload, inline_qos=identity, only_to=server
-                )
-                _put(self._of_sample, number, call)
+                self._write_to(server, call, payload, in_header=server in by_header)
+        else:
+            self._write_to(None, call, payload, in_header=bool(by_header))
+
+    def _write_to(self, server: Guid | None, call: int, payload: bytes, *, in_header: bool) -> None:
+        """Send a request to one server, or to all of them."""
+        ends = self.ends
+        inline: Sequence[tuple[int, bytes]] = ()
+        if in_header:
+            payload = with_header(header_of(self._client, call), payload)
+        else:
+            inline = identity_items(SampleIdentity(ends.reader.guid, UNKNOWN_NUMBER))
+        number = ends.network.write(ends.writer, payload, inline_qos=inline, only_to=server)
+        if not in_header:
+            _put(self._of_sample, number, call)
 
     def is_available(self) -> bool:
         # A server that has not found the reader yet would lose the first answers.
-        ends = self._ends
+        ends = self.ends
         answering = {writer.prefix for writer in ends.reader.confirmed_writers}
         return any(reader.prefix in answering for reader in ends.writer.readers)
 
@@ -152,29 +153,24 @@ class DdsCaller(ServiceCaller):
         try:
             response = self._decode(payload)
         except ProtocolError as exc:
-            logger.error("an answer on %s cannot be read: %s", self._ends.reader.topic, exc)
+            logger.error("an answer on %s cannot be read: %s", self.ends.reader.topic, exc)
             if self._take_unreadable is not None:
                 self._take_unreadable(exc)
         else:
             self._take(call, response)
 
     def _call_of(self, sample: Sample) -> tuple[int, bytes] | None:
-        if self._ends.uses_header(sample.writer):
+        if self.ends.uses_header(sample.writer):
             parts = split_header(sample.payload)
             if parts is None:
                 return None
             client, call = number_in(parts[0])
             return (call, parts[1]) if client == self._client else None
         identity = identity_in(sample)
-        if identity is None or identity.writer != self._ends.reader.guid:
+        if identity is None or identity.writer != self.ends.reader.guid:
             return None
         known = self._of_sample.get(identity.number)
         return None if known is None else (known, sample.payload)
-
-    @property
-    def ends(self) -> ServiceEnds:
-        """The writer of requests, and the reader of answers."""
-        return self._ends
 
     def close(self) -> None:
         """Wait for no answer any more."""
@@ -191,8 +187,8 @@ class DdsCaller(ServiceCaller):
             await anyio.sleep_until(self._due)
             if current_time() < self._due or not self._open:
                 continue
-            self._ends.reader.ask(current_time())
-            self._ends.network.settle()
+            self.ends.reader.ask(current_time())
+            self.ends.network.settle()
             self._pause = min(2 * self._pause, LONGEST_ASK)
             self._due = current_time() + self._pause
 

@@ -53,10 +53,14 @@ class RtpsEnd:
     def all(self, kind: type[E]) -> list[E]:
         return [event for event in self.events if isinstance(event, kind)]
 
-    def texts(self, reader: DataReader) -> list[str]:
+    def payloads(self, reader: DataReader) -> list[bytes]:
         """Return what a reader has received so far."""
         found = self.all(SampleReceived)
-        return [text_of(event.sample.payload) for event in found if event.reader == reader.guid]
+        return [event.sample.payload for event in found if event.reader == reader.guid]
+
+    def texts(self, reader: DataReader) -> list[str]:
+        """Return the texts that a reader has received so far."""
+        return [text_of(payload) for payload in self.payloads(reader)]
 
     async def until_heard(self, reader: DataReader, count: int) -> None:
         """Wait until a reader has received so many texts."""
