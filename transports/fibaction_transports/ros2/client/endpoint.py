@@ -37,7 +37,7 @@ from fibaction_transports.ros2.client.type_versions import explain_versions
 from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
+from fibaction_transports.ros2.node.ros_node import FEEDBACK, RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import FIRST_STAMP, LAST_STAMP
 from fibaction_transports.ros2.settings import EndSettings
 
@@ -51,8 +51,6 @@ logger = clean_logger("fibaction.ros2")
 FoundT = TypeVar("FoundT")
 
 _ENDS = frozenset(status for status in GoalStatus if status.is_terminal)
-_FEEDBACK = "/_action/feedback"
-_SUFFIX = "_FeedbackMessage"
 
 
 class RosEndpoint(Endpoint):
@@ -176,7 +174,8 @@ class RosConnection(Connection):
         """
         info = action.info if isinstance(action, Action) else action
         full = action_names(self._ros.resolve, info.name)
-        type_name = info.type_name or dict(self._looked(self._found)).get(full.feedback, "")
+        served = {} if info.type_name else dict(self._looked(self._ros.served_actions))
+        type_name = info.type_name or served.get(full.feedback, "")
         found = self._ros.types.find(type_name, info.name)
         codecs = found.codecs(info)
         client = self._clients.get((full.feedback, type_name))
@@ -190,7 +189,7 @@ class RosConnection(Connection):
         """See `Connection.actions`. Actions whose types are not installed here have no schemas,
         but for what their servers tell of them. The log says which have other versions there.
         """
-        found = await self._settled(self._found)
+        found = await self._settled(self._ros.served_actions)
         await self._ros.learn(found)
         self._check_ros()
         named = [(self._relative(topic), type_name) for topic, type_name in found]
@@ -250,19 +249,9 @@ class RosConnection(Connection):
         if not self._ros.is_up:
             raise ConnectionLost(str(self._ros.error))
 
-    def _found(self) -> list[tuple[str, str]]:
-        """Return the feedback topics of all actions with a server, each with the action's type."""
-        return sorted(
-            (topic, type_name.removesuffix(_SUFFIX))
-            for topic, type_name in self._ros.topics()
-            if topic.endswith(_FEEDBACK)
-            and type_name.endswith(_SUFFIX)
-            and self._ros.count_publishers(topic)
-        )
-
     def _relative(self, topic: str) -> str:
         """Return the shortest name of the action in the node's namespace."""
-        name = topic.removesuffix(_FEEDBACK)
+        name = topic.removesuffix(FEEDBACK)
         short = name.removeprefix(self._ros.namespace.rstrip("/") + "/")
         same = action_names(self._ros.resolve, short).feedback == topic
         return short if same else name

@@ -8,6 +8,7 @@ arrays of bytes. No node is needed.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -22,10 +23,30 @@ from fibaction_transports.ros2.convert.message_types import MessageKind, Message
 from fibaction_transports.ros2.convert.schemas import UserSchema
 
 _PARTS = ("goal", "feedback", "result")
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 _REMEMBERED = 64
 """Descriptions of one type whose codecs are kept. A program has a few."""
 
 _encode = msgspec.msgpack.Encoder().encode
+
+
+def is_action_type(type_name: str) -> bool:
+    """Return whether this is the name of a type of actions, `package/action/Type`."""
+    return _TYPE_NAME.fullmatch(type_name) is not None
+
+
+def check_action_type(type_name: str, action: str) -> None:
+    """Check the name of a type of actions; `action` is the name of one, for the error.
+
+    Raises:
+        TransportError: It is not such a name.
+    """
+    if not is_action_type(type_name):
+        which = f" {action!r}" if action else ""
+        raise TransportError(
+            f"give the Action{which} a type_name such as 'example_interfaces/action/Fibonacci',"
+            f" which ROS needs: {type_name!r} is not a ROS action type"
+        )
 
 
 class RosCodec:

@@ -25,6 +25,10 @@ from fibaction_transports.ros2.node.parts import (
 )
 from fibaction_transports.ros2.qos import EndQos
 
+FEEDBACK = "/_action/feedback"
+"""The end of the name of an action's feedback topic, after the name of the action."""
+_FEEDBACK_MESSAGE = "_FeedbackMessage"
+
 
 class RosClock(ABC):
     """The clock of a node: the machine's, or that of a simulation (`use_sim_time`)."""
@@ -200,6 +204,16 @@ class RosNode(ABC):
     @abstractmethod
     def topics(self) -> list[tuple[str, str]]:
         """Return the topics, with or without a publisher, each with the name of its type."""
+
+    def served_actions(self) -> list[tuple[str, str]]:
+        """Return the feedback topics of all actions with a server, each with the action's type."""
+        return sorted(
+            (topic, type_name.removesuffix(_FEEDBACK_MESSAGE))
+            for topic, type_name in self.topics()
+            if topic.endswith(FEEDBACK)
+            and type_name.endswith(_FEEDBACK_MESSAGE)
+            and self.count_publishers(topic)
+        )
 
     @abstractmethod
     def publishers(self, topic: str) -> Sequence[EndInfo]:

@@ -13,6 +13,7 @@ from fibaction.border.abc import Diagnosis
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
 from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node.ros_node import FEEDBACK
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter
 from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes
 from fibaction_transports.ros2.on_dds.names import ros_type, topic_name
@@ -29,7 +30,7 @@ from fibaction_transports.rtps.ports import (
     multicast_port,
 )
 
-_FEEDBACK, _MESSAGE = "/_action/feedback", "_FeedbackMessage"
+_MESSAGE = "_FeedbackMessage"
 _VENDORS = {FAST_DDS: "Fast DDS", CYCLONE_DDS: "Cyclone DDS", OWN_VENDOR: "fibaction"}
 
 
@@ -127,14 +128,9 @@ def _view(node: DdsNode, settings: DomainSettings, origins: dict[str, str]) -> D
 
 
 def _actions(node: DdsNode) -> Iterator[dict[str, Any]]:
-    for topic, type_name in sorted(node.topics()):
-        if topic.endswith(_FEEDBACK):
-            servers = sorted({end.node for end in node.publishers(topic) if end.node})
-            yield {
-                "name": topic.removesuffix(_FEEDBACK),
-                "type": type_name.removesuffix(_MESSAGE),
-                "servers": servers,
-            }
+    for topic, type_name in node.served_actions():
+        servers = sorted({end.node for end in node.publishers(topic) if end.node})
+        yield {"name": topic.removesuffix(FEEDBACK), "type": type_name, "servers": servers}
 
 
 def _datagrams(node: DdsNode) -> dict[str, int]:
@@ -157,7 +153,7 @@ def _datagrams(node: DdsNode) -> dict[str, int]:
 def _problems(node: DdsNode, ends: EndSettings, action: str, view: DomainView) -> Iterator[str]:
     """Yield a sentence for each reason why an action cannot be used."""
     names = action_names(node.resolve, action)
-    full = names.feedback.removesuffix(_FEEDBACK)
+    full = names.feedback.removesuffix(FEEDBACK)
     if not any(one["name"] == full for one in view.actions):
         near = get_close_matches(full, [one["name"] for one in view.actions], 1)
         yield f"the action {full} has no server{f'; did you mean {near[0]}?' if near else ''}"
@@ -169,7 +165,7 @@ def _problems(node: DdsNode, ends: EndSettings, action: str, view: DomainView) -
 def _type_problems(node: DdsNode, full: str) -> Iterator[str]:
     writers = [
         end
-        for end in node.network.participant.remote_endpoints_on(topic_name(full + _FEEDBACK))
+        for end in node.network.participant.remote_endpoints_on(topic_name(full + FEEDBACK))
         if end.guid.is_writer
     ]
     types = sorted({ros_type(end.type_name).removesuffix(_MESSAGE) for end in writers})

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
 from fibaction.words.errors import ProtocolError, TransportError, text_of
-from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.convert.conversion import RosAction, check_action_type
 from fibaction_transports.ros2.node.ros_node import RosTypes
 from fibaction_transports.ros2.on_rclpy.message_kinds import message_kind
 from fibaction_transports.ros2.on_rclpy.rcl import (
@@ -20,8 +19,6 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
     uuid_of,
 )
 
-_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
-
 
 class RclpyTypes(RosTypes):
     """The generated classes of ROS."""
@@ -30,13 +27,7 @@ class RclpyTypes(RosTypes):
     Parameter = ParameterMessage
 
     def find(self, type_name: str, action: str = "") -> RosAction:
-        if not _TYPE_NAME.fullmatch(type_name):
-            which = f" {action!r}" if action else ""
-            raise TransportError(
-                f"give the Action{which} a type_name such as"
-                " 'example_interfaces/action/Fibonacci',"
-                f" which ROS needs: {type_name!r} is not a ROS action type"
-            )
+        check_action_type(type_name, action)
         return _found(type_name)
 
     def uuid(self, goal_id: bytes) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,11 @@ from fibaction.interfaces.files import ActionFile, ros_folders
 from fibaction.interfaces.known import known_action
 from fibaction.words.errors import TransportError
 from fibaction_transports.cdr.standard_messages import STRUCTS
-from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.convert.conversion import (
+    RosAction,
+    check_action_type,
+    is_action_type,
+)
 from fibaction_transports.ros2.node.ros_node import RosTypes, TypeVersion
 from fibaction_transports.ros2.on_dds.messages.action_types import action_of
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
@@ -24,7 +27,6 @@ FOLDERS: Final = "FIBACTION_SEARCH"
 """The variable of the environment with folders of packages, separated as in PATH."""
 MOST_LEARNED: Final = 1_000
 """Types that are kept as other nodes describe them."""
-_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 
 class DdsTypes(RosTypes):
@@ -42,13 +44,7 @@ class DdsTypes(RosTypes):
 
     def find(self, type_name: str, action: str = "") -> RosAction:
         if type_name not in self._found:
-            if not _TYPE_NAME.fullmatch(type_name):
-                which = f" {action!r}" if action else ""
-                raise TransportError(
-                    f"give the Action{which} a type_name such as"
-                    " 'example_interfaces/action/Fibonacci', which ROS needs:"
-                    f" {type_name!r} is not a ROS action type"
-                )
+            check_action_type(type_name, action)
             file = self._file(type_name)
             if file is None and type_name in self._learned:
                 return self._learned[type_name][1]
@@ -62,7 +58,7 @@ class DdsTypes(RosTypes):
         try:
             self.find(type_name)
         except TransportError:
-            return not _TYPE_NAME.fullmatch(type_name) or self._path(type_name) is not None
+            return not is_action_type(type_name) or self._path(type_name) is not None
         return type_name in self._found
 
     def has_learned(self, type_name: str, type_hash: str) -> bool:
