@@ -6,14 +6,12 @@ are left to msgspec, and without numpy, all of them. This module does not use RO
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
 import msgspec
-
-numpy: Any = import_module("numpy") if find_spec("numpy") else None
-"""None without numpy: then nothing else here may be used."""
 
 LARGE = 256
 """Numbers from which on it is worth it. With fewer, msgspec is as fast."""
@@ -32,30 +30,39 @@ _TYPES = {
     0xD2: ">i4",
     0xD3: ">i8",
 }
-_CELLS: dict[int, Any] = {
-    tag: numpy.dtype([("tag", "u1"), ("number", kind)]) for tag, kind in _TYPES.items() if numpy
-}
 _INLINE = "i1"
 _LEAST_INLINE, _MOST_INLINE = -32, 127
 _FLOATS = {4: 0xCA, 8: 0xCB}
-_INTEGERS = [
-    (tag, numpy.iinfo(_TYPES[tag]))
-    for tag in (0xD0, 0xCC, 0xD1, 0xCD, 0xD2, 0xCE, 0xD3, 0xCF)
-    if numpy
-]
+_INTEGERS = (0xD0, 0xCC, 0xD1, 0xCD, 0xD2, 0xCE, 0xD3, 0xCF)
 
 _ARRAY_16, _ARRAY_32 = 0xDC, 0xDD
 _HEAD = 5  # the length of the head of a large array: its type, and the count
+
+
+@cache
+def numpy() -> Any:
+    """Return numpy; None if it is not installed.
+
+    It is imported for the first large array, since that takes longer than to import all else here.
+    """
+    return import_module("numpy") if find_spec("numpy") else None
+
+
+@cache
+def _cells(tag: int) -> Any:
+    """Return the type of a number behind its tag; None if there is no such tag."""
+    kind = _TYPES.get(tag)
+    return None if kind is None else numpy().dtype([("tag", "u1"), ("number", kind)])
 
 
 def pack(numbers: Any) -> msgspec.Raw:
     """Return a numpy array with at least one number as msgpack. Floats keep their width."""
     count: int = len(numbers)
     tag = _tag_for(numbers)
-    cells = numpy.dtype(_INLINE) if tag is None else _CELLS[tag]
+    cells = numpy().dtype(_INLINE) if tag is None else _cells(tag)
     packed = bytearray(_HEAD + count * cells.itemsize)
     packed[:_HEAD] = bytes([_ARRAY_32]) + count.to_bytes(4, "big")
-    body = numpy.frombuffer(packed, cells, offset=_HEAD)
+    body = numpy().frombuffer(packed, cells, offset=_HEAD)
     if tag is None:
         body[:] = numbers
     else:
@@ -71,11 +78,14 @@ def _tag_for(numbers: Any) -> int | None:
     least, most = int(numbers.min()), int(numbers.max())
     if least >= _LEAST_INLINE and most <= _MOST_INLINE:
         return None
-    return next(tag for tag, limits in _INTEGERS if limits.min <= least and most <= limits.max)
+    limits = ((tag, numpy().iinfo(_TYPES[tag])) for tag in _INTEGERS)
+    return next(tag for tag, one in limits if one.min <= least and most <= one.max)
 
 
 def unpack(packed: msgspec.Raw) -> Any:
-    """Return the numbers of a large array in msgpack; None if they are not all of one type."""
+    """Return the numbers of a large array in msgpack; None if they are not all of one type, or
+    without numpy.
+    """
     view = memoryview(packed)
     if view[0] == _ARRAY_16:
         count, body = int.from_bytes(view[1:3], "big"), view[3:]
@@ -83,14 +93,14 @@ def unpack(packed: msgspec.Raw) -> Any:
         count, body = int.from_bytes(view[1:5], "big"), view[5:]
     else:
         return None
-    if count < LARGE:
+    if count < LARGE or numpy() is None:
         return None
     if len(body) == count:
-        numbers = numpy.frombuffer(body, _INLINE)
+        numbers = numpy().frombuffer(body, _INLINE)
         return numbers if (numbers >= _LEAST_INLINE).all() else None
-    cells = _CELLS.get(body[0])
+    cells = _cells(body[0])
     # The length is not enough: several short numbers and a long one may add up to it, too.
     if cells is None or len(body) != count * cells.itemsize:
         return None
-    found = numpy.frombuffer(body, cells)
+    found = numpy().frombuffer(body, cells)
     return found["number"] if (found["tag"] == body[0]).all() else None

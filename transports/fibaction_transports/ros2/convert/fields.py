@@ -181,7 +181,7 @@ class Number(Single):
     def dtype(self) -> Any:
         """Numpy's type."""
         # By name, not by code: numpy has two types of 64 bits, of which ROS's C code takes one.
-        return numpy.dtype(self.text)
+        return numpy().dtype(self.text)
 
 
 SINGLES: dict[str, Kind] = {
@@ -288,8 +288,9 @@ class Numbers(ArrayKind):
 
     def _read(self, numbers: Any) -> Any:
         # A default of the field is in a list, which shows no memory.
-        if numpy is not None and numbers.__class__ is not list and len(numbers) >= LARGE:
-            return pack(numpy.frombuffer(numbers, self.number.dtype))
+        is_large = numbers.__class__ is not list and len(numbers) >= LARGE
+        if is_large and numpy() is not None:
+            return pack(numpy().frombuffer(numbers, self.number.dtype))
         to_list = getattr(numbers, "tolist", None)
         return list(numbers) if to_list is None else to_list()
 
@@ -299,16 +300,16 @@ class Numbers(ArrayKind):
         Raises:
             Unfit: It is not such an array, or a number does not fit.
         """
-        numbers = None if numpy is None else self._converted_at_once(unpack(packed))
+        numbers = self._converted_at_once(unpack(packed))
         return self._converted_singly(packed) if numbers is None else numbers
 
     def _converted_at_once(self, numbers: Any) -> Any:
         """Return the numbers for ROS; None if they must be checked one by one."""
         if numbers is None or not self._fits(numbers):
             return None
-        with numpy.errstate(all="ignore"):
+        with numpy().errstate(all="ignore"):
             converted = numbers.astype(self.number.dtype)
-        if self.number.code == "f" and not numpy.isfinite(converted).all():
+        if self.number.code == "f" and not numpy().isfinite(converted).all():
             return None
         return array.array(self.number.code, converted.tobytes())
 
@@ -322,7 +323,7 @@ class Numbers(ArrayKind):
             return True
         if numbers.dtype.kind == "f":
             return False
-        limits = numpy.iinfo(self.number.dtype)
+        limits = numpy().iinfo(self.number.dtype)
         return bool(limits.min <= int(numbers.min()) and int(numbers.max()) <= limits.max)
 
     def _converted_singly(self, packed: msgspec.Raw) -> Any:

@@ -121,7 +121,7 @@ class _FixedNumbers(Numbers):
     """A fixed number of numbers: an array of numpy in a message."""
 
     def made(self, packed: msgspec.Raw) -> Any:
-        return numpy.array(super().made(packed), self.number.dtype)
+        return numpy().array(super().made(packed), self.number.dtype)
 
 
 def _text(value: str) -> str:
