@@ -5,24 +5,18 @@ Payloads are bytes here: an encapsulation header, and the message as CDR in litt
 
 from __future__ import annotations
 
-import os
 import struct
 import uuid
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
-from typing import Any
+from collections.abc import Callable
 
-import anyio
 import pytest
 from rcl_interfaces.srv import GetParameterTypes
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
-from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.events import (
     EndpointMatched,
     EndpointUnmatched,
-    Event,
     QosMismatch,
     SampleReceived,
 )
@@ -33,31 +27,19 @@ from fibaction_transports.rtps.messages.parameters import (
     SampleIdentity,
     identity_value,
 )
-from fibaction_transports.rtps.network import ParticipantNetwork, open_network
-from fibaction_transports.rtps.ports import DomainSettings
 from fibaction_transports.rtps.qos import Durability, Qos
 from tests.ros2.spun import spun_node
 from tests.ros2.stock.process import peer
 from tests.ros2.stock.waiting import eventually
+from tests.support.rtps_end import TEXT, RtpsEnd, rtps_end, text, text_of
 
 pytestmark = pytest.mark.anyio
 
 PATIENCE = 30.0
 LITTLE = b"\x00\x01\x00\x00"
-TEXT = "std_msgs::msg::dds_::String_"
 ACTION = "arduinobot_msgs::action::dds_::Fibonacci_"
 UNKNOWN = -(2**32)
 """The number of a request that the reply is to name itself."""
-
-
-def text(value: str) -> bytes:
-    content = value.encode() + b"\0"
-    return LITTLE + struct.pack("<I", len(content)) + content
-
-
-def text_of(payload: bytes) -> str:
-    (size,) = struct.unpack_from("<I", payload, 4)
-    return payload[8 : 7 + size].decode()
 
 
 def ints(content: bytes) -> list[int]:
@@ -74,41 +56,6 @@ async def seen(look: Callable[[], object], expected: object) -> None:
     await eventually(look_once, lambda shown: shown == expected)
 
 
-class Ours:
-    """A participant of this process, and its events."""
-
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-        self.network: ParticipantNetwork
-        self._news = anyio.Event()
-
-    def note(self, event: Event) -> None:
-        self.events.append(event)
-        self._news.set()
-
-    async def until(self, is_done: Callable[[], bool]) -> None:
-        """Wait until something holds after an event."""
-        while not is_done():
-            self._news = anyio.Event()
-            await self._news.wait()
-
-    def all(self, kind: type[Event]) -> list[Any]:
-        return [event for event in self.events if isinstance(event, kind)]
-
-    def payloads(self, reader: DataReader) -> list[bytes]:
-        found = self.all(SampleReceived)
-        return [event.sample.payload for event in found if event.reader == reader.guid]
-
-
-@asynccontextmanager
-async def ours() -> AsyncGenerator[Ours, None]:
-    found = Ours()
-    settings = DomainSettings.from_environment(os.environ)
-    with anyio.fail_after(PATIENCE):
-        async with open_network(settings, found.note) as found.network:
-            yield found
-
-
 async def test_topics_of_a_stock_node_are_read_and_written() -> None:
     name = f"t{uuid.uuid4().hex}"
     heard: list[str] = []
@@ -117,7 +64,7 @@ async def test_topics_of_a_stock_node_are_read_and_written() -> None:
     with spun_node("/") as node:
         node.create_subscription(String, f"{name}/in", lambda m: heard.append(m.data), profile)
         publisher = node.create_publisher(String, f"{name}/out", profile)
-        async with ours() as found:
+        async with rtps_end() as found:
             network = found.network
             writer = network.create_writer(f"rt/{name}/in", TEXT, Qos(depth=None))
             reader = network.create_reader(f"rt/{name}/out", TEXT, Qos())
@@ -144,7 +91,7 @@ async def test_a_late_reader_gets_what_a_stock_node_keeps_and_the_other_way_roun
         publisher = node.create_publisher(String, f"{name}/out", profile)
         for each in ("old", "kept"):
             publisher.publish(String(data=each))
-        async with ours() as found:
+        async with rtps_end() as found:
             writer = found.network.create_writer(f"rt/{name}/in", TEXT, late)
             for each in ("old", "kept by us"):
                 found.network.write(writer, text(each))
@@ -166,7 +113,7 @@ async def test_a_mismatch_with_a_stock_node_is_told_with_its_reasons() -> None:
     profile = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     with spun_node("/") as node:
         node.create_publisher(String, name, profile)
-        async with ours() as found:
+        async with rtps_end() as found:
             found.network.create_reader(f"rt/{name}", TEXT, Qos())
             await found.until(lambda: bool(found.all(QosMismatch)))
             (mismatch,) = found.all(QosMismatch)
@@ -178,7 +125,7 @@ async def test_a_mismatch_with_a_stock_node_is_told_with_its_reasons() -> None:
 class RawService:
     """A client of a service: requests and replies as bytes."""
 
-    def __init__(self, found: Ours, name: str, type_name: str) -> None:
+    def __init__(self, found: RtpsEnd, name: str, type_name: str) -> None:
         self._found = found
         create_reader, create_writer = found.network.create_reader, found.network.create_writer
         self.reader = create_reader(f"rr/{name}Reply", f"{type_name}Response_", Qos())
@@ -212,7 +159,7 @@ class RawService:
 
 
 async def test_a_goal_of_raw_bytes_runs_at_a_stock_action_server() -> None:
-    async with peer("server"), ours() as found:
+    async with peer("server"), rtps_end() as found:
         send = RawService(found, "stock/_action/send_goal", f"{ACTION}SendGoal_")
         get = RawService(found, "stock/_action/get_result", f"{ACTION}GetResult_")
         feedback = found.network.create_reader(
@@ -238,7 +185,7 @@ async def test_requests_of_two_stock_clients_are_each_answered_to_their_client_o
     type_name = "rcl_interfaces::srv::dds_::GetParameterTypes_"
     with spun_node("/", "one") as one, spun_node("/", "other") as other:
         clients = [node.create_client(GetParameterTypes, service) for node in (one, other)]
-        async with ours() as found:
+        async with rtps_end() as found:
             network = found.network
             requests = network.create_reader(f"rq/{service}Request", f"{type_name}Request_", Qos())
             replies = network.create_writer(
@@ -255,7 +202,10 @@ async def test_requests_of_two_stock_clients_are_each_answered_to_their_client_o
             await found.until(lambda: len(found.payloads(requests)) == len(calls))
             for event in found.all(SampleReceived):
                 sample = event.sample
-                client_reader = sample.inline_qos.identity(RELATED_SAMPLE_IDENTITY).writer
+                assert sample.inline_qos is not None
+                identity = sample.inline_qos.identity(RELATED_SAMPLE_IDENTITY)
+                assert identity is not None
+                client_reader = identity.writer
                 assert client_reader in replies.readers
                 related = identity_value(SampleIdentity(client_reader, sample.number))
                 name = text_of(LITTLE + sample.payload[8:])

@@ -15,8 +15,8 @@ from fibaction_transports.rtps.events import (
 )
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS
 from fibaction_transports.rtps.qos import Durability, Qos, Reliability
+from tests.support.rtps_end import TEXT, rtps_end, text
 from tests.transports.cyclone.partner import matched, needs_cyclone, partner
-from tests.transports.cyclone.rtps_end import TEXT, rtps_end, text
 
 pytestmark = [pytest.mark.anyio, needs_cyclone]
 

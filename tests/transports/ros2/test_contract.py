@@ -1,50 +1,7 @@
-"""The contract of all transports, over our own DDS, with fibaction at both ends.
-
-The tests are those of `tests/contract`. What ROS 2 cannot keep is left out by `EXCLUSIONS`.
-"""
+"""The contract of all transports, over our own DDS, with fibaction at both ends."""
 
 from __future__ import annotations
 
-import uuid
-from importlib import import_module
+from tests.support.contract_over_ros import contract_over
 
-import pytest
-
-from tests.support.ros_contract import EXCLUSIONS, MODULES
-
-pytest.register_assert_rewrite(*MODULES)
-
-from tests.contract import conftest as contract  # noqa: E402  # rewritten first
-
-pytestmark = pytest.mark.anyio
-anyio_backend = contract.anyio_backend
-
-
-def address() -> str:
-    """Return a URL with a namespace of its own."""
-    return f"dds://?namespace=/t{uuid.uuid4().hex}"
-
-
-WAYS = {
-    "dds": contract.Reach(contract.directly, address),
-    "gateway to dds": contract.Reach(contract.through_a_gateway, address),
-}
-
-
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Allow for a thousand goals, which take some 6 s, and several times that on a busy machine."""
-    monkeypatch.setattr(contract, "PATIENCE", 45.0)
-
-
-@pytest.fixture(params=list(WAYS))
-def reach(request: pytest.FixtureRequest) -> contract.Reach:
-    return WAYS[request.param]
-
-
-for module in map(import_module, MODULES):
-    globals().update(
-        (name, test)
-        for name, test in vars(module).items()
-        if name.startswith("test_") and name not in EXCLUSIONS
-    )
+globals().update(contract_over("dds"))

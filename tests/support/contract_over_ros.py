@@ -1,0 +1,56 @@
+"""The tests of the contract over a transport of ROS 2, with fibaction at both ends.
+
+What ROS 2 cannot keep is left out by `EXCLUSIONS`. A module of tests takes all names of
+`contract_over`.
+"""
+
+from __future__ import annotations
+
+import uuid
+from importlib import import_module
+from typing import Any
+
+import pytest
+
+from tests.support.ros_contract import EXCLUSIONS, MODULES
+
+pytest.register_assert_rewrite(*MODULES)
+
+from tests.contract import conftest as contract  # noqa: E402  # rewritten first
+
+
+def contract_over(scheme: str) -> dict[str, Any]:
+    """Return the tests and their fixtures, by the names that a module has them under."""
+
+    def address() -> str:
+        """Return a URL with a namespace of its own."""
+        return f"{scheme}://?namespace=/t{uuid.uuid4().hex}"
+
+    ways = {
+        scheme: contract.Reach(contract.directly, address),
+        f"gateway to {scheme}": contract.Reach(contract.through_a_gateway, address),
+    }
+
+    @pytest.fixture(params=list(ways))
+    def reach(request: pytest.FixtureRequest) -> contract.Reach:
+        return ways[request.param]
+
+    tests = {
+        name: test
+        for module in map(import_module, MODULES)
+        for name, test in vars(module).items()
+        if name.startswith("test_") and name not in EXCLUSIONS
+    }
+    return {
+        "pytestmark": pytest.mark.anyio,
+        "anyio_backend": contract.anyio_backend,
+        "patient": patient,
+        "reach": reach,
+        **tests,
+    }
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Allow for a thousand goals, which take some 6 s, and several times that on a busy machine."""
+    monkeypatch.setattr(contract, "PATIENCE", 45.0)
