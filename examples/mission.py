@@ -39,7 +39,7 @@ HEAVY = ("anvil", "piano")  # too heavy for the gripper
 
 
 class Goal(Struct):
-    """What to do: `what` is a place to drive to, or a thing to pick, to place or to fetch."""
+    """A task: `what` is a place to drive to, or a thing to pick, to place or to fetch."""
 
     what: str
 
@@ -51,7 +51,7 @@ class Feedback(Struct):
 
 
 class Result(Struct):
-    """What was done, for people."""
+    """The work that was done, as a text for people."""
 
     text: str
 

@@ -15,7 +15,7 @@ from ipaddress import IPv6Address, ip_address
 from typing import NamedTuple
 
 SITE = 64
-"""Bits of an IPv6 address that name a site: whoever has one address there has all of them."""
+"""Bits of an IPv6 address that name a site: a host with one address there has all of them."""
 
 
 class Candidate(NamedTuple):
