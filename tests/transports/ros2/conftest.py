@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from fibaction.interfaces import known
 from tests.support.ros_domain import own_domain
 
 ROOT = Path(__file__).parents[3]
@@ -22,6 +23,13 @@ def domain() -> Iterator[None]:
         patch.setenv("FIBACTION_SEARCH", os.pathsep.join(map(str, FOLDERS)))
         patch.delenv("AMENT_PREFIX_PATH", raising=False)
         yield
+
+
+@pytest.fixture(autouse=True)
+def no_loaded_types(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Know no types that other tests of the process have loaded, such as those of pages."""
+    monkeypatch.setattr(known, "_KNOWN", {})
+    monkeypatch.setattr(known, "_TEXTS", {})
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
