@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from itertools import count
 from weakref import ref
 
@@ -170,6 +171,21 @@ def test_what_a_log_has_beside_the_result_counts_with_it_for_the_same_client() -
     )
     held.lose()  # it has no log
     del held
+    assert (registry.budget.used, registry.results.size, registry.results.unread_size) == ((0,) * 3)
+
+
+def test_bytes_that_are_collected_before_the_log_that_is_part_of_them_count_once() -> None:
+    registry = GoalRegistry(max_bytes=100)
+    record = ended(registry, "a", 10)
+    log = FeedbackLog(record, payload=bytes(5))
+    log.finish()
+    assert (registry.budget.used, registry.results.size) == (15, 15)
+    # Of a cycle of garbage, what was made first is finalized first.
+    cycle: list[object] = [record.held, log]
+    cycle.append(cycle)
+    registry.expire(1e9)
+    del record, log, cycle
+    gc.collect()
     assert (registry.budget.used, registry.results.size, registry.results.unread_size) == ((0,) * 3)
 
 

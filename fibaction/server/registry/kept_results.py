@@ -59,6 +59,8 @@ class HeldBytes:
         self._budget.used -= self.size
         if self.share is not None:
             self.share.leave(self)
+        # In a cycle of garbage, the log of the goal may give its part back after this.
+        self._budget, self.share = ByteBudget(0), None
 
     def resize(self, size: int) -> None:
         """Count so many bytes in place of those until now."""
