@@ -20,6 +20,7 @@ from fibaction_transports.nats.broker.client import NatsClient
 from fibaction_transports.nats.broker.jetstream import (
     NAME_IN_USE,
     NO_LEADER,
+    NO_PEERS,
     NO_ROOM_FOR_REPLICAS,
     STREAM_NOT_FOUND,
     create_streams,
@@ -189,14 +190,32 @@ async def test_the_replicas_that_are_asked_for_are_given_to_streams_that_are_the
 @pytest.mark.asyncio
 @pytest.mark.parametrize("number", NO_ROOM_FOR_REPLICAS)
 async def test_a_cluster_without_room_for_three_replicas_keeps_one(
-    number: int, no_pause: None
+    number: int, no_pause: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.PLACEMENT", 0)
     first, *others = made()
     client = ScriptedClient(
         STREAM_INFO=[MISSING, MISSING, *others], STREAM_CREATE=[failed(number, 503), first]
     )
     await create(client, brokers=3)
     assert [body["num_replicas"] for body in client.bodies("STREAM.CREATE")] == [3, 1]
+    assert caplog.messages == [
+        f"the stream {NAMES.goals} cannot be made: no; one broker keeps each of its records"
+    ]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("replicas", [0, 3])
+async def test_replicas_are_placed_when_brokers_that_began_have_heard_of_each_other(
+    replicas: int, no_pause: None
+) -> None:
+    first, *others = made(num_replicas=3)
+    alone = failed(NO_PEERS, 400, "no suitable peers for placement")
+    client = ScriptedClient(
+        STREAM_INFO=[MISSING, MISSING, MISSING, *others], STREAM_CREATE=[alone, alone, first]
+    )
+    await create(client, replicas, brokers=3)
+    assert [body["num_replicas"] for body in client.bodies("STREAM.CREATE")] == [3, 3, 3]
 
 
 @pytest.mark.asyncio

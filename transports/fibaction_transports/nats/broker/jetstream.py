@@ -33,6 +33,9 @@ API_TIMEOUT = 5.0
 """Seconds for requests that all brokers have to agree on."""
 ELECTION = 15.0
 """Seconds within which several brokers agree on a leader."""
+PLACEMENT = 5.0
+"""Seconds within which brokers that have just begun have heard of each other, so that replicas can
+be placed."""
 INFO_TIMEOUT = 1.0
 """Seconds for one request for the account, which brokers without a leader do not answer."""
 TRY_AGAIN = 0.2
@@ -45,7 +48,8 @@ WRONG_SEQUENCE = (10071, 10164)
 TOO_LARGE = (10054,)
 FULL = (10023, 10028, 10047, 10077)
 """Numbers of errors, as in nats-server's server/errors.json."""
-NO_ROOM_FOR_REPLICAS = (10005, 10074)
+NO_PEERS, NO_CLUSTER = 10005, 10074
+NO_ROOM_FOR_REPLICAS = (NO_PEERS, NO_CLUSTER)
 NO_STORAGE = "insufficient storage"
 """A part of the text of each error that says so; their numbers have other meanings as well."""
 
@@ -266,6 +270,7 @@ async def _create_stream(
     """Make a stream, or check the one that is there; return its settings."""
     name = wanted["name"]
     count = replicas or (MANY if brokers >= MANY else 1)
+    placed_by = anyio.current_time() + PLACEMENT
     with anyio.move_on_after(ELECTION):
         while True:
             try:
@@ -279,7 +284,10 @@ async def _create_stream(
                 what = f"the stream {name} cannot be made: {exc}"
                 if NO_STORAGE in str(exc):
                     raise _NoStorage(what) from exc
-                if exc.number in NO_ROOM_FOR_REPLICAS and not replicas and count > 1:
+                if exc.number == NO_PEERS and anyio.current_time() < placed_by:
+                    pass  # the one that leads has not heard of the others yet
+                elif exc.number in NO_ROOM_FOR_REPLICAS and not replicas and count > 1:
+                    logger.warning("%s; one broker keeps each of its records", what)
                     count = 1
                 elif exc.code != 503 or exc.number in NO_ROOM_FOR_REPLICAS:
                     raise TransportError(what) from exc
