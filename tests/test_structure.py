@@ -101,6 +101,10 @@ def test_no_callback_is_set_from_outside(product: list[Source]) -> None:
     assert complaints(structure.outside_wiring(product), OUTSIDE_WIRING) == []
 
 
+def test_no_modules_import_each_other_in_a_circle(product: list[Source]) -> None:
+    assert complaints(structure.circles(product), {}) == []
+
+
 # Each rule finds what it is for
 
 
@@ -194,6 +198,15 @@ def test_a_callback_that_is_set_from_outside_is_found() -> None:
         "on_left": 2,
         "find_active": 1,
     }
+
+
+def test_a_circle_is_found_also_if_it_is_for_types_only() -> None:
+    one = Source.of("transports/a/one.py", "import b\nfrom a.b import two\n")
+    two = Source.of("transports/a/b/two.py", "if TYPE_CHECKING:\n    from a.three import X\n")
+    three = Source.of("transports/a/three.py", "def f():\n    import a.one\n")
+    face = Source.of("transports/a/__init__.py", "from a.three import X\n")
+    assert structure.circles([one, two, face]) == {}
+    assert figures(structure.circles([one, two, three])) == {"a.b.two": 3}
 
 
 def test_a_function_in_a_branch_has_the_name_of_its_class() -> None:

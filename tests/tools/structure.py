@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TypeAlias
 
@@ -208,6 +209,39 @@ def repeated_modules(sources: Iterable[Source]) -> Findings:
     return {name: Finding(len(of), of) for name, of in places.items() if len(of) > 1}
 
 
+def circles(sources: Iterable[Source]) -> Findings:
+    """Find a circle of modules that import each other, be it for their types only.
+
+    `__init__` does not count: what it hands on, it imports from all around.
+    """
+    modules = {
+        ".".join(source.path.with_suffix("").parts).removeprefix("transports."): source
+        for source in sources
+        if source.path.stem != "__init__"
+    }
+    graph = {
+        name: {imported for imported in _imports(source.tree) if imported in modules}
+        for name, source in modules.items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as exc:
+        _, circle = exc.args
+        return {min(circle): Finding(len(circle) - 1, circle)}
+    return {}
+
+
+def _imports(tree: ast.Module) -> Iterator[str]:
+    """Yield the names that may be those of imported modules."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import(names):
+                yield from (alias.name for alias in names)
+            case ast.ImportFrom(module=str(module), names=names):
+                yield module
+                yield from (f"{module}.{alias.name}" for alias in names)
+
+
 def _largest(found: Iterable[tuple[str, Finding]]) -> Findings:
     """Return the finding with the largest figure for each name."""
     largest: Findings = {}
@@ -254,6 +288,7 @@ RULES: dict[str, Callable[[Iterable[Source]], Findings]] = {
     "modules with too many lines": long_modules,
     "folders with too many modules": crowded_folders,
     "callbacks that are set from outside": outside_wiring,
+    "modules that import each other in a circle": circles,
 }
 
 

@@ -130,6 +130,14 @@ class GoalRecord:
         """
         self.phase = LIFE[self.phase, event].phase
 
+    def forget_outcome(self) -> HeldBytes:
+        """Forget the outcome of a goal that has ended, and return its bytes, which others may hold
+        longer.
+        """
+        held, self.held, self.outcome = self.held, None, None
+        assert held is not None
+        return held
+
     @property
     def info(self) -> GoalInfo:
         """The goal as an entry of the status list."""

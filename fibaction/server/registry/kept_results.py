@@ -23,18 +23,17 @@ references to shares, and a share has weak references to what is unread.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from weakref import ReferenceType, WeakValueDictionary, ref
 
 from fibaction._runtime.budget import ByteBudget
-from fibaction.words.goals import GoalID
+from fibaction.words.goals import GoalID, Sender
 
 MOST_LOST = 200
 """Unread results that are lost by one call."""
 
 if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog
-    from fibaction.server.registry.goal_record import GoalRecord
 
 
 class HeldBytes:
@@ -52,7 +51,7 @@ class HeldBytes:
         """The bytes that are counted."""
         self.share: Share | None = None
         """The share that they are part of, once the goal has ended."""
-        self.log: ReferenceType[FeedbackLog[GoalRecord]] | None = None
+        self.log: ReferenceType[FeedbackLog[Any]] | None = None
         """The log of the goal, once the goal has ended; None if it had none since a restart."""
 
     def __del__(self) -> None:
@@ -138,27 +137,23 @@ class KeptResults:
         self._shares: WeakValueDictionary[bytes, Share] = WeakValueDictionary()
         self._newest: ReferenceType[HeldBytes] | None = None
 
-    def add(self, goal: GoalRecord, size: int) -> None:
+    def add(self, goal_id: GoalID, sender: Sender, held: HeldBytes, size: int) -> None:
         """Remember the result of a goal that has ended: so many bytes."""
-        held, sender = goal.held, goal.sender
-        assert held is not None
         share = self._shares.get(sender.owner)
         if share is None:
             share = self._shares[sender.owner] = Share(self, sender.name)
         self._budget.used += size - held.size
         held.size = size
         held.share = share
-        share.remembered[goal.goal_id] = None
+        share.remembered[goal_id] = None
         share.size += size
         self.size += size
         self._newest = ref(held)
 
-    def forget(self, goal: GoalRecord) -> None:
+    def forget(self, goal_id: GoalID, held: HeldBytes) -> None:
         """Remember the result of a goal no longer."""
-        held, goal.held, goal.outcome = goal.held, None, None
-        assert held is not None
         assert held.share is not None
-        held.share.forget(goal.goal_id, held)
+        held.share.forget(goal_id, held)
 
     def busy_for(self, owner: bytes) -> str:
         """Return the reason for which a goal of that client is to be rejected; empty if none."""

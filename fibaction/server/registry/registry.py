@@ -216,7 +216,7 @@ class GoalRegistry:
             earlier = self._ended.discard(goal_id)
             if earlier is not None:
                 self._forget(earlier)
-            self.results.add(goal, size)
+            self.results.add(goal_id, goal.sender, held, size)
             self._ended.put_until(goal_id, goal, until)
             return goal
         goal.happen(Event.RESTORE)
@@ -286,7 +286,9 @@ class GoalRegistry:
         goal.status = goal.told_status = outcome.status
         goal.outcome = outcome
         goal.ended_at = stamp
-        self.results.add(goal, len(outcome.result or b"") + len(outcome.reason))
+        assert goal.held is not None
+        size = len(outcome.result or b"") + len(outcome.reason)
+        self.results.add(goal.goal_id, goal.sender, goal.held, size)
         del self._active[goal.goal_id]
         self._ended.put(goal.goal_id, goal, now, at_least_until=goal.remember_until)
         self._listing = None
@@ -339,7 +341,7 @@ class GoalRegistry:
 
     def _forget(self, goal: GoalRecord) -> None:
         """Let go of the outcome: lists of goals may reference the record for a long time."""
-        self.results.forget(goal)
+        self.results.forget(goal.goal_id, goal.forget_outcome())
         self._listing = None
 
     @property
