@@ -5,7 +5,7 @@ Sans-I/O. The messages are in `messages`; `session` and `calls` know when each m
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, get_args
 
 import msgspec
 
@@ -96,6 +96,19 @@ _from_client: msgspec.msgpack.Decoder[FromClient] = msgspec.msgpack.Decoder(From
 _from_server: msgspec.msgpack.Decoder[FromServer] = msgspec.msgpack.Decoder(FromServer)
 
 
+NEWEST_TAG = max(kind.__struct_config__.tag for kind in get_args(FromServer))
+"""The highest tag of the messages that a server of this version sends."""
+
+
+def _tag_of(frame: bytes) -> int:
+    """Return the tag of a message; -1 if the frame is none."""
+    try:
+        head, *_ = msgspec.msgpack.decode(frame, type=list[msgspec.Raw])
+        return msgspec.msgpack.decode(head, type=int)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return -1
+
+
 def decode_from_client(frame: bytes) -> FromClient:
     """Decode a message that a client sent.
 
@@ -111,7 +124,7 @@ def decode_from_client(frame: bytes) -> FromClient:
 
 
 def decode_from_server(frame: bytes) -> FromServer:
-    """Decode a message that a server sent.
+    """Decode a message that a server sent; one of a newer kind counts as a sign of life, `Ping`.
 
     Raises:
         ProtocolError: The frame is not a valid message of a server.
@@ -120,4 +133,6 @@ def decode_from_server(frame: bytes) -> FromServer:
         return _from_server.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
         text = excerpt(str(exc))
+    if _tag_of(frame) > NEWEST_TAG:
+        return Ping()
     raise ProtocolError(f"invalid server message: {text}")

@@ -295,6 +295,17 @@ def test_fields_that_an_older_peer_does_not_send_get_their_default(
                 assert [getattr(old, name) for name in names] == expected
 
 
+def test_a_client_ignores_messages_of_a_newer_kind_and_no_others() -> None:
+    for newer in (packed(49), packed(200, 3, "more", {"any": b"thing"}), packed(2**40, None)):
+        assert decode_from_server(newer) == Ping()
+        with pytest.raises(ProtocolError):
+            decode_from_client(newer)
+    wrong = [packed(47), packed(16, 1, 1.0), packed(48), packed(-49), packed("49"), packed()]
+    for frame in [*wrong, b"", b"\x91", packed(49)[:-1], packed(49) + b"!", b"\x81\x31\x31"]:
+        with pytest.raises(ProtocolError, match="invalid server message"):
+            decode_from_server(frame)
+
+
 def test_a_reason_a_token_a_session_a_limit_and_a_timeout_need_not_be_sent() -> None:
     assert decode_from_client(packed(16, 1, 1.0)) == Hello(1, 1.0, "", b"", 2**24)
     assert decode_from_client(packed(16, 1, 1.0, "a", b"b")) == Hello(1, 1.0, "a", b"b", 2**24)
