@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -32,19 +33,25 @@ class RobotProcess:
 
     def start(self) -> None:
         """Start the process, and wait until it serves."""
-        command = [sys.executable, "-m", "tests.browser.robot", self.url + self._query]
-        if self.token:
-            command.append(self.token)
+        command = [sys.executable, "-m", *self.program()]
         self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         if not self._process.stdout.readline().strip():
             self.kill()
             raise RuntimeError("the robot has not started")
 
+    def program(self) -> list[str]:
+        """Return the module to run, and its arguments."""
+        return ["tests.browser.robot", self.url + self._query, *filter(None, [self.token])]
+
     def kill(self) -> None:
         """End the process at once, as a power failure does."""
+        self.end(signal.SIGKILL)
+
+    def end(self, number: signal.Signals) -> None:
+        """End the process with a signal."""
         if self._process is not None:
-            self._process.kill()
+            self._process.send_signal(number)
             self._process.wait(PATIENCE)
             assert self._process.stdout is not None
             self._process.stdout.close()
@@ -56,3 +63,15 @@ class RobotProcess:
 
     def __exit__(self, *_: object) -> None:
         self.kill()
+
+
+class BridgeProcess(RobotProcess):
+    """A process that serves the actions of a robot at another address."""
+
+    def __init__(self, robot: RobotProcess) -> None:
+        super().__init__()
+        self._robot = robot
+
+    def program(self) -> list[str]:
+        """Return the module to run, and its arguments."""
+        return ["fibaction", "bridge", self._robot.url, self.url]

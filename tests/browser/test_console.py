@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+import signal
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
-from tests.browser.served import RobotProcess
+from tests.browser.served import BridgeProcess, RobotProcess
 
 ID = re.compile("[0-9a-f]{8}")
 NewRobot = Callable[..., RobotProcess]
@@ -249,6 +251,27 @@ def test_a_goal_survives_the_end_of_the_server_and_a_reload_of_the_page(
     page.get_by_role("button", name="Clear history").click()
     page.get_by_role("button", name="Clear", exact=True).click()
     expect(row(page, ended)).to_have_count(0)
+
+
+@pytest.mark.parametrize("is_bridged", [False, True], ids=["direct", "bridged"])
+def test_the_goals_of_others_are_shown_after_a_stop_in_good_order(
+    context: BrowserContext, new_robot: NewRobot, is_bridged: bool
+) -> None:
+    robot = new_robot()
+    page, other = context.new_page(), context.new_page()
+    with ExitStack() as stack:
+        served = stack.enter_context(BridgeProcess(robot)) if is_bridged else robot
+        open_action(page, served)
+        before = send(page, order="4")
+        robot.end(signal.SIGINT)
+        robot.start()
+        open_action(other, robot)
+        after = send(other, order="5")
+        expect(row(page, after).locator(".badge")).to_have_text("✓ succeeded")
+        expect(row(page, before)).to_have_count(1)
+        expect(page.locator("#connection")).to_have_text("connected")
+        send(page, order="6")
+        expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
 
 
 def test_goals_are_searched_and_filtered(page: Page, robot: RobotProcess) -> None:

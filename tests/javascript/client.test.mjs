@@ -325,6 +325,27 @@ test("a goal that a new server does not know ends as UNKNOWN, and the watch is t
   await own.kill();
 });
 
+test("a watch goes on after a server that has stopped in good order", async () => {
+  const own = await new Robot(await freePort()).start();
+  const connection = connect(own.url);
+  for (const signal of ["SIGINT", "SIGTERM"]) {
+    const goal = await connection.sendGoal(COUNT, { to: 1 });
+    let stop;
+    await new Promise((resolve) => {
+      stop = connection.watch(COUNT, ({ id }) => id === goal.id && resolve());
+    });
+    const later = new Promise((resolve) => connection.watch(COUNT, ({ id, status }) =>
+      id !== goal.id && status === "SUCCEEDED" && resolve()));
+    await own.kill(signal);
+    await own.start();
+    await connection.ready;
+    await connection.sendGoal(COUNT, { to: 1 });
+    await later;
+    stop();
+  }
+  await own.kill();
+});
+
 test("a token is sent inside of the connection, and an invalid one ends it", async () => {
   const own = await new Robot(await freePort()).start("secret");
   const connection = connect(own.url, { token: "secret" });

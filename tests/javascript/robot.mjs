@@ -57,8 +57,8 @@ export class Robot {
     });
   }
 
-  async kill() {
-    if (!this.process?.kill("SIGKILL")) return;
+  async kill(signal = "SIGKILL") {
+    if (!this.process?.kill(signal)) return;
     if (this.process.exitCode === null && this.process.signalCode === null) {
       await once(this.process, "exit");
     }

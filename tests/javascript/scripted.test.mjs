@@ -4,8 +4,10 @@ import assert from "node:assert/strict";
 import { afterEach, beforeEach, mock, test } from "node:test";
 import { ConnectionLost, Connection, ProtocolError, decode, encode } from "./fibaction.js";
 
-const PING = 0, GOODBYE = 1, HELLO = 16, SEND_GOAL = 17, FOLLOW = 18, LIST_ACTIONS = 22, WELCOME = 32,
-  FOLLOWING = 33, FEEDBACK = 36, PLACES = 46;
+const PING = 0, GOODBYE = 1, HELLO = 16, SEND_GOAL = 17, FOLLOW = 18, WATCH_STATUS = 20,
+  LIST_ACTIONS = 22, CLOSE = 24, WELCOME = 32, FOLLOWING = 33, FAILED = 35,
+  FEEDBACK = 36, ENDED = 38, GOAL_CHANGED = 40, FINISHED = 42, WATCHING = 44, PLACES = 46;
+const NEWER = 99; // a message that this client does not know
 const SECOND = 1000;
 const clock = performance.now;
 let now, sockets;
@@ -160,4 +162,89 @@ test("a request of one's own is answered with the fields of the answer", async (
   assert.deepEqual(sockets[0].said[1], [27, 1, "count", 10]);
   sockets[0].hear([PLACES, 1, [[Uint8Array.of(1), 1, 2]]]);
   assert.deepEqual(await answer, [[[Uint8Array.of(1), 1, 2]]]);
+});
+
+/** Watch an action whose goals the server has told; return what the program hears, and the rest. */
+function watched() {
+  const told = [], errors = [];
+  const connection = connect();
+  const socket = sockets[0].open();
+  const stop = connection.watch("count", ({ id, status }) => told.push([id, status]),
+    (error) => errors.push(error));
+  const [, number] = socket.said.at(-1);
+  socket.hear([WATCHING, number, 1], [GOAL_CHANGED, number, new Uint8Array(16), 7, 2, 0]);
+  told.length = 0; // as the goal is known now
+  return { connection, socket, stop, number, told, errors };
+}
+const FIRST = "00".repeat(16);
+
+/** What was said since, without heartbeats. */
+function saidSince(socket, count) {
+  return socket.said.slice(count).filter(([tag]) => tag !== PING);
+}
+
+test("a watch that the server ends is opened anew, until the action is served again", () => {
+  const { socket, number, told, errors } = watched();
+  socket.hear([FINISHED, number]);
+  let last;
+  for (const isServed of [false, true]) {
+    mock.timers.tick(2 * SECOND);
+    last = socket.said.findLast(([tag]) => tag !== PING);
+    assert.deepEqual([last[0], last[2]], [WATCH_STATUS, "count"]);
+    if (!isServed) socket.hear([FAILED, last[1], 2, "it is not served"]);
+  }
+  socket.hear([WATCHING, last[1], 1], [GOAL_CHANGED, last[1], new Uint8Array(16).fill(1), 9, 1, 0]);
+  assert.deepEqual(told, [["01".repeat(16), "ACCEPTED"], [FIRST, "UNKNOWN"]]);
+  assert.deepEqual(errors, []);
+});
+
+test("a watch goes on after a server that has stopped in good order", () => {
+  const { socket, number, told } = watched();
+  socket.hear([FINISHED, number], [GOODBYE, "it stops", 0]);
+  const second = nextSocket().open();
+  const [tag, again] = second.said.at(-1);
+  assert.equal(tag, WATCH_STATUS);
+  second.hear([WATCHING, again, 0]);
+  assert.deepEqual(told, [[FIRST, "UNKNOWN"]]);
+});
+
+test("a watch whose server behind a gateway is away is one watch, and asks no more when it is left", () => {
+  const { connection, socket, number, stop, errors } = watched();
+  const said = socket.said.length;
+  socket.hear([FAILED, number, 3, "the robot is away"]);
+  const later = connection.watch("count", () => {});
+  mock.timers.tick(2 * SECOND);
+  assert.deepEqual(saidSince(socket, said).map(([tag]) => tag), [WATCH_STATUS]);
+  stop();
+  later();
+  assert.equal(socket.said.at(-1)[0], CLOSE);
+  connection.watch("count", () => {});
+  const [, third] = socket.said.at(-1);
+  socket.hear([WATCHING, third, 0], [FINISHED, third]);
+  connection.close();
+  const closed = socket.said.length;
+  mock.timers.tick(4 * SECOND);
+  assert.deepEqual(saidSince(socket, closed), []);
+  assert.deepEqual(errors, []);
+});
+
+test("a connection that is closed by the server tells a watch that waits", () => {
+  const { socket, number, errors } = watched();
+  socket.hear([FAILED, number, 3, "the robot is away"], [GOODBYE, "the token is not valid", 4]);
+  mock.timers.tick(2 * SECOND);
+  assert.deepEqual(errors.map(({ name }) => name), ["AuthenticationFailed"]);
+});
+
+test("what a newer server says beside the rest is ignored", async () => {
+  const { connection, socket, number, told, errors } = watched();
+  const sending = connection.sendGoal("count", { to: 3 });
+  const [, sent] = socket.said.at(-1);
+  socket.hear([NEWER, 1000], [NEWER, number, "more"], [NEWER, sent], [FAILED, 1000, 1, "nobody's"]);
+  socket.hear([FOLLOWING, sent, 5, 2, false, 0, 1, null, "more"], [NEWER, sent],
+    [ENDED, sent, 4, null, "", 0, "more"]);
+  const goal = await sending;
+  assert.equal((await goal.outcome).status, "SUCCEEDED");
+  socket.hear([GOAL_CHANGED, number, new Uint8Array(16), 7, 4, 0]);
+  assert.deepEqual(told, [[FIRST, "SUCCEEDED"]]);
+  assert.deepEqual([connection.state, errors], ["ready", []]);
 });

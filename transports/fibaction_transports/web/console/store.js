@@ -96,7 +96,7 @@ export class Store {
   }
 
   watch(info) {
-    const take = (goal) => this.takeStatus(info, goal);
+    const take = (goal) => this.takeStatus(this.actions.get(info.name) ?? info, goal);
     const fail = () => setTimeout(() => this.actions.has(info.name) && this.watch(info), ASK_AGAIN);
     this.watches.set(info.name, this.connection.watch(info.name, take, fail));
   }

@@ -151,8 +151,9 @@ export class Connection {
   /** Cancel one goal, those accepted until a stamp, or all. Rejects with `CancelRefused`. */
   cancel(action: string, goals?: { id?: string; before?: bigint | null }): Promise<CanceledGoal[]>;
   /**
-   * Call back with every goal of an action and each change, again after each reconnection; the
-   * function that it returns stops that. A goal that the server has forgotten comes as UNKNOWN.
+   * Call back with every goal of an action and each change, again after each reconnection and each
+   * restart of its server; the function that it returns stops that. A goal that the server has
+   * forgotten comes as UNKNOWN.
    */
   watch(action: string, callback: (goal: GoalInfo) => void, onerror?: (error: Error) => void):
     () => void;

@@ -8,7 +8,7 @@ const FIRST_PAUSE = 20, LONGEST_PAUSE = 2000; // ms
 const PING = 0, GOODBYE = 1, HELLO = 16, SEND_GOAL = 17, FOLLOW = 18, CANCEL_GOALS = 19,
   WATCH_STATUS = 20, LIST_ACTIONS = 22, CREDIT = 23, CLOSE = 24, RECEIVED = 25, WELCOME = 32,
   FOLLOWING = 33, REJECTED = 34, FAILED = 35, FEEDBACK = 36, STATUS_CHANGED = 37, ENDED = 38,
-  GOAL_CHANGED = 40, WATCHING = 44;
+  GOAL_CHANGED = 40, FINISHED = 42, WATCHING = 44;
 const STATUSES = ["UNKNOWN", "ACCEPTED", "EXECUTING", "CANCELING", "SUCCEEDED", "CANCELED",
   "ABORTED"];
 const ERRORS = ["ConnectionLost", "UnknownGoal", "ServerNotFound", "ConnectionLost",
@@ -305,7 +305,12 @@ class Watch {
     return [WATCH_STATUS, this.action, WINDOW];
   }
 
+  [FINISHED]() { // the server has stopped, perhaps behind a gateway that goes on
+    setTimeout(() => this.followers.size && this._connection._open(this), LONGEST_PAUSE);
+  }
+
   [WATCHING](known) {
+    this._wasOpen = true;
     this._unlisted = known;
     this._before = new Map(this.goals);
     this._forget();
@@ -333,6 +338,9 @@ class Watch {
   }
 
   fail(error) {
+    const mayReturn = this._connection.state !== "closed" && /Lost|NotFound/.test(error.name);
+    if (mayReturn && this._wasOpen) return this[FINISHED]();
+    this._connection._watches.delete(this.action);
     for (const { onerror } of this.followers) tell(onerror, error);
   }
 }
@@ -340,6 +348,7 @@ class Watch {
 export class Connection {
   state = "connecting";
   _calls = new Map();
+  _watches = new Map();
   #count = 0;
   #session = randomID();
   #ready = deferred();
@@ -405,16 +414,18 @@ export class Connection {
 
   watch(action, callback, onerror) {
     const follower = { callback, onerror };
-    const open = [...this._calls.values()].find((call) =>
-      call.followers && call.action === action);
+    const open = this._watches.get(action);
     const watch = open ?? new Watch(this, action);
+    this._watches.set(action, watch);
     const goals = [...watch.goals.values()];
     queueMicrotask(() => goals.forEach((info) => tell(callback, info)));
     watch.followers.add(follower);
     if (!open) this._open(watch);
     return () => {
       watch.followers.delete(follower);
-      if (!watch.followers.size) this._leave(watch, CLOSE);
+      if (watch.followers.size || this._watches.get(action) !== watch) return;
+      this._watches.delete(action);
+      this._leave(watch, CLOSE);
     };
   }
 
@@ -427,7 +438,7 @@ export class Connection {
   }
 
   close() {
-    for (const call of this._calls.values()) call.followers?.clear();
+    for (const { followers } of this._watches.values()) followers.clear();
     this.#say(GOODBYE, "", 0);
     this.#lose(new ConnectionLost("the connection is closed"), true);
   }
@@ -524,12 +535,13 @@ export class Connection {
     if (tag === WELCOME) return this.#welcome(number, ...fields);
     if (tag === ENDED) this.#say(RECEIVED, number);
     const call = this._calls.get(number);
-    if (!call) return;
+    const take = tag === FAILED ? (...why) => call?.fail(errorOf(...why))
+      : call?.[tag] ?? call?.answer;
+    if (!take) return; // the call was left, or the message is of a newer server
     if (![FOLLOWING, FEEDBACK, STATUS_CHANGED, WATCHING, GOAL_CHANGED].includes(tag)) {
       this._calls.delete(number);
     }
-    if (tag === FAILED) call.fail(errorOf(...fields));
-    else (call[tag] ?? call.answer).apply(call, fields);
+    take.apply(call, fields);
   }
 
   #welcome(version, heartbeat, maxFrame = 2 ** 24, maxHeartbeat = HEARTBEAT) {
