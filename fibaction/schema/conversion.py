@@ -83,6 +83,25 @@ def _completed_fields(
     return whole
 
 
+def left_out(check: Check, value: Any, schema: Any) -> Iterator[str]:
+    """Yield the names of the fields that a complete value does not have, such as `.stops[0].id`.
+
+    Raises:
+        SchemaError: The search takes too many steps.
+    """
+    if is_map(value):
+        schema = check.resolved(schema, value)
+        known, rest = schema.get("properties", {}), part_of(schema, "additionalProperties")
+        check.steps.spend(len(known))
+        yield from (f".{name}" for name in known if name not in value)
+        for name, item in value.items():
+            part = known.get(name, rest)
+            yield from (f".{name}{inner}" for inner in left_out(check, item, part))
+    elif is_list(value):
+        for index, pair in enumerate(_items(value, check.resolved(schema, value))):
+            yield from (f"[{index}]{inner}" for inner in left_out(check, *pair))
+
+
 def converted_default(check: Check, schema: dict[str, Any]) -> Any:
     """Return the default of a field as it is sent.
 

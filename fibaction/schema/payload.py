@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 import msgspec
 
 from fibaction.schema.check import MAX_MISMATCHES
-from fibaction.schema.conversion import MAX_DEPTH, NoMatch, completed
+from fibaction.schema.conversion import MAX_DEPTH, NoMatch, completed, left_out
 from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
 from fibaction.schema.mismatch_texts import field_name, sentences
 from fibaction.schema.shapes.shapes import Shapes
@@ -86,6 +86,19 @@ class JsonCodec:
             self.encode(data)
             return data
         return msgspec.msgpack.decode(self.encode(data, pause=pause))
+
+    def left_out(self, message: Any) -> list[str]:
+        """Return the names of the fields that a message of `complete` leaves to the server: those
+        that may be missing, and whose defaults only the server knows. At most a hundred.
+
+        Raises:
+            PayloadError: The schema is so complex that the search takes too long.
+        """
+        if self._shapes is None:
+            return []
+        with self._errors():
+            fields = left_out(self._shapes.check(), message, self._shapes.root)
+            return [name.removeprefix(".") for name in islice(fields, MAX_MISMATCHES)]
 
     def encode(self, data: Any, *, is_json: bool = False, pause: Pause | None = None) -> bytes:
         """Return the payload of a message; see `complete`.

@@ -20,6 +20,7 @@ from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
 from fibaction.types.base import Encoding
+from fibaction.types.schemas import schema_of
 
 _encode = msgspec.msgpack.Encoder().encode
 
@@ -43,7 +44,7 @@ class MsgspecEncoding(Encoding):
 
     def schema(self) -> dict[str, Any]:
         try:
-            return msgspec.json.schema(self._type)
+            return schema_of(self._type)
         except TypeError:
             return {}
 

@@ -20,6 +20,7 @@ from pydantic_core import core_schema
 
 from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.types.base import Encoding
+from fibaction.types.schemas import constant_of
 
 MAX_VALIDATION_ERRORS = 3
 """Problems of one message that the text of an error names."""
@@ -79,6 +80,13 @@ class _Schemas(GenerateJsonSchema):
         union = super().tagged_union_schema(schema)
         union["anyOf"] = union.pop("oneOf")
         return union
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        if "default_factory" in schema and not schema.get("default_factory_takes_data"):
+            default = constant_of(schema["default_factory"], _plain)
+            if default is not msgspec.NODEFAULT:
+                schema = {**schema, "default": default}
+        return super().default_schema(schema)
 
     def encode_default(self, dft: Any) -> Any:
         return msgspec.to_builtins(dft, enc_hook=_plain)

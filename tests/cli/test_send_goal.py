@@ -7,12 +7,14 @@ import math
 import signal
 import socket
 import subprocess
+import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 from pydantic import BaseModel, Field
 
@@ -460,6 +462,39 @@ async def test_the_trace_of_the_environment_goes_with_the_goal(
 
     trace = {"traceparent": "00-1", "baggage": "b=2"}
     assert noting.metas == [trace, {"detached": "1", **trace}]
+
+
+class Errand(msgspec.Struct):
+    """A goal of which the client knows one field."""
+
+    stops: list[Wait] = msgspec.field(default_factory=lambda: [Wait(2.0)])
+    id: uuid.UUID = msgspec.field(default_factory=uuid.uuid4)
+
+
+@pytest.mark.asyncio
+async def test_all_that_the_server_gets_is_printed_and_what_it_fills_in_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    got: list[Errand] = []
+
+    async def run(goal: GoalHandle[Errand]) -> AsyncGenerator[int | str, None]:
+        got.append(goal.request)
+        yield "done"
+
+    action = Action("errand", goal=Errand, feedback=int, result=str)
+    async with serve(ActionServer(action, run), "inproc://keys"):
+        options = SendOptions(False, None, False, as_json=False, full=False)
+        assert await send("inproc://keys", "errand", "", "", options) == ExitCode.SUCCEEDED
+
+    assert got[0].stops == [Wait(2.0)]
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[:4] == [
+        "Sending goal:",
+        "    stops:",
+        "    - seconds: 2.0",
+        "      steps: 1",
+    ]
+    assert printed.err == "The server fills in: id\n"
 
 
 @pytest.mark.asyncio

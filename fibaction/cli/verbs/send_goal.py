@@ -17,6 +17,7 @@ from anyio import get_cancelled_exc_class
 
 from fibaction._api import ClientConnection, connect
 from fibaction._runtime.tasks import Background
+from fibaction._runtime.text import printable
 from fibaction.border.abc import Endpoint, GoalStream, Meta
 from fibaction.cli.arguments.action_names import find_action, shown
 from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL
@@ -27,6 +28,7 @@ from fibaction.cli.output.lines import note, say
 from fibaction.cli.output.render import goal_printer, print_goal
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import SAME_SIGNAL, SignalReceiver
+from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError, GoalRejected
 from fibaction.words.goals import CancelCode, GoalID
@@ -215,6 +217,8 @@ class _GoalSender:
         self._endpoint = connection.endpoint(action)
         if not self._options.detach:
             self._printer.sending(goal)
+            if left_out := JsonCodec(info.goal).left_out(goal):
+                note(f"The server fills in: {printable(', '.join(left_out))}")
         try:
             stream = await self._deliver(payload)
         except GoalRejected as exc:

@@ -22,6 +22,7 @@ from mcp_types import (
 )
 
 from fibaction import serve
+from fibaction.schema.payload import JsonCodec
 from fibaction_transports.mcp import AgentPolicy, McpBridge
 from fibaction_transports.mcp.tools import consent
 from fibaction_transports.mcp.tools.consent import goal_text
@@ -264,9 +265,22 @@ async def test_a_client_says_whether_it_can_ask(
 
 # The goal in the question
 
+ANYTHING = JsonCodec({})
+
+
+async def test_the_fields_that_only_the_server_knows_are_named() -> None:
+    stamp = {"type": "object", "properties": {"at\u202e": {}, "by": {"default": "me"}}}
+    goals = JsonCodec({"type": "object", "properties": {"id": {}, "stamp": stamp}})
+    message = goals.complete({"stamp": {}})
+    assert goal_text(message, goals).split("\n")[-2:] == [
+        "",
+        "The server fills in: id, stamp.at\\u202e",
+    ]
+    assert "fills in" not in goal_text({"id": 1}, JsonCodec({"properties": {"id": {}}}))
+
 
 async def test_a_goal_is_shown_without_characters_that_deceive() -> None:
-    text = goal_text({"to": "the door\u202eroot eht", "note": "a\nb\x1b[2J", "größe": 1})
+    text = goal_text({"to": "the door\u202eroot eht", "note": "a\nb\x1b[2J", "größe": 1}, ANYTHING)
     assert text.split("\n") == [
         "{",
         '  "to": "the door\\u202eroot eht",',
@@ -277,11 +291,11 @@ async def test_a_goal_is_shown_without_characters_that_deceive() -> None:
 
 
 async def test_a_goal_with_many_parts_is_shown_on_one_line() -> None:
-    assert goal_text({"path": list(range(100))}).count("\n") == 0
+    assert goal_text({"path": list(range(100))}, ANYTHING).count("\n") == 0
 
 
 async def test_a_goal_that_is_too_long_to_be_shown_is_not_sent() -> None:
     with pytest.raises(ToolError, match="has 5014 characters, and the user, who must agree"):
-        goal_text({"to": "x" * 4998 + "\n"})
+        goal_text({"to": "x" * 4998 + "\n"}, ANYTHING)
     with pytest.raises(ToolError, match="because the user cannot see it"):
-        goal_text({"to": object()})
+        goal_text({"to": object()}, ANYTHING)

@@ -131,7 +131,8 @@ class ToolCalls:
         """
         if not self._policy.asks(action.server, action.info.name):
             return None
-        question = f"Send this goal to the action {action.title}?\n\n{goal_text(message)}"
+        text = goal_text(message, action.goals)
+        question = f"Send this goal to the action {action.title}?\n\n{text}"
         return await self._consents.ask(context, params, question)
 
     async def _wait(

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import anyio
@@ -39,7 +39,7 @@ from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
 from fibaction.border.peer_text import with_escapes
-from fibaction.schema.payload import PayloadError, to_json
+from fibaction.schema.payload import JsonCodec, PayloadError, to_json
 from fibaction_transports.mcp.tools.tool_error import ToolError
 
 QUESTION_TIMEOUT = 600.0
@@ -146,8 +146,9 @@ def _call_of(params: CallToolRequestParams) -> str:
     return json.dumps([params.name, params.arguments], sort_keys=True)
 
 
-def goal_text(message: Mapping[str, Any] | Any) -> str:
-    """Return a goal as the user is to see it: JSON, without characters that could deceive.
+def goal_text(message: Mapping[str, Any] | Any, goals: JsonCodec) -> str:
+    """Return a goal as the user is to see it: JSON, and the names of the fields that are left to
+    the server, without characters that could deceive.
 
     Raises:
         ToolError: It is too long to be shown, or cannot be.
@@ -158,10 +159,16 @@ def goal_text(message: Mapping[str, Any] | Any) -> str:
         raise ToolError(f"The goal was not sent, because the user cannot see it: {exc}") from exc
     lines = json.dumps(json.loads(line), indent=2, ensure_ascii=False).split("\n")
     shown = [line] if len(lines) > MOST_LINES else lines
-    text = "\n".join(with_escapes(one, lambda c: json.dumps(c)[1:-1]) for one in shown)
+    text = _without_deceit(shown)
     if len(text) > LONGEST_GOAL:
         raise ToolError(
             f"The goal was not sent: it has {len(text)} characters, and the user, who must agree to"
             f" it, can be shown {LONGEST_GOAL}. Send a shorter one."
         )
+    if left_out := goals.left_out(message):
+        text += "\n\n" + _without_deceit([f"The server fills in: {', '.join(left_out)}"])
     return text
+
+
+def _without_deceit(lines: Iterable[str]) -> str:
+    return "\n".join(with_escapes(line, lambda c: json.dumps(c)[1:-1]) for line in lines)

@@ -67,7 +67,8 @@ export class GoalView {
 
   updateFeedback(record) {
     const dropped = record.feedbackDropped ? `, ${record.feedbackDropped} dropped` : "";
-    setText(this.feedbackTitle, `Feedback: ${record.feedbackCount} messages${dropped}`);
+    const count = record.feedbackCount === 1 ? "1 message" : `${record.feedbackCount} messages`;
+    setText(this.feedbackTitle, `Feedback: ${count}${dropped}`);
     show(this.latest, record.feedback !== undefined);
     setText(this.latest, textOf(record.feedback));
     show(this.log, record.lines.length > 0);

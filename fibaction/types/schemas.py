@@ -1,0 +1,81 @@
+"""The JSON Schema of a type of msgspec, with the defaults of fields that a function makes.
+
+msgspec leaves these out, since a function may return another value each time. But a client that
+does not know a default cannot show what the server will get. So the function is called twice: what
+it returns both times is the default, and what differs, such as a random ID, is left to the server.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+import msgspec
+from msgspec import inspect
+
+from fibaction._runtime.plain_data import is_map
+
+
+def schema_of(message_type: Any) -> dict[str, Any]:
+    """Return the JSON Schema of a type.
+
+    Raises:
+        TypeError: JSON Schema cannot describe the type.
+    """
+    objects = list(_objects(inspect.type_info(message_type), set()))
+    types = [message_type, *(kind.cls for kind in objects)]
+    (schema, *references), parts = msgspec.json.schema_components(
+        types, ref_template="#/$defs/{name}"
+    )
+    for kind, reference in zip(objects, references, strict=True):
+        _, _, name = reference["$ref"].rpartition("/")
+        _add_defaults(parts[name], kind.fields)
+    return {**schema, "$defs": parts} if parts else schema
+
+
+def _add_defaults(part: dict[str, Any], fields: tuple[inspect.Field, ...]) -> None:
+    """Add the defaults that functions make to the schema of a type with fields."""
+    known = part.get("properties", {})
+    for field in fields:
+        shown = known.get(field.encode_name)
+        if field.default_factory is msgspec.NODEFAULT or not is_map(shown) or "default" in shown:
+            continue
+        default = constant_of(field.default_factory)
+        if default is not msgspec.NODEFAULT:
+            shown["default"] = default
+
+
+def constant_of(factory: Any, plain: Callable[[Any], Any] | None = None) -> Any:
+    """Return what a function without parameters returns each time, as JSON data; NODEFAULT if its
+    values differ, it has an error, or JSON cannot express them. `plain` is an `enc_hook`.
+    """
+    try:
+        first, second = (msgspec.json.encode(factory(), enc_hook=plain) for _ in range(2))
+    except Exception:  # any: the server will meet it, too, and tell it there
+        return msgspec.NODEFAULT
+    return msgspec.json.decode(first) if first == second else msgspec.NODEFAULT
+
+
+def _objects(info: object, seen: set[object]) -> Iterator[Any]:
+    """Yield the types with fields in a type, each once."""
+    if isinstance(info, tuple):
+        for item in cast("tuple[object, ...]", info):
+            yield from _objects(item, seen)
+    elif isinstance(info, inspect.Field):
+        yield from _objects(info.type, seen)
+    elif isinstance(info, inspect.Type):
+        if isinstance(info, _WITH_FIELDS):
+            if info.cls in seen:
+                return
+            seen.add(info.cls)
+            yield info
+        for name in info.__struct_fields__:
+            yield from _objects(getattr(info, name), seen)
+
+
+_WITH_FIELDS = (
+    inspect.StructType,
+    inspect.DataclassType,
+    inspect.TypedDictType,
+    inspect.NamedTupleType,
+)
