@@ -28,8 +28,8 @@ from anyio import move_on_after
 
 from fibaction._runtime.tasks import Background
 from fibaction.server.admission.admission import Admission
-from fibaction.server.admission.capacity import Room
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.admission.room_report import Room
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.goal_keeper import STORE_IS_LATE
 from fibaction.server.durability.keeper import Keeper, KeeperEvents

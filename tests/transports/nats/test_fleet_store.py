@@ -19,7 +19,7 @@ from fibaction.words.goals import Sender
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
-from fibaction_transports.nats.worker import goal_writes
+from fibaction_transports.nats.worker import record_writes
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
 from fibaction_transports.nats.worker.store import FleetStore
@@ -433,7 +433,8 @@ async def test_a_record_is_smaller_than_the_one_before_so_that_a_full_stream_tak
     earlier: str, later: str
 ) -> None:
     def size(kind: str) -> int:
-        return len(goal_writes.Write(kind, goal(1), "robot", b"incarnat", lambda _error: None).data)
+        write = record_writes.Write(kind, goal(1), "robot", b"incarnat", lambda _error: None)
+        return len(write.data)
 
     assert size(later) < size(earlier) - 50
     assert size("end") < size("cancel") - 300

@@ -15,7 +15,7 @@ from fibaction_transports.nats.names import FleetNames, action_of
 from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
 
 ROOM_TO_GROW = 512
-"""Bytes that are added to the record of a goal that is to run again: see `goal_writes`."""
+"""Bytes that are added to the record of a goal that is to run again: see `record_writes`."""
 SECOND = 1_000_000_000
 
 

@@ -5,7 +5,7 @@ Theory of operation
 
 The record of a goal is its ownership. Each write replaces the record whose sequence the worker
 knows, and is refused if there is another by now: then the goal belongs to another worker
-(`GoalTaken`). `goal_writes` has the rules for the order of writes, and for those without an answer.
+(`GoalTaken`). `record_writes` has the order of writes, and the rule for one without an answer.
 
 A goal that waits adds a note to the queue `want`, and a goal that is released one to `left`, so
 that other workers find it: see `takeover`.
@@ -32,7 +32,9 @@ from fibaction_transports.nats.broker.broker import (
     PutFailure,
 )
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.worker.goal_writes import (
+from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.outcomes import SECOND, KeptOutcomes
+from fibaction_transports.nats.worker.record_writes import (
     IS_STORED,
     AnswerQueue,
     HeldGoal,
@@ -41,8 +43,6 @@ from fibaction_transports.nats.worker.goal_writes import (
     taken,
     too_large,
 )
-from fibaction_transports.nats.worker.lease import Membership
-from fibaction_transports.nats.worker.outcomes import SECOND, KeptOutcomes
 
 RESERVE = 512
 """Bytes by which the record of an active goal may grow, and those of its headers."""

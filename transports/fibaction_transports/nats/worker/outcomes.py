@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from fibaction.border.goal_store import StoredGoal
 from fibaction_transports.nats.broker.broker import Broker
-from fibaction_transports.nats.worker.goal_writes import HeldGoal
+from fibaction_transports.nats.worker.record_writes import HeldGoal
 
 SECOND: Final = 1_000_000_000
 DELETED_TTL = 60.0
