@@ -8,7 +8,7 @@ Sending: `send_goal` returns a `SendingGoal`, which is both awaitable and an asy
 Nothing is sent before one of the two begins. If the task is canceled while it waits for the answer,
 the goal may have been accepted already; so the client cancels it by its ID, which it made itself.
 
-Following and leaving a goal: see `client_goal`. Timeouts and retries: see `_attempts`.
+Following and leaving a goal: see `goal`. Timeouts and retries: see `attempts`.
 """
 
 from __future__ import annotations

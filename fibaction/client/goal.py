@@ -11,12 +11,12 @@ Holding: a client that waits for the outcome does not make the executor wait for
 
 Leaving: the end of a block of `send_goal`, or of `call`, cancels a goal that has not ended, and
 waits for the server's answer for a few seconds at most, shielded from a cancellation of the block
-itself: see `_attempts.cancel_left`. If the connection ends first, as at the end of the block of
+itself: see `attempts.cancel_left`. If the connection ends first, as at the end of the block of
 `connect`, then `ActionClient.leave` cancels the goals of all blocks that are still open, side by
 side, while the connection can still carry the cancels. A block that ends afterwards is no longer in
 `_blocks`, and does not cancel again.
 
-Timeouts and retries: see `_attempts`.
+Timeouts and retries: see `attempts`.
 """
 
 from __future__ import annotations

@@ -8,8 +8,13 @@ file or another protocol. For example, with the description that a server sends 
     goals = JsonCodec(info.goal)
     payload = goals.encode({"order": 3})  # defaults are filled in
 
+The data is compared with the schema and completed with its defaults in one pass (`Shapes`), and the
+result is encoded as msgpack. If it does not match, a second pass finds all that is wrong, for the
+error. The types of the action's server check the goal once more.
+
 The schema and the data may be hostile: nothing is fetched, no regular expression of a schema is
-run, and the work and the length of errors are limited.
+run, data nests to 100 levels at most, and the work and the length of errors are limited: see
+`check`. Who takes documents of strangers works on large ones in a thread: see `turns`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,11 @@
 """The action server: `ActionServer`, and its parts.
 
-`server` has the settings, start and stop, and the methods that clients call; `admission` decides on
-goals and cancels; `runs` starts and ends executors; `registry` holds every goal and its rules.
+`server` has start and stop, and the methods that clients call; `settings` the settings; `parts`
+makes the parts. `admission` decides on goals, and `cancels` on cancels. `registry` holds every goal
+and its rules, and `life` the table of a goal's phases. `scheduling` says which goal runs, waits or
+gives way; `execution` runs executors; `durability` writes to a store and takes over what it has.
+`goal_logs` has the streams that followers read; `watchers` and `watcher_group` call the watchers of
+a user, which `fibaction.border.watchers` defines.
 """
 
 from fibaction.server.execution.executor import Executor

@@ -10,8 +10,9 @@ other one is a bug, and raises `InvalidStep`. This module carries nothing out: i
 write, or depend on executors, clients or stores.
 
 A goal that was sent is *deciding*. If it is accepted, the acceptance is written, then the goal is
-*waiting* for its turn. When that comes, the begin of the attempt is written, the executor is
-*called*, and from its first step the goal is *running*. The end is fixed before it is written:
+*waiting* for its turn. When that comes, the begin of the attempt is written (if it comes at once,
+with the acceptance), the executor is *called*, and from its first step the goal is *running*. The
+end is fixed before it is written:
 from then on it never changes, and a cancel comes too late. When it is kept, the goal has *ended*.
 
 All that clients are told is kept first. So each thing that is told has two events: one that fixes

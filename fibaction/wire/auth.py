@@ -2,7 +2,12 @@
 
 A client is authenticated once for each connection, by the token of its first message, and
 authorized for each request, by a function of the user's. Without tokens every client is let in,
-and without such a function it may do everything.
+and without such a function it may do everything. Over HTTP, `/healthz`, `/readyz` and the
+files of the console need no token.
+
+A permission is for an action, and not for a goal. A client with `CANCEL` may cancel every goal of
+the action, those of other clients too; without it, not even its own. Only `on_cancel` of the server
+can reject the cancel of one goal.
 
 `fibaction` itself imports this module, so it imports nothing that costs time.
 """

@@ -16,7 +16,8 @@ from fibaction.words.errors import LimitReached, ProtocolError
 HEADER = 4
 """Length of the header of a frame, in bytes."""
 MAX_FRAME = 16 * 2**20
-"""Default limit of a frame, in bytes: larger than any sensible message, smaller than memory."""
+"""Default limit of the frames that a client accepts, in bytes: larger than any sensible message,
+smaller than memory. The limit of a server is `Limits.frame`, 1 MiB by default."""
 
 FIRST_FRAME = 4096
 """Limit of the first frame of a client, in bytes: a server that does not know the client yet holds

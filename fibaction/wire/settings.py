@@ -5,6 +5,11 @@ Each setting has its default and its check here, and only here. `ServerSettings`
 takes, for type checkers and for the list in the error for a setting that does not exist.
 `ConnectKeywords` and `ServeKeywords` are all settings that users pass on to transports.
 
+A frame has one message. A server accepts frames of at most `Limits.frame`, 1 MiB by default, and as
+the first one, before it knows the client, of 4 KiB (`FIRST_FRAME`). A client accepts frames of at
+most `max_frame`, 16 MiB by default, or of `Limits.frame` if it is given limits. Each half tells the
+other its limit when they say hello.
+
 `fibaction` itself imports this module, so it imports nothing that costs time.
 """
 

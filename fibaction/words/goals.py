@@ -31,7 +31,8 @@ DIGEST_SIZE = 16
 class GoalID(bytes):
     """The 16 bytes that name one goal for ever, made by the client.
 
-    All zeros is reserved: in a cancel it means "any goal" (`action_msgs/srv/CancelGoal`).
+    All zeros is reserved: in a cancel it means "any goal" (`action_msgs/srv/CancelGoal`). For an ID
+    that is used twice, see `fibaction.server.registry.registry`.
 
     For example:
 

@@ -17,7 +17,11 @@ With a store, an acceptance is written before the goal is accepted and anything 
 the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
 meanwhile, the goal is accepted all the same. `_writing` has the offers that are being written. If
 another server turns out to have the goal (`lose`), the call is told so.
-A server that drains rejects new goals as busy, so that clients of several servers go elsewhere.
+
+A new goal is rejected as *busy*, and may be sent again later or elsewhere, if the server drains; if
+`max_goals` are active (20,000 by default); if goals and feedback take more than `max_bytes` (256
+MiB), or the unread results of its client more than half of them; if it can neither run nor wait by
+the schedule (`Scheduler.offer`); or if the store is full (`StoreFull`).
 """
 
 from __future__ import annotations
@@ -286,9 +290,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             self.lose(goal)
 
     def lose(self, goal: GoalRecord) -> bool:
-        """Let go of a goal that another server has, if its acceptance is being written here; return
-        whether it was.
-        """
+        """Let go of a goal that another server has; return whether it was being written here."""
         logger.info("goal %s of action %r: another server has it", goal.goal_id, self._action.name)
         if self.writing(goal.goal_id) is not goal:
             return False
@@ -310,10 +312,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         return error
 
     def _reject_for_now(self, goal_id: GoalID, busy: str) -> GoalRejected:
-        """Reject a goal for which there is no room, and return the error to raise.
-
-        The rejection is not kept, so that the same goal may be accepted later.
-        """
+        """Reject a goal for lack of room, without a record: it may be accepted later."""
         self._withdraw(goal_id)
         logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, busy)
         self._watchers.rejected(goal_id, busy)

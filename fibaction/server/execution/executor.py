@@ -10,7 +10,7 @@ cancellation is pending, the log has room, and the executor has not yet used up 
 This makes goals that never wait cheap.
 
 A cancellation that arrives in the pause is thrown into the generator at its `yield`, so the
-executor sees it there as it would at any `await`. `_interruption` makes it arrive once.
+executor sees it there as it would at any `await`. `interruption` makes it arrive once.
 
 The end of the generator becomes an `Ending`:
 

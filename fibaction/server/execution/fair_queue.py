@@ -1,4 +1,10 @@
-"""`FairQueue`: items in the order of their arrival for each key, with turns for the keys."""
+"""`FairQueue`: items in the order of their arrival for each key, with turns for the keys.
+
+It makes a server fair between clients: a key is a client (`Sender.owner`), and an item a goal that
+is to begin (`task_pool`), or an executor that has used its slice of time up (`turns`). Clients
+take turns, however many goals each of them has. For fairness between connections, see
+`fibaction.wire.server.session_goals`.
+"""
 
 from __future__ import annotations
 

@@ -15,12 +15,12 @@ A goal that was sent is in one of four places:
 - *rejected*: only its digest and the reason are kept, for the result timeout, so that a retry gets
   the same answer.
 - *active*: ACCEPTED, EXECUTING or CANCELING. Sending it again gets `Verdict.REPEAT`.
-- *ended*: it has its outcome, and is kept for the result timeout from its end. Sending it again
-  gets `Verdict.REPEAT`. After the timeout its ID is unknown, and can be used again.
+- *ended*: its outcome is kept for the result timeout from its end: 10 s by default, less if there
+  are more than `max_results` or too many bytes (`kept_results`), and `LEAST_TIME` at least if the
+  client may not know of it. Sending it again gets `Verdict.REPEAT`. Later its ID is free again.
 
-The ID of a goal is made by its client. The digest of the payload tells a retry from another goal
-with the same ID: the same ID with the same digest is a retry, and runs once; with another digest it
-is a clash, and is rejected.
+The ID of a goal is made by its client. If it comes twice, the digest of the payload decides: with
+the same digest it is a retry, and runs once; with another one it is a clash, and is rejected.
 
 A registry has two limits for all clients together: of the goals that are undecided or active, and
 of the bytes that are held (`budget`): goals until they end, feedback, and results. A new goal is

@@ -6,7 +6,10 @@ Theory of operation
 Most goals need no task here: `offer_goal` often has an answer at once, and what there is to tell is
 fetched by the link, which asks `next_frames` when the line can take more. A goal whose stream has
 news is *ready*, and the ready goals take turns. A write ends when it is large enough, or has taken
-long enough, so that other connections have their turn.
+long enough, so that other connections have their turn. So a client with many goals or connections
+does not keep others waiting: requests that concern many goals are answered one by one for each
+client (`requests`), and all lines that have frames left to handle share one slice of each turn of
+the event loop (`LineTurns` of the transports over sockets).
 
 A goal that waits, for the answer of its endpoint or for a permission, counts with its bytes against
 `Limits.memory`, and, together with those of other connections, against `Limits.total_memory`.

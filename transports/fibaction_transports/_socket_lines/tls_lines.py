@@ -1,4 +1,4 @@
-"""Lines with TLS on asyncio: the lines of `_asyncio`, whose frames are inside TLS."""
+"""Lines with TLS on asyncio: the lines of `on_asyncio`, whose frames are inside TLS."""
 
 from __future__ import annotations
 

@@ -7,9 +7,11 @@ A request or an answer may be lost, and then the status list is the first to tel
 ended: `LATE` seconds after that, the result is requested again. Each further request follows after
 a longer pause, so that requests do not pile up at a busy server.
 
-Feedback may arrive after the result, if the middleware had to send it again. If the server tells
-how many messages there were (`feedback_counts`), the stream of a goal goes on until all of them are
-there, for `LATE_FEEDBACK` seconds at most; what is still missing then is lost, and is counted.
+A server of fibaction publishes the feedback, then the number of its messages (`feedback_counts`),
+then the terminal status, and then it answers with the result. Feedback may still arrive after the
+result, if the middleware had to send it again. If the server tells the number, the stream of a goal
+goes on until all messages are there, for `LATE_FEEDBACK` seconds (4) at most; what is missing then
+is lost, and is counted. A server of rclpy tells none: feedback after its result is dropped.
 Where several servers run the goal, it goes on until it is known which of them has accepted it, for
 `LATE` seconds at most.
 """
