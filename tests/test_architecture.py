@@ -1,7 +1,10 @@
-"""ARCHITECTURE.md: its links lead to files, and its map is the order that import-linter checks."""
+"""ARCHITECTURE.md: its links lead to files, its table of rules names modules with their theory, and
+its map is the order that import-linter checks.
+"""
 
 from __future__ import annotations
 
+import ast
 import re
 import tomllib
 from pathlib import Path
@@ -21,6 +24,21 @@ def test_a_link_to_a_module_is_named_as_the_file_or_by_what_is_in_it() -> None:
     for name, target in re.findall(r"\[`?([\w./]+?)`?\]\(([^)#]+\.py)\)", PAGE):
         code = (ROOT / target).read_text(encoding="utf-8")
         assert target.endswith(name) or f"class {name}" in code or name in Path(target).stem, name
+
+
+def test_each_rule_has_one_file_which_is_there_and_has_a_docstring() -> None:
+    table = PAGE.partition("## Where is the rule?\n")[2].partition("\n## ")[0]
+    header, _, *rows = [line for line in table.splitlines() if line.startswith("|")]
+    assert header == "| The question | The file |"
+    questions = set()
+    for row in rows:
+        found = re.fullmatch(r"\| ([^|]+\?) \| \[([\w/.]+)\]\(([\w/.]+)\) \|", row)
+        assert found is not None, row
+        question, name, target = found.groups()
+        assert target.endswith(f"/{name}"), row
+        assert ast.get_docstring(ast.parse((ROOT / target).read_text(encoding="utf-8"))), row
+        questions.add(question)
+    assert len(questions) == len(rows) > 30
 
 
 def test_the_map_has_the_layers_in_their_order() -> None:

@@ -1,4 +1,4 @@
-"""The rules of style that no linter knows: the words of docstrings, gerunds, loggers.
+"""The rules of style that no linter knows: words and names in docstrings, gerunds, loggers.
 
 `test_structure.py` has the rules about names that occur twice, and about sizes.
 """
@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Set
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -19,9 +20,9 @@ def modules() -> Iterator[Path]:
         yield from sorted((ROOT / source).rglob("*.py"))
 
 
-def docstrings(module: Path) -> Iterator[str]:
+def docstrings(tree: ast.Module) -> Iterator[str]:
     """Yield every docstring of a module, those of fields included."""
-    for node in ast.walk(ast.parse(module.read_text())):
+    for node in ast.walk(tree):
         match node:
             case ast.Expr(ast.Constant(str() as text)):
                 yield text.strip()
@@ -29,7 +30,8 @@ def docstrings(module: Path) -> Iterator[str]:
 
 def questions(module: Path) -> list[str]:
     """Return the docstrings of a module that begin with a question word."""
-    return [text for text in docstrings(module) if text.lower().split(" ")[0] in QUESTION_WORDS]
+    texts = docstrings(ast.parse(module.read_text()))
+    return [text for text in texts if text.lower().split(" ")[0] in QUESTION_WORDS]
 
 
 def test_no_docstring_begins_with_a_question_word() -> None:
@@ -40,6 +42,75 @@ def test_no_docstring_begins_with_a_question_word() -> None:
 def test_no_module_is_named_by_a_gerund() -> None:
     gerunds = {module.stem.strip("_") for module in modules() if module.stem.endswith("ing")}
     assert gerunds == {"testing"}
+
+
+FOREIGN = {
+    # Packages, interfaces and parts of ROS, and of the protocols that it is used with.
+    "action_status",
+    "event_message",
+    "nav_msgs",
+    "navigate_to_pose",
+    "rcl_action",
+    "sensor_msgs",
+    "std_msgs",
+    # Names of SQLite, of a table in a file, and of NATS.
+    "handshake_first",
+    "needs_log",
+    "wal_autocheckpoint",
+}
+"""Names of other software that docstrings mention, and that no code has."""
+
+_NAME = re.compile(r"(?<!`)`([a-z_]\w*(?:\.\w+)*)`(?!`)")
+_WORDS = re.compile(r"[\w./]+")
+_POINTER = re.compile(r"\b[Ss]ee\s+`([a-z_][\w.]*)`")
+
+
+def names_in(tree: ast.Module) -> set[str]:
+    """Return the names that the code of a module has, and the words of its texts without spaces."""
+    texts = {text for node in ast.walk(tree) for text in vars(node).values() if type(text) is str}
+    return {name for text in texts if _WORDS.fullmatch(text) for name in re.findall(r"\w+", text)}
+
+
+def unknown_names(text: str, known: Set[str]) -> list[str]:
+    """Return the names in a docstring that nothing has. Only those with an underscore are looked
+    at: other ones may be words of Python, or values.
+    """
+    names = [name.rpartition(".")[2] for name in _NAME.findall(text) if "_" in name]
+    return [name for name in names if name not in known]
+
+
+def unknown_pointers(text: str, modules: Set[str]) -> list[str]:
+    """Return the names after "see" in the docstring of a module that are not modules."""
+    return [
+        name
+        for name in _POINTER.findall(text)
+        if not modules & {name.partition(".")[0], name.rpartition(".")[2]}
+    ]
+
+
+def test_docstrings_name_only_what_there_is() -> None:
+    known = {name for module in modules() for name in (module.stem, module.parent.name)}
+    stems, texts = frozenset(known), dict[Path, tuple[str, list[str]]]()
+    for module in modules():
+        tree = ast.parse(module.read_text())
+        known |= names_in(tree)
+        texts[module] = ast.get_docstring(tree) or "", [*docstrings(tree)]
+    assert known & FOREIGN == set()
+    known |= FOREIGN
+    found = {
+        str(module.relative_to(ROOT)): [
+            *(name for text in fields for name in unknown_names(text, known)),
+            *unknown_pointers(first, stems),
+        ]
+        for module, (first, fields) in texts.items()
+    }
+    assert {name: unknown for name, unknown in found.items() if unknown} == {}
+
+
+def test_a_name_and_a_pointer_to_a_module_that_is_gone_are_found() -> None:
+    text = "See `goal`, see `_gone.leave` and `old_name`; `Class`, `await` and `new_name` are fine."
+    assert unknown_names(text, {"new_name", "leave"}) == ["old_name"]
+    assert unknown_pointers(text, {"goal"}) == ["_gone.leave"]
 
 
 CLEAN_LOGS = (
