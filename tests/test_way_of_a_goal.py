@@ -16,13 +16,14 @@ import pytest
 
 from fibaction import GoalID
 from tests.tools import goal_way
-from tests.tools.goal_way import WAYS, Figures, Step, Way, recorded
+from tests.tools.goal_way import STORE, WAYS, Figures, Step, Way, recorded
 
 ROOT = Path(__file__).parent.parent
 
 BOUNDS = {
     "in-process": Figures(calls=173, modules=31, changes=134),
     "TCP": Figures(calls=322, modules=44, changes=248),
+    "in-process with a store": Figures(calls=246, modules=40, changes=185),
 }
 """The most of each figure on each way, on Python 3.11. Lower them, and never raise one."""
 TOLERANCE = 0.05
@@ -70,6 +71,14 @@ def test_the_way_of_a_goal_becomes_no_longer(way: str) -> None:
 
 def test_the_way_is_the_same_when_it_is_counted_again() -> None:
     assert figures_of(printed("--figures")) == figures_of(printed("--modules"))
+
+
+def test_with_a_store_an_end_is_written_before_it_is_told() -> None:
+    lines = printed()
+    start = lines.index(next(line for line in lines if line.startswith(f"{STORE}: ")))
+    functions = [line.split()[0] for line in lines[start + 1 :] if line]
+    way = ["GoalWrites._write_end", "SqliteJournal.end", "GoalNews._tell_end"]
+    assert [name for name in functions if name in way] == way
 
 
 def test_the_way_begins_at_the_client_and_passes_the_server() -> None:
@@ -137,7 +146,7 @@ def test_the_command_prints_the_figures_the_modules_or_the_calls(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     way = Way([Step("a.py", "outer", 0, begins=True)])
-    monkeypatch.setattr(goal_way, "way_of_a_goal", lambda _url: way)
+    monkeypatch.setattr(goal_way, "way_of_a_goal", lambda _name: way)
     first = "in-process: 1 calls, 1 modules, 0 changes of module"
     for options, line in ((["--figures"], ""), (["--modules"], "   1  a.py"), ([], "outer")):
         goal_way.main(options)

@@ -1,7 +1,8 @@
 """The way of one goal: every call inside fibaction and its transports, in order.
 
-`python -m tests.tools.goal_way` prints it in-process and over TCP, one line for each function that
-begins. `--figures` prints the figures only, `--modules` the modules in the order of their calls.
+`python -m tests.tools.goal_way` prints it in-process, over TCP, and in-process with a store, one
+line for each function that begins. `--figures` prints the figures only, `--modules` the modules in
+the order of their calls.
 
 How it is counted:
 
@@ -31,6 +32,7 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import CodeType, FrameType
 from typing import Any, NamedTuple
 
@@ -39,10 +41,16 @@ from anyio.lowlevel import checkpoint
 
 import fibaction
 import fibaction_transports
-from fibaction import ActionClient, ActionServer
+from fibaction import ActionClient, ActionServer, SqliteStore
+from fibaction.border.goal_store import GoalStore
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
-WAYS = {"in-process": "inproc://goal-way", "TCP": "tcp://127.0.0.1:0"}
+STORE = "in-process with a store"
+WAYS = {
+    "in-process": "inproc://goal-way",
+    "TCP": "tcp://127.0.0.1:0",
+    STORE: "inproc://goal-way",
+}
 """The URL that each way is served at."""
 ORDER = 3
 """The goal whose executor sends two feedback messages."""
@@ -172,9 +180,9 @@ async def settle(way: Way) -> None:
         calls = len(way)
 
 
-async def count(url: str) -> Way:
+async def count(url: str, store: GoalStore | None) -> Way:
     """Return the way of a goal over the transport of a URL."""
-    server = ActionServer(FIBONACCI, fibonacci)
+    server = ActionServer(FIBONACCI, fibonacci, store=store)
     ways: defaultdict[Figures, list[Way]] = defaultdict(list)
     async with fibaction.serve(server, url) as (at,), fibaction.connect(at, FIBONACCI) as client:
         for _ in range(RUNS):
@@ -189,9 +197,11 @@ async def count(url: str) -> Way:
     return max(ways.values(), key=len)[0]
 
 
-def way_of_a_goal(url: str) -> Way:
-    """Return the way of a goal over the transport of a URL, on asyncio's own event loop."""
-    return anyio.run(count, url)
+def way_of_a_goal(name: str) -> Way:
+    """Return one of the ways, on asyncio's own event loop."""
+    with TemporaryDirectory() as folder:
+        store = SqliteStore(f"{folder}/goals.db") if name == STORE else None
+        return anyio.run(count, WAYS[name], store)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -201,8 +211,8 @@ def main(arguments: list[str] | None = None) -> None:
     shown.add_argument("--figures", action="store_true", help="only the figures")
     shown.add_argument("--modules", action="store_true", help="only the modules, with their calls")
     options = parser.parse_args(arguments)
-    for name, url in WAYS.items():
-        way = way_of_a_goal(url)
+    for name in WAYS:
+        way = way_of_a_goal(name)
         calls, modules, changes = way.figures
         print(f"{name}: {calls} calls, {modules} modules, {changes} changes of module")
         if not options.figures:
