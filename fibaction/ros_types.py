@@ -1,4 +1,6 @@
-"""The types of fields of ROS 2 messages, as types of msgspec with ROS's limits."""
+"""The types of fields of ROS 2 messages, as types of msgspec with ROS's limits; and messages of ROS
+converted to values of such types, and back.
+"""
 
 from fibaction.interfaces.ros_types import (
     PRIMITIVES,
@@ -19,6 +21,7 @@ from fibaction.interfaces.ros_types import (
     string,
     struct,
 )
+from fibaction.types.ros_conversion import from_ros, to_ros
 
 __all__ = [
     "PRIMITIVES",
@@ -35,7 +38,9 @@ __all__ = [
     "array",
     "attribute",
     "default",
+    "from_ros",
     "limited",
     "string",
     "struct",
+    "to_ros",
 ]

@@ -46,6 +46,8 @@ PRIMITIVES: dict[str, Any] = {
 
 _LIST: Any = list  # type checkers reject arguments that are known at run time only
 
+_SHOWN = "fibaction.ros_types"
+
 _encode = msgspec.msgpack.Encoder().encode
 
 
@@ -77,8 +79,13 @@ def struct(
     module: str,
     doc: str,
     constants: Mapping[str, Any],
+    ros_type: str = "",
 ) -> type[msgspec.Struct]:
     """Make a struct for a message, with its constants as attributes of the class.
+
+    `ros_type` is the ROS 2 type of the message, such as `geometry_msgs/msg/Pose`; empty if it is
+    not known. The class is then shown as one of `fibaction.ros_types`, and not of ROS's package,
+    which has a class of the same name.
 
     `fields` are names, types and defaults. A default is plain data; that of a nested struct is a
     dict, and `{}` means the nested struct's own defaults. A field whose name is a keyword of Python
@@ -87,8 +94,8 @@ def struct(
     return msgspec.defstruct(
         name,
         [(attribute(field), kind, default(field, kind, plain)) for field, kind, plain in fields],
-        module=module,
-        namespace={"__doc__": doc, **constants},
+        module=".".join([_SHOWN, *ros_type.split("/")[:-1]]) if ros_type else module,
+        namespace={"__doc__": doc, "__ros_type__": ros_type, **constants},
         forbid_unknown_fields=True,
         kw_only=True,
     )

@@ -66,6 +66,7 @@ def _struct(
         module=message.package or __name__,
         doc=docstring(message),
         constants={constant.name: constant.value for constant in definition.constants},
+        ros_type=message.type_name,
     )
 
 

@@ -7,30 +7,27 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, Generic, TypeGuard, TypeVar, cast
+from typing import Any, Generic, Literal, TypeGuard, TypeVar, cast
 
 import msgspec
 
 from fibaction._runtime.text import excerpt
 from fibaction.types.collector import collector_paused
 from fibaction.types.encodings import encoding_of
-from fibaction.words.errors import ProtocolError, TransportError, text_of
+from fibaction.types.ros_classes import is_message, load
+from fibaction.words.errors import ProtocolError, text_of
 
 GoalT = TypeVar("GoalT")
 FeedbackT = TypeVar("FeedbackT")
 ResultT = TypeVar("ResultT")
 T = TypeVar("T")
 
-INTERFACES = "fibaction.interfaces"
-"""The entry-point group of functions that make message types. Such a function takes the name of a
-ROS 2 type, and returns the types of the goal, the feedback and the result, or raises
-TransportError."""
-
 # ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
 # served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
 LARGE = 2**16
 """Bytes of a payload that may have very many values."""
 
+_FROM_SERVERS = ("feedback", "the result")
 _NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
@@ -38,13 +35,15 @@ _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 class Codec(Generic[T]):
     """The encoding of one message type of an action, from values to bytes and back."""
 
-    __slots__ = ("_decode", "_encode", "_encoding", "_sent", "classes", "type")
+    __slots__ = ("_decode", "_encode", "_encoding", "_messages", "_sent", "classes", "type")
 
-    def __init__(self, message_type: type[T], sent: str = "") -> None:
+    def __init__(self, message_type: type[T], sent: str = "", ros_type: str = "") -> None:
         """Make a codec.
 
         `sent` names the messages that servers send with it, for the text of errors, for example
-        `feedback of action 'dock'`; it is empty for messages of clients.
+        `feedback of action 'dock'`; it is empty for messages of clients. `ros_type` is the type of
+        the ROS messages that may be encoded instead of a value; if it is empty, those with the same
+        fields may.
 
         Raises:
             TypeError: Such a type cannot be encoded and decoded.
@@ -57,21 +56,45 @@ class Codec(Generic[T]):
         self._decode: Callable[[bytes], T] = self._encoding.decode
         self.classes = self._encoding.classes
         """The classes that a value of this type is an instance of; `object` for any."""
+        self._messages = ros_type
 
     def holds(self, value: object) -> TypeGuard[T]:
         """Return whether the value is of this type, judging by its class alone."""
         return isinstance(value, self.classes)
 
+    def accepts(self, value: object) -> TypeGuard[T]:
+        """Return whether the value is of this type, or is a ROS message that `encode` takes."""
+        if self.holds(value) or not is_message(value):
+            return self.holds(value)
+        from fibaction.types.ros_messages import reader_of
+
+        try:
+            reader_of(value, self.type, self._messages, encoding=self._encoding)
+        except TypeError:
+            return False
+        return True
+
     def encode(self, value: T) -> bytes:
         """Turn a value into bytes.
 
+        It may also be a ROS message, or contain some, and arrays of numpy or of `array`.
+
         Raises:
-            TypeError: It contains an object that msgpack cannot express.
+            TypeError: It contains an object that msgpack cannot express, or a ROS message of
+                another type.
             OverflowError: It contains an integer of more than 64 bits.
             ValueError: It contains text that is not valid Unicode.
             RecursionError: It contains itself.
         """
-        return self._encode(value)
+        try:
+            return self._encode(value)
+        except (TypeError, ValueError):
+            from fibaction.types.ros_messages import encoded
+
+            payload = encoded(value, self.type, self._messages, self._encoding)
+            if payload is None:
+                raise
+            return payload
 
     def decode(self, payload: bytes) -> T:
         """Turn bytes into a value; only pydantic models convert from one type to another.
@@ -161,9 +184,12 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
                 _TYPE_NAME, type_name, "a type name is like `example_interfaces/action/Fibonacci`"
             )
         of_it = f"of action {name!r}"
-        self.goal: Codec[GoalT] = _codec(goal, f"the goal {of_it}")
-        self.feedback: Codec[FeedbackT] = _codec(feedback, f"feedback {of_it}", from_server=True)
-        self.result: Codec[ResultT] = _codec(result, f"the result {of_it}", from_server=True)
+        goal_type, feedback_type, result_type = (
+            f"{type_name}_{part}" if type_name else "" for part in ("Goal", "Feedback", "Result")
+        )
+        self.goal: Codec[GoalT] = _codec(goal, f"the goal {of_it}", goal_type)
+        self.feedback: Codec[FeedbackT] = _codec(feedback, f"feedback {of_it}", feedback_type)
+        self.result: Codec[ResultT] = _codec(result, f"the result {of_it}", result_type)
         self.checkpoint: Codec[Any] | None = None
         if checkpoint is not None:
             self.checkpoint = _codec(checkpoint, f"the checkpoint {of_it}")
@@ -201,56 +227,40 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         return action
 
     @classmethod
-    def from_ros(cls, type_name: str, *, name: str) -> Action[Any, Any, Any]:
+    def from_ros(
+        cls, type_name: str, *, name: str, classes: Literal["structs", "ros"] = "structs"
+    ) -> Action[Any, Any, Any]:
         """Make an action whose types are those of an installed ROS 2 type.
 
         They are structs with ROS's fields, defaults and constants: `action.goal.type(order=3)`.
-        The type is imported as a Python module, so ROS 2 and the type's package must be importable.
+        With `classes="ros"` they are the classes of ROS itself, such as `Fibonacci.Goal`, so that
+        executors and clients get ROS messages. Without ROS, structs are made from its interface
+        file.
 
         Raises:
             TransportError: The type cannot be imported; the text says what is missing.
-            ValueError: The name breaks the rule for names.
+            ValueError: The name breaks the rule for names, or `classes` is neither of the two.
         """
-        goal, feedback, result = _interface(type_name)
+        if classes not in ("structs", "ros"):
+            raise ValueError(f"classes is 'structs' or 'ros', not {classes!r}")
+        made = load("ros2" if classes == "structs" else "ros2_classes", type_name)
+        goal, feedback, result = made(type_name)
         return cls(name, goal=goal, feedback=feedback, result=result, type_name=type_name)
 
     def __repr__(self) -> str:
         return f"<Action {self.name!r}>"
 
 
-def _codec(message_type: type[T], message: str, *, from_server: bool = False) -> Codec[T]:
+def _codec(message_type: type[T], message: str, ros_type: str = "") -> Codec[T]:
     """Return the codec of a message of an action.
 
     Raises:
         TypeError: Its type cannot be encoded; the text names the message.
     """
     try:
-        return Codec(message_type, message if from_server else "")
+        return Codec(message_type, message if message.startswith(_FROM_SERVERS) else "", ros_type)
     except TypeError as exc:
         raise TypeError(f"{message}: {exc}") from exc
-
-
-def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
-    """Return the types of a ROS 2 action, made by the package that declares the entry point."""
-    from importlib.metadata import entry_points  # slow to import, and needed here only
-
-    found = tuple(entry_points(group=INTERFACES, name="ros2"))
-    if not found:
-        raise TransportError(
-            f"cannot make message types from {type_name!r}: install a package with an entry point"
-            f" 'ros2' in the group {INTERFACES!r}, such as fibaction itself"
-        )
-    try:
-        make = found[0].load()
-    except TransportError:
-        raise  # its text already says what is missing
-    except Exception as exc:  # importing another package may raise anything
-        raise TransportError(
-            f"cannot make message types from {type_name!r}: {found[0].value} cannot be imported:"
-            f" {exc}"
-        ) from exc
-    goal, feedback, result = make(type_name)
-    return goal, feedback, result
 
 
 def _checked(rule: re.Pattern[str], text: object, meaning: str) -> str:

@@ -10,6 +10,9 @@ from typing import Any
 class Encoding(ABC):
     """The encoding of one message type."""
 
+    may_hold_messages = False
+    """True if ROS messages may be within its values; a message may always stand for one."""
+
     encode: Callable[[Any], bytes]
     """Turns a value into bytes; see `Codec.encode` for its errors."""
     decode: Callable[[bytes], Any]

@@ -11,7 +11,7 @@ import datetime
 import decimal
 import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
@@ -20,6 +20,7 @@ from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
 from fibaction.types.base import Encoding
+from fibaction.types.ros_classes import is_message_class, message_class
 from fibaction.types.schemas import schema_of
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -27,6 +28,8 @@ _encode = msgspec.msgpack.Encoder().encode
 
 class MsgspecEncoding(Encoding):
     """A type that msgspec encodes and decodes."""
+
+    may_hold_messages = True
 
     def __init__(self, message_type: Any) -> None:
         """Check a type.
@@ -36,15 +39,22 @@ class MsgspecEncoding(Encoding):
             NameError: A field has a type that is not defined.
         """
         info = inspect.type_info(message_type)
-        _check_can_be_encoded(info, set())
+        messages: set[type] = set()
+        _check_can_be_encoded(info, set(), messages)
         self._type = message_type
         self.classes = tuple(_classes_of(info))
         self.encode = _encode
         self.decode = msgspec.msgpack.Decoder(message_type).decode
+        self._schema: Callable[[Any], dict[str, Any]] = schema_of
+        if messages:
+            from fibaction.types.ros_messages import decoder, schema
+
+            self.decode = decoder(message_type)
+            self._schema = schema
 
     def schema(self) -> dict[str, Any]:
         try:
-            return schema_of(self._type)
+            return self._schema(self._type)
         except TypeError:
             return {}
 
@@ -55,6 +65,10 @@ def encoding_of(message_type: Any) -> Encoding:
     Raises:
         TypeError: It cannot be encoded and decoded; the text is one sentence.
     """
+    if is_message_class(message_type):
+        from fibaction.types.ros_messages import RosEncoding
+
+        return RosEncoding(message_type)
     if "pydantic" in sys.modules and _has_pydantic(message_type, set()):
         from fibaction.types.pydantic_codec import PydanticEncoding  # which imports pydantic
 
@@ -118,8 +132,9 @@ _CLASSES: dict[type[inspect.Type], tuple[type, ...]] = {
 }
 
 
-def _check_can_be_encoded(info: object, seen: set[int]) -> None:
-    """Check that no class, however deeply nested, is one that msgspec would give to a hook.
+def _check_can_be_encoded(info: object, seen: set[int], messages: set[type]) -> None:
+    """Check that no class, however deeply nested, is one that msgspec would give to a hook, but for
+    those of ROS, which are added to `messages`.
 
     Raises:
         TypeError: A class is.
@@ -127,19 +142,25 @@ def _check_can_be_encoded(info: object, seen: set[int]) -> None:
     if id(info) in seen:  # a type may contain itself
         return
     seen.add(id(info))
-    if isinstance(info, inspect.CustomType) and info.cls is not object:
+    if isinstance(info, inspect.CustomType):
+        if info.cls is object:
+            return
+        if is_message_class(info.cls):
+            message_class(info.cls)  # which checks it
+            messages.add(info.cls)
+            return
         raise TypeError(
             f"{info.cls.__qualname__} cannot be encoded: use a msgspec.Struct, a dataclass, an"
             f" attrs class, a pydantic model, a TypedDict or a builtin"
         )
     if isinstance(info, inspect.Field):
-        _check_can_be_encoded(info.type, seen)
+        _check_can_be_encoded(info.type, seen, messages)
     elif isinstance(info, inspect.Type):
         for name in info.__struct_fields__:
             value: object = getattr(info, name)
             parts = cast("tuple[object, ...]", value if isinstance(value, tuple) else (value,))
             for part in parts:
-                _check_can_be_encoded(part, seen)
+                _check_can_be_encoded(part, seen, messages)
 
 
 def _classes_of(info: inspect.Type) -> Iterator[type]:

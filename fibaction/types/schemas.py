@@ -16,8 +16,10 @@ from msgspec import inspect
 from fibaction._runtime.plain_data import is_map
 
 
-def schema_of(message_type: Any) -> dict[str, Any]:
-    """Return the JSON Schema of a type.
+def schema_of(
+    message_type: Any, describe: Callable[[type], dict[str, Any]] | None = None
+) -> dict[str, Any]:
+    """Return the JSON Schema of a type. `describe` is a `schema_hook`.
 
     Raises:
         TypeError: JSON Schema cannot describe the type.
@@ -25,7 +27,7 @@ def schema_of(message_type: Any) -> dict[str, Any]:
     objects = list(_objects(inspect.type_info(message_type), set()))
     types = [message_type, *(kind.cls for kind in objects)]
     (schema, *references), parts = msgspec.json.schema_components(
-        types, ref_template="#/$defs/{name}"
+        types, schema_hook=describe, ref_template="#/$defs/{name}"
     )
     for kind, reference in zip(objects, references, strict=True):
         _, _, name = reference["$ref"].rpartition("/")

@@ -49,6 +49,11 @@ def test_a_value_out_of_its_limits_is_rejected_with_the_name_of_its_field(
     assert f"`{where}`" in str(caught.value)
 
 
-def test_the_module_of_a_struct_is_its_package(made: dict[str, Any]) -> None:
-    assert made["other_msgs_Gripper"].__module__ == "other_msgs"
-    assert made["PickUp_Goal"].__module__ == "robot_msgs"
+def test_a_struct_is_not_shown_as_the_class_of_ros(made: dict[str, Any]) -> None:
+    gripper, goal = made["other_msgs_Gripper"], made["PickUp_Goal"]
+    assert repr(gripper) == "<class 'fibaction.ros_types.other_msgs.msg.other_msgs_Gripper'>"
+    assert repr(goal) == "<class 'fibaction.ros_types.robot_msgs.action.PickUp_Goal'>"
+    assert (gripper.__ros_type__, goal.__ros_type__) == (
+        "other_msgs/msg/Gripper",
+        "robot_msgs/action/PickUp_Goal",
+    )

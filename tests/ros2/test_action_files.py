@@ -19,7 +19,7 @@ from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageD
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.parser import parse_action, parse_message
 from fibaction.interfaces.structs import make_structs
-from fibaction_transports.ros2.on_rclpy.message_kinds import message_kind
+from fibaction_transports.ros2.convert.message_classes import message_kind
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 
 _parser: Any = import_module("rosidl_adapter.parser")

@@ -12,9 +12,10 @@ import msgspec
 import pytest
 
 from fibaction.interfaces.ros_types import struct
+from fibaction.types import arrays
+from fibaction.types.arrays import LARGE_ARRAY
 from fibaction.words.errors import ProtocolError
-from fibaction_transports.ros2.convert import arrays, fields
-from fibaction_transports.ros2.convert.arrays import LARGE
+from fibaction_transports.ros2.convert import fields
 from fibaction_transports.ros2.convert.conversion import RosCodec
 from fibaction_transports.ros2.convert.fields import SINGLES, Kind, array_kind, text_kind
 from fibaction_transports.ros2.convert.message_types import MessageKind, MessagePart
@@ -81,7 +82,7 @@ def large(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> in
     if request.param == "without numpy":
         for module in (arrays, fields):
             monkeypatch.setattr(module, "numpy", lambda: None)
-    return LARGE
+    return LARGE_ARRAY
 
 
 @pytest.fixture
@@ -124,7 +125,7 @@ def test_numbers_are_arrays_of_a_fixed_number_or_of_any(large: int) -> None:
     assert (found["fixed"], found["floats"], found["uint8s"]) == ([1, 2, 3], many, b"\5")
 
 
-@pytest.mark.parametrize("count", [3, LARGE])
+@pytest.mark.parametrize("count", [3, LARGE_ARRAY])
 def test_octets_of_numbers_are_read_from_bytes_as_well(count: int, large: int) -> None:
     class Numbered(User, rename={"from_": "from"}):
         uint8s: list[int]  # type: ignore[assignment]  # as another user has it

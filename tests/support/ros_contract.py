@@ -13,6 +13,7 @@ MODULES = [
     "tests.contract.test_feedback",
     "tests.contract.test_leaving",
     "tests.contract.test_meta",
+    "tests.contract.test_ros_messages",
     "tests.contract.test_scheduling",
     "tests.contract.test_places",
     "tests.contract.test_senders",

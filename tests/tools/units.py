@@ -17,9 +17,18 @@ UNITS = {
         "tests/types/test_action.py",
         "tests/types/test_pydantic_codec.py",
     ],
+    "fibaction/types/action.py": [
+        "tests/types/test_action.py",
+        "tests/types/test_ros_messages.py",
+    ],
     "fibaction/types/encodings.py": [
         "tests/types/test_action.py",
         "tests/types/test_pydantic_codec.py",
+        "tests/types/test_ros_messages.py",
+    ],
+    "fibaction/types/ros_classes.py": [
+        "tests/types/test_action.py",
+        "tests/types/test_ros_messages.py",
     ],
     "fibaction/client/client.py": ["tests/client/test_client.py", "tests/client/test_goal_step.py"],
     "fibaction/client/goal_span.py": ["tests/observe/test_otel.py"],

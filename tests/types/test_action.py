@@ -20,6 +20,7 @@ from typing import (
     NewType,
     TypedDict,
     TypeVar,
+    cast,
 )
 
 import attrs
@@ -27,7 +28,8 @@ import msgspec
 import pytest
 from hypothesis import example, given, strategies
 
-from fibaction.types.action import INTERFACES, Action, ActionInfo, Codec
+from fibaction.types.action import Action, ActionInfo, Codec
+from fibaction.types.ros_classes import INTERFACES
 from fibaction.words.errors import ProtocolError, TransportError
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -667,20 +669,20 @@ def refuse(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
     raise TransportError("the ROS package 'arduinobot_msgs' is not installed here")
 
 
-Install = Callable[[str | None], None]
+Install = Callable[..., None]
 
 
 @pytest.fixture
 def install(monkeypatch: pytest.MonkeyPatch) -> Install:
     """Makes this the one that makes types from those of ROS; None removes all."""
 
-    def install(value: str | None) -> None:
+    def install(value: str | None, name: str = "ros2") -> None:
         entries = [
             EntryPoint(name="ros1", value="nowhere:make", group=INTERFACES),
             EntryPoint(name="ros2", value="nowhere:make", group="fibaction.transports"),
         ]
         if value is not None:
-            entries.append(EntryPoint(name="ros2", value=value, group=INTERFACES))
+            entries.append(EntryPoint(name=name, value=value, group=INTERFACES))
         monkeypatch.setattr("importlib.metadata.entry_points", EntryPoints(entries).select)
 
     return install
@@ -695,6 +697,14 @@ def test_an_action_from_ros_has_the_types_that_were_made(install: Install) -> No
     action = from_ros("arm/fibonacci")
     assert (action.goal.type, action.feedback.type, action.result.type) == (Goal, Feedback, Result)
     assert (action.name, action.type_name) == ("arm/fibonacci", "arduinobot_msgs/action/Fibonacci")
+
+
+def test_classes_of_ros_are_asked_for_by_name(install: Install) -> None:
+    install(f"{__name__}:make_three", "ros2_classes")
+    action = Action.from_ros("arduinobot_msgs/action/Fibonacci", name="fibonacci", classes="ros")
+    assert action.goal.type is Goal
+    with pytest.raises(ValueError, match=r"^classes is 'structs' or 'ros', not 'rclpy'$"):
+        Action.from_ros("a_msgs/action/A", name="a", classes=cast("Any", "rclpy"))
 
 
 def test_an_action_from_ros_has_a_name_like_any_other(install: Install) -> None:

@@ -37,7 +37,7 @@ class Checkpoints:
                 f"action {self._action!r} has no checkpoints: give their type to its Action, as"
                 f" `checkpoint=`"
             )
-        if not codec.holds(state):
+        if not codec.accepts(state):
             raise TypeError(
                 f"a checkpoint of action {self._action!r} is of type"
                 f" {_name_of(codec.type)}, not {excerpt(repr(state))}"

@@ -76,6 +76,6 @@ class LostAttempts(Generic[GoalT, FeedbackT, ResultT]):
         result = self._action.result
         if exc.result is None:
             return Ending(EndKind.FAILED, reason=exc.reason)
-        if not result.holds(exc.result):
+        if not result.accepts(exc.result):
             raise TypeError(f"{exc.result!r} is not of the result's type")
         return Ending(EndKind.FAILED, result.encode(exc.result), exc.reason)

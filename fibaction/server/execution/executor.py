@@ -17,7 +17,7 @@ The end of the generator becomes an `Ending`:
 - it returned after a result: RESULT;
 - it raised the cancellation, or `GoalCanceled`: CANCELED, with the partial result, if any;
 - it raised `GoalAborted`: FAILED, with the reason and the partial result;
-- it raised another exception, or broke a rule of executors (`_Misuse`): FAILED, with the error as
+- it raised another exception, or broke a rule of executors (`Misuse`): FAILED, with the error as
   the reason, and a traceback in the log `fibaction.server`.
 
 An executor that is killed and does not end is given up (`_given_up`): nothing awaits it any more.
@@ -49,6 +49,7 @@ from fibaction.server.execution.executor_life import (
 )
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.watchdog import Watch
+from fibaction.server.execution.yielded_items import Misuse, a, is_feedback_message
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import Ending, EndKind
@@ -188,7 +189,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             else:
                 ending = Ending(EndKind.RESULT, self._result)
                 if self._result is None:
-                    ending = self._failed(_Misuse("it ended without yielding a result"))
+                    ending = self._failed(Misuse("it ended without yielding a result"))
             if self.handle.steps is not None:
                 await self.handle.steps.settle(is_over=ending.kind is not EndKind.CANCELED)
             return ending
@@ -241,7 +242,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         if not isinstance(items, (AsyncGeneratorType, AsyncGenerator)):
             if isinstance(items, Coroutine):
                 items.close()  # or Python warns that it was never awaited
-            raise _Misuse(f"it is not an async generator: it returned {_a(cast('object', items))}")
+            raise Misuse(f"it is not an async generator: it returned {a(cast('object', items))}")
         return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
@@ -249,15 +250,17 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         step = _first(items)
         while True:
             try:
-                item = await step
+                item: Any = await step
             except StopAsyncIteration:
                 return
             except BaseException:
                 del step  # it may reference the exception, which references this frame
                 raise
             if self._result is not None:
-                raise _Misuse(f"it yielded {_a(item)} after its result")
-            if feedback.holds(item):
+                raise Misuse(f"it yielded {a(item)} after its result")
+            if feedback.holds(item) or (
+                not result.holds(item) and is_feedback_message(item, self._action)
+            ):
                 log = self._log
                 log.append(feedback.encode(item))
                 if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
@@ -269,11 +272,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                         # has set around that `yield`.
                         step = items.athrow(exc)
                         continue
-            elif result.holds(item):
+            else:
                 # The result is not a cancellation point, since the goal is done.
                 self._result = result.encode(item)
-            else:
-                raise _Misuse(f"it yielded {_a(item)}, which is neither feedback nor a result")
             step = items.__anext__()
 
     async def _pause(self) -> None:
@@ -290,9 +291,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         result = self._action.result
         if exc.result is None:
             return Ending(kind, self._result, exc.reason)
-        if not result.holds(exc.result):
+        if not result.accepts(exc.result):
             # Usually the error of another goal that the executor sent, and did not catch.
-            left_out = f"its result is left out: {_a(exc.result)} is not of the result's type"
+            left_out = f"its result is left out: {a(exc.result)} is not of the result's type"
             reason = f"{exc.reason} ({left_out})" if exc.reason else left_out
             self._log_failure(f"{type(exc).__name__}: {reason}", exc)
             return Ending(kind, self._result, reason)
@@ -303,7 +304,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
 
     def _failed(self, exc: BaseException) -> Ending:
         reason = text_of(exc)
-        if isinstance(exc, _Misuse):
+        if isinstance(exc, Misuse):
             reason = f"the executor is wrong: {exc}"
         self._log_failure(reason, exc)
         return Ending(EndKind.FAILED, self._result, reason)
@@ -341,10 +342,6 @@ def _first(items: AsyncGenerator[T, None]) -> Awaitable[T]:
         sys.set_asyncgen_hooks(*hooks)
 
 
-class _Misuse(Exception):
-    """A rule of executors that the user's generator broke."""
-
-
 def _cause(exc: BaseException) -> BaseException | None:
     """Return the error, out of any exception group around it; None if it is a cancellation."""
     canceled = get_cancelled_exc_class()
@@ -358,8 +355,3 @@ def _cause(exc: BaseException) -> BaseException | None:
         return None
     first, *others = rest.exceptions
     return rest if others else _cause(first)
-
-
-def _a(value: object) -> str:
-    name = type(value).__qualname__
-    return f"an {name}" if name[0] in "AEIOUaeiou" else f"a {name}"

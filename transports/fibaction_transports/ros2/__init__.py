@@ -1,6 +1,21 @@
 """Actions of ROS 2: servers for any client of ROS, and clients of any server of ROS."""
 
-from fibaction_transports.ros2.dds_transport import DdsTransport
-from fibaction_transports.ros2.ros2_transport import Ros2Transport
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fibaction_transports.ros2.dds_transport import DdsTransport
+    from fibaction_transports.ros2.ros2_transport import Ros2Transport
 
 __all__ = ["DdsTransport", "Ros2Transport"]
+
+_MODULES = {"DdsTransport": "dds_transport", "Ros2Transport": "ros2_transport"}
+
+
+def __getattr__(name: str) -> Any:
+    # ROS messages in actions of other transports need `convert` alone, which takes no nodes.
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

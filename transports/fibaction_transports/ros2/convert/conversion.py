@@ -112,6 +112,12 @@ class RosAction:
         goal, feedback, result = (kind.default for kind in self._kinds)
         return goal, feedback, result
 
+    @property
+    def classes(self) -> tuple[Any, Any, Any]:
+        """The classes of the messages of the goal, the feedback and the result."""
+        goal, feedback, result = (kind.cls for kind in self._kinds)
+        return goal, feedback, result
+
     def info(self, name: str) -> ActionInfo:
         """Return the description of an action, for users without types of their own."""
         return ActionInfo(name, self.type_name, *map(msgspec.json.schema, self.types))

@@ -22,7 +22,7 @@ from msgspec import Meta
 
 from fibaction.interfaces.ros_types import PRIMITIVES, Byte, limited, string
 from fibaction.interfaces.ros_types import array as array_of
-from fibaction_transports.ros2.convert.arrays import LARGE, numpy, pack, unpack
+from fibaction.types.arrays import LARGE_ARRAY, numpy, pack, unpack
 from fibaction_transports.ros2.convert.schemas import ANYTHING, Option, UserSchema
 
 Convert: TypeAlias = Callable[[Any], Any] | None
@@ -288,9 +288,11 @@ class Numbers(ArrayKind):
 
     def _read(self, numbers: Any) -> Any:
         # A default of the field is in a list, which shows no memory.
-        is_large = numbers.__class__ is not list and len(numbers) >= LARGE
+        is_large = numbers.__class__ is not list and len(numbers) >= LARGE_ARRAY
         if is_large and numpy() is not None:
-            return pack(numpy().frombuffer(numbers, self.number.dtype))
+            # A program may have put an array of another type there, which ROS's classes allow.
+            held = memoryview(numbers) if isinstance(numbers, bytes) else numbers
+            return pack(numpy().asarray(held).astype(self.number.dtype, copy=False))
         to_list = getattr(numbers, "tolist", None)
         return list(numbers) if to_list is None else to_list()
 
@@ -311,7 +313,9 @@ class Numbers(ArrayKind):
             converted = numbers.astype(self.number.dtype)
         if self.number.code == "f" and not numpy().isfinite(converted).all():
             return None
-        return array.array(self.number.code, converted.tobytes())
+        made: array.array[Any] = array.array(self.number.code)
+        made.frombytes(memoryview(converted).cast("B"))
+        return made
 
     def _fits(self, numbers: Any) -> bool:
         count = len(numbers)

@@ -9,8 +9,8 @@ from typing import Any
 
 from fibaction.words.errors import ProtocolError, TransportError, text_of
 from fibaction_transports.ros2.convert.conversion import RosAction, check_action_type
+from fibaction_transports.ros2.convert.message_classes import message_kind
 from fibaction_transports.ros2.node.ros_node import RosTypes
-from fibaction_transports.ros2.on_rclpy.message_kinds import message_kind
 from fibaction_transports.ros2.on_rclpy.rcl import (
     GoalInfoMessage,
     ParameterMessage,

@@ -1,5 +1,8 @@
 """The kinds of ROS's generated classes, and of their fields.
 
+They are made from what a class says of its fields, `get_fields_and_field_types()`, so no module of
+ROS is imported but that of a nested message.
+
 These classes check little or nothing, and their C code asserts, or cuts values off. A message has a
 `byte` as `bytes` of length 1, several of them as a list, and a fixed number of numbers as an array
 of numpy.
@@ -7,6 +10,7 @@ of numpy.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from typing import Any, cast
@@ -14,8 +18,9 @@ from typing import Any, cast
 import msgspec
 
 from fibaction.interfaces.ros_types import struct
+from fibaction.types.arrays import numpy
 from fibaction.words.errors import TransportError
-from fibaction_transports.ros2.convert.arrays import numpy
+from fibaction_transports.ros2.convert.conversion import RosCodec
 from fibaction_transports.ros2.convert.fields import (
     SINGLES,
     ArrayKind,
@@ -31,8 +36,6 @@ from fibaction_transports.ros2.convert.fields import (
 from fibaction_transports.ros2.convert.message_types import DurationKind, MessageKind, TimeKind
 from fibaction_transports.ros2.convert.schemas import Option, UserSchema
 
-_definition: Any = import_module("rosidl_parser.definition")
-
 _SPECIAL = {"Time": TimeKind, "Duration": DurationKind}
 _OCTETS = [bytes([number]) for number in range(256)]
 
@@ -46,14 +49,14 @@ def message_kind(cls: Any) -> MessageKind:
     """
     package, folder = cls.__module__.split(".")[:2]
     text = f"{package}/{cls.__name__}"
-    slots = zip(cls.get_fields_and_field_types(), cls.SLOT_TYPES, strict=True)
-    fields = {name: _kind_of(slot, f"{text}.{name}") for name, slot in slots}
-    default = _struct(cls, fields, text, f"{package}.{folder}")
+    described: dict[str, str] = cls.get_fields_and_field_types()
+    fields = {name: _kind_of(kind, f"{text}.{name}") for name, kind in described.items()}
+    default = _struct(cls, fields, text, f"{package}/{folder}/{cls.__name__}")
     special = _SPECIAL if package == "builtin_interfaces" else {}
     return special.get(cls.__name__, MessageKind)(text, cls, fields, default)
 
 
-def _struct(cls: Any, kinds: dict[str, Kind], text: str, module: str) -> type[msgspec.Struct]:
+def _struct(cls: Any, kinds: dict[str, Kind], text: str, ros_type: str) -> type[msgspec.Struct]:
     """Return a struct with the fields, the defaults and the constants of a message."""
     message = cls()
     fields: list[tuple[str, Any, Any]] = []
@@ -64,9 +67,10 @@ def _struct(cls: Any, kinds: dict[str, Kind], text: str, module: str) -> type[ms
     return struct(
         cls.__name__,
         fields,
-        module=module,
+        module=__name__,
         doc=f"`{text}` of ROS 2.",
         constants=_constants(cls),
+        ros_type=ros_type,
     )
 
 
@@ -82,7 +86,7 @@ def _constants(cls: Any) -> dict[str, Any]:
     return {name: ord(one) if isinstance(one, bytes) else one for name, one in constants.items()}
 
 
-class _RclpyOctet(Octet):
+class _ClassOctet(Octet):
     """A `byte`: `bytes` of length 1 in a message."""
 
     def match(self, option: Option, path: str, problems: list[str]) -> Part:
@@ -93,7 +97,7 @@ def _octet(value: int | bytes) -> bytes:
     return _OCTETS[value] if isinstance(value, int) else value
 
 
-class _RclpyOctets(ArrayKind):
+class _ClassOctets(ArrayKind):
     """Several `byte`s: a list of `bytes` of length 1 in a message."""
 
     words = ("array", "bytes")
@@ -131,37 +135,70 @@ def _text(value: str) -> str:
     return value
 
 
-_SINGLES: dict[str, Kind] = {
+_CLASS_SINGLES: dict[str, Kind] = {
     **SINGLES,
     "boolean": SINGLES["bool"],
-    "octet": _RclpyOctet(),
+    "octet": _ClassOctet(),
     "float": SINGLES["float32"],
     "double": SINGLES["float64"],
 }
-"""The basic types that ROS's Python can handle, by their names in `rosidl_parser.definition`."""
+"""The basic types that ROS's Python can handle, by the names that its classes have for them."""
+_SEQUENCE, _TEXT = "sequence<", ("string", "wstring")
 
 
-def _kind_of(slot: Any, where: str) -> Kind:
-    """Return the kind of a field from ROS's description of its type."""
-    if isinstance(slot, _definition.AbstractNestedType):
-        element = _kind_of(slot.value_type, where)
-        size = slot.size if isinstance(slot, _definition.Array) else None
-        bounded = isinstance(slot, _definition.BoundedSequence)
-        return _many(element, size, slot.maximum_size if bounded else None)
-    if isinstance(slot, _definition.AbstractGenericString):
-        bound = slot.maximum_size if slot.has_maximum_size() else None
-        wide = isinstance(slot, _definition.AbstractWString)
-        return text_kind(wide, bound, None if wide else _text)
-    if isinstance(slot, _definition.NamespacedType):
-        return message_kind(getattr(import_module(".".join(slot.namespaces)), slot.name))
-    if slot.typename in _SINGLES:
-        return _SINGLES[slot.typename]
-    raise TransportError(f"{where} is a {slot.typename}, which ROS itself cannot handle in Python")
+def _kind_of(text: str, where: str) -> Kind:
+    """Return the kind of a field from its type in the words of a class: `sequence<double, 3>`."""
+    if text.startswith(_SEQUENCE):
+        inner = text.removeprefix(_SEQUENCE).removesuffix(">")
+        element, _, bound = inner.rpartition(", ")
+        return _many(_kind_of(element or bound, where), None, int(bound) if element else None)
+    if text.endswith("]"):
+        element, _, size = text.removesuffix("]").rpartition("[")
+        return _many(_kind_of(element, where), int(size), None)
+    name, _, rest = text.partition("<")
+    if name in _TEXT:
+        is_wide = name == "wstring"
+        bound = rest.removesuffix(">")
+        return text_kind(is_wide, int(bound) if bound else None, None if is_wide else _text)
+    if "/" in text:
+        package, _, name = text.partition("/")
+        return message_kind(getattr(import_module(f"{package}.msg"), name))
+    if text in _CLASS_SINGLES:
+        return _CLASS_SINGLES[text]
+    raise TransportError(f"{where} is a {text}, which ROS itself cannot handle in Python")
 
 
 def _many(element: Kind, size: int | None, bound: int | None) -> ArrayKind:
     if isinstance(element, Number) and size is not None:
         return _FixedNumbers(element, size, bound)
     if isinstance(element, Octet):
-        return _RclpyOctets(element, size, bound)
+        return _ClassOctets(element, size, bound)
     return array_kind(element, size, bound)
+
+
+class ClassCodec:
+    """A class of ROS, as any action uses it."""
+
+    def __init__(self, cls: Any) -> None:
+        """Describe a class.
+
+        Raises:
+            TransportError: It has a field that ROS's own Python code cannot handle.
+        """
+        self._kind = message_kind(cls)
+        self.struct = self._kind.default
+        """A struct with its fields, defaults and constants."""
+        part: Any = self._kind.bind(UserSchema(None), "", [])
+        self.decode: Callable[[bytes], Any] = RosCodec(part).to_ros
+
+    def reader(self, schema: Mapping[str, Any]) -> Callable[[Any], Any]:
+        """Return what makes plain data of a message, as a type with this JSON Schema has it.
+
+        Raises:
+            TypeError: The type does not match; the text lists the fields.
+        """
+        problems: list[str] = []
+        read = self._kind.bind(UserSchema(schema), "$", problems).read
+        if read is None:
+            raise TypeError("; ".join(problems))
+        return read

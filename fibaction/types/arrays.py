@@ -1,7 +1,7 @@
-"""Large arrays of numbers: conversion between msgpack and numpy.
+"""Arrays of numbers of `array` and of numpy, in values and as msgpack.
 
-This is an optimisation, which makes no Python object for each number. Arrays that do not fit here
-are left to msgspec, and without numpy, all of them. This module does not use ROS.
+Large ones make no Python object for each number. Arrays that do not fit here are left to msgspec,
+and without numpy, all of them. Numpy is imported by the first large array.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-LARGE = 256
+LARGE_ARRAY = 256
 """Numbers from which on it is worth it. With fewer, msgspec is as fast."""
 
 # In msgpack, a number is a byte for its type, and then the number itself, big-endian. Integers from
@@ -34,6 +34,10 @@ _INLINE = "i1"
 _LEAST_INLINE, _MOST_INLINE = -32, 127
 _FLOATS = {4: 0xCA, 8: 0xCB}
 _INTEGERS = (0xD0, 0xCC, 0xD1, 0xCD, 0xD2, 0xCE, 0xD3, 0xCF)
+
+_OCTETS = ("B", "u1")
+_PACKED = (*"bhHiIlLqQfd", "i1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
+"""The types of `array`, and those of numpy in either byte order, that can be packed."""
 
 _ARRAY_16, _ARRAY_32 = 0xDC, 0xDD
 _HEAD = 5  # the length of the head of a large array: its type, and the count
@@ -82,6 +86,23 @@ def _tag_for(numbers: Any) -> int | None:
     return next(tag for tag, one in limits if one.min <= least and most <= one.max)
 
 
+def plain_array(numbers: Any) -> Any:
+    """Return an array of `array` or of numpy, or a number of numpy, as msgspec can encode it.
+
+    One dimension of numbers of 8 bits without a sign is bytes, as in ROS's messages.
+    """
+    code, dimensions = getattr(numbers, "typecode", ""), getattr(numbers, "ndim", 1)
+    kind = code or numbers.dtype.str[1:]
+    if dimensions == 1 and kind in _OCTETS:
+        view = memoryview(numbers)
+        return view if view.c_contiguous else view.tobytes()
+    if dimensions == 1 and kind in _PACKED and len(numbers) >= LARGE_ARRAY and numpy() is not None:
+        return pack(numpy().asarray(numbers))
+    if kind.startswith("f") and kind not in _PACKED:  # of 16 bits, or more than 64
+        numbers = numbers.astype("f8")
+    return numbers.tolist()
+
+
 def unpack(packed: msgspec.Raw) -> Any:
     """Return the numbers of a large array in msgpack; None if they are not all of one type, or
     without numpy.
@@ -93,7 +114,7 @@ def unpack(packed: msgspec.Raw) -> Any:
         count, body = int.from_bytes(view[1:5], "big"), view[5:]
     else:
         return None
-    if count < LARGE or numpy() is None:
+    if count < LARGE_ARRAY or numpy() is None:
         return None
     if len(body) == count:
         numbers = numpy().frombuffer(body, _INLINE)

@@ -1,0 +1,246 @@
+"""ROS messages as values of actions, and within them.
+
+A value is first given to msgspec, which knows nothing of ROS and costs nothing more. If it meets
+something that it does not know, the value comes here: messages in it are replaced by plain data, as
+the type that is declared at their place has it. What is declared is known from the fields of
+classes, so a message of another type is found before anything is sent.
+"""
+
+from __future__ import annotations
+
+import array
+import copy
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from typing import Any, cast
+
+import msgspec
+from msgspec import inspect
+
+from fibaction._runtime.plain_data import is_list, is_map
+from fibaction._runtime.text import excerpt
+from fibaction.types.arrays import plain_array
+from fibaction.types.base import Encoding
+from fibaction.types.ros_classes import is_message, is_message_class, message_class, ros_type_of
+from fibaction.types.schemas import schema_of
+from fibaction.words.errors import ProtocolError
+
+_REMEMBERED = 256
+"""Pairs of a declared type and a class of ROS that are kept, and classes whose fields are."""
+_ANY = inspect.AnyType()
+_REFERENCE = b"#/$defs/"
+
+
+class RosEncoding(Encoding):
+    """A class of ROS itself."""
+
+    def __init__(self, kind: Any) -> None:
+        """Describe the class.
+
+        Raises:
+            TypeError: ROS itself cannot handle one of its fields in Python.
+        """
+        made = message_class(kind)
+        self._kind = kind
+        self._struct = made.struct
+        self._read = made.reader({})
+        self.classes = (kind,)
+        self.encode = self._encode
+        self.decode = made.decode
+
+    def schema(self) -> dict[str, Any]:
+        return schema_of(self._struct)
+
+    def _encode(self, message: Any) -> bytes:
+        if not isinstance(message, self._kind):
+            raise _other_type(ros_type_of(self._kind), message)
+        return encode(self._read(message))
+
+
+def plain(value: Any) -> Any:
+    """Return a value that msgspec does not know as one that it does.
+
+    Raises:
+        TypeError: It is neither a ROS message nor of a library of arrays.
+    """
+    if is_message(value):
+        return reader_of(value, Any)(value)
+    if isinstance(value, array.array) or hasattr(value, "dtype"):
+        return plain_array(value)
+    raise TypeError(f"Encoding objects of type {type(value).__name__} is unsupported")
+
+
+encode = msgspec.msgpack.Encoder(enc_hook=plain).encode
+"""Turns a value with ROS messages and arrays in it into bytes."""
+
+
+def encoded(value: Any, declared: Any, ros_type: str, encoding: Encoding) -> bytes | None:
+    """Encode a value that its encoding cannot encode; None if it is not one for here.
+
+    Raises:
+        TypeError: It has an object in it that cannot be sent, or a ROS message of another type.
+    """
+    if is_message(value):
+        return encode(reader_of(value, declared, ros_type, encoding=encoding)(value))
+    if not encoding.may_hold_messages:
+        return None
+    return encode(_replaced(value, inspect.type_info(declared), "$"))
+
+
+def decoder(kind: Any) -> Callable[[bytes], Any]:
+    """Return what decodes a type that has classes of ROS in its fields."""
+    return msgspec.msgpack.Decoder(kind, dec_hook=_made).decode
+
+
+def _made(kind: Any, data: Any) -> Any:
+    """Make a message of plain data.
+
+    Raises:
+        ValueError: The data are not such a message; msgspec adds where they are.
+    """
+    if not is_message_class(kind):
+        return data  # of the type `object`
+    try:
+        return message_class(kind).decode(encode(data))
+    except ProtocolError as exc:
+        raise ValueError(str(exc).replace(" - at `$", " in `")) from None
+
+
+def schema(kind: Any) -> dict[str, Any]:
+    """Return the JSON Schema of a type that has classes of ROS in its fields.
+
+    Raises:
+        TypeError: There is none for it.
+    """
+    definitions: dict[str, Any] = {}
+    made = schema_of(kind, partial(_described, definitions))
+    return {**made, "$defs": {**made.get("$defs", {}), **definitions}}
+
+
+def _described(definitions: dict[str, Any], kind: Any) -> dict[str, Any]:
+    """Return the JSON Schema of a class of ROS.
+
+    What it refers to is put into `definitions`, under names that no other type has.
+    """
+    if not is_message_class(kind):
+        raise NotImplementedError
+    text = msgspec.json.encode(schema_of(message_class(kind).struct))
+    prefix = ros_type_of(kind).replace("/", ".") + "."
+    made: dict[str, Any] = msgspec.json.decode(
+        text.replace(_REFERENCE, _REFERENCE + prefix.encode())
+    )
+    definitions.update({f"{prefix}{name}": one for name, one in made.pop("$defs").items()})
+    return made
+
+
+def reader_of(
+    message: object,
+    declared: Any,
+    ros_type: str = "",
+    path: str = "",
+    encoding: Encoding | None = None,
+) -> Callable[[Any], Any]:
+    """Return what makes plain data of a message for a place with this declared type.
+
+    `ros_type` is the ROS 2 type of what is declared, if the type itself does not say it, and
+    `encoding` that of the type; None if it is the type of a field.
+
+    Raises:
+        TypeError: The message is of another type.
+    """
+    expected = ros_type or ros_type_of(declared)
+    if expected and expected != ros_type_of(type(message)):
+        raise _other_type(expected, message, path)
+    try:
+        return _reader(cast("Any", type(message)), declared, encoding)
+    except TypeError as exc:
+        name = declared.__qualname__ if isinstance(declared, type) else excerpt(str(declared))
+        raise TypeError(f"{_other_type(name, message, path)}: {exc}") from None
+
+
+def _other_type(expected: str, value: object, path: str = "") -> TypeError:
+    got = ros_type_of(type(value)) or type(value).__qualname__
+    where = f" - at `{path}`" if path else ""
+    return TypeError(f"Expected `{expected}`, got `{got}`{where}")
+
+
+@lru_cache(_REMEMBERED)
+def _reader(kind: Any, declared: Any, encoding: Encoding | None) -> Callable[[Any], Any]:
+    if declared is Any:
+        return message_class(kind).reader({})
+    return message_class(kind).reader(schema(declared) if encoding is None else encoding.schema())
+
+
+def _replaced(value: Any, info: inspect.Type, path: str) -> Any:
+    """Return a value with the ROS messages in it replaced by plain data; the same one if it has
+    none. `info` is the type that is declared at its place, and `path` leads there.
+    """
+    if is_message(value):
+        return reader_of(value, _declared(value, info), path=path)(value)
+    if is_map(value):
+        new = {key: _replaced(one, _item(info, key), f"{path}.{key}") for key, one in value.items()}
+        return new if any(new[key] is not one for key, one in value.items()) else value
+    if is_list(value) or isinstance(value, tuple):
+        listed = cast("list[Any]", value)
+        items = [_replaced(one, _item(info), f"{path}[{at}]") for at, one in enumerate(listed)]
+        is_same = all(new is old for new, old in zip(items, listed, strict=True))
+        return listed if is_same else items
+    return _with_fields_replaced(value, path)
+
+
+def _with_fields_replaced(value: object, path: str) -> Any:
+    changed: dict[str, Any] = {}
+    for name, kind in _fields(cast("Any", type(value))).items():
+        old = getattr(value, name, None)
+        new = _replaced(old, kind, f"{path}.{name}")
+        if new is not old:
+            changed[name] = new
+    if not changed:
+        return value
+    made = copy.copy(value)
+    is_struct = isinstance(made, msgspec.Struct)
+    put: Any = msgspec.structs.force_setattr if is_struct else object.__setattr__
+    for name, new in changed.items():
+        put(made, name, new)
+    return made
+
+
+@lru_cache(_REMEMBERED)
+def _fields(kind: type[Any]) -> Mapping[str, inspect.Type]:
+    """Return the types of the fields of a class; of one without fields, nothing."""
+    if not any(hasattr(kind, name) for name in _MARKS_OF_FIELDS):
+        return {}
+    fields: tuple[inspect.Field, ...] = getattr(inspect.type_info(kind), "fields", ())
+    return {field.name: field.type for field in fields}
+
+
+_MARKS_OF_FIELDS = ("__struct_fields__", "__dataclass_fields__", "__attrs_attrs__")
+
+
+def _options(info: inspect.Type) -> list[inspect.Type]:
+    """Return the types that a declared type allows."""
+    if isinstance(info, inspect.Metadata):
+        return _options(info.type)
+    if isinstance(info, inspect.UnionType):
+        return [option for one in info.types for option in _options(one)]
+    return [info]
+
+
+def _item(info: inspect.Type, key: str = "") -> inspect.Type:
+    """Return the type of the items of a list or a dict; of a `TypedDict`, that of one key."""
+    for option in _options(info):
+        for field in getattr(option, "fields", ()):
+            if field.encode_name == key:
+                return cast("inspect.Type", field.type)
+        found = getattr(option, "item_type", getattr(option, "value_type", None))
+        if found is not None:
+            return cast("inspect.Type", found)
+    return _ANY
+
+
+def _declared(message: object, info: inspect.Type) -> Any:
+    """Return the class that is declared at the place of a message; of several, that of its type."""
+    classes = [kind for one in _options(info) if (kind := getattr(one, "cls", None)) is not None]
+    name = ros_type_of(type(message))
+    same = [kind for kind in classes if ros_type_of(kind) == name]
+    return (same or classes or [Any])[0]
