@@ -381,3 +381,24 @@ def test_pydantic_is_not_imported_unless_the_program_has_done_so() -> None:
 def test_other_types_are_left_to_msgspec_though_pydantic_is_there() -> None:
     with pytest.raises(TypeError, match=r"^Foreign cannot be encoded: use a msgspec\.Struct, "):
         Codec(Foreign)
+
+
+class Place(BaseModel):
+    """A model in a model."""
+
+    x: float = 0
+
+
+class Ride(BaseModel):
+    """A model with a default of each kind."""
+
+    to: Place = Field(default_factory=lambda: Place(x=2))
+    id: uuid.UUID = Field(default_factory=uuid.uuid4)
+    by: str = "me"
+
+
+def test_models_of_pydantic_have_the_defaults_that_functions_make() -> None:
+    codec = JsonCodec(Action("ride", goal=Ride, feedback=int, result=str).info.goal)
+    message = codec.complete({})
+    assert message == {"to": {"x": 2.0}, "by": "me"}
+    assert codec.left_out(message) == ["id"]

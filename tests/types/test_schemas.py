@@ -11,9 +11,7 @@ from typing import Annotated, Any, Generic, NamedTuple, NotRequired, TypedDict, 
 
 import msgspec
 import pytest
-from pydantic import BaseModel, Field
 
-from fibaction import Action
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.schemas import schema_of
 
@@ -144,24 +142,3 @@ def test_a_default_that_differs_or_fails_is_left_to_the_server(factory: Callable
 
 def test_a_field_that_may_be_missing_has_no_default() -> None:
     assert completed(Part, {"name": "a"}) == ({"name": "a"}, ["size"])
-
-
-class Place(BaseModel):
-    """A model in a model."""
-
-    x: float = 0
-
-
-class Ride(BaseModel):
-    """A model with a default of each kind."""
-
-    to: Place = Field(default_factory=lambda: Place(x=2))
-    id: uuid.UUID = Field(default_factory=uuid.uuid4)
-    by: str = "me"
-
-
-def test_models_of_pydantic_have_the_defaults_that_functions_make() -> None:
-    codec = JsonCodec(Action("ride", goal=Ride, feedback=int, result=str).info.goal)
-    message = codec.complete({})
-    assert message == {"to": {"x": 2.0}, "by": "me"}
-    assert codec.left_out(message) == ["id"]
