@@ -23,9 +23,6 @@ from fibaction.wire.settings import ConnectKeywords, ServeKeywords
 from fibaction.words.errors import TransportError
 from fibaction.words.goals import ActionPeers, WorkerInfo
 
-if TYPE_CHECKING:
-    pass
-
 
 class ClientConnection(Connection):
     """An open connection, as `connect` returns it: the source of clients of all its actions.
@@ -83,6 +80,10 @@ class ClientConnection(Connection):
     async def peers(self, action: str) -> ActionPeers:
         """Return the servers and the clients of an action: see `Connection.peers`."""
         return await self._connection.peers(action)
+
+    async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
+        """Return the texts of an action's interface files: see `Connection.interface_texts`."""
+        return await self._connection.interface_texts(action)
 
     async def workers(self) -> list[WorkerInfo]:
         """Return the workers of the fleet: see `Connection.workers`."""

@@ -24,7 +24,7 @@ from fibaction.border.goal_request import GoalRequest
 from fibaction.border.goal_store import GoalStore, StoredGoal
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.types.action import Action, ActionInfo
-from fibaction.words.errors import StoreError
+from fibaction.words.errors import StoreError, TransportError
 from fibaction.words.goals import ActionPeers, GoalID, WorkerInfo
 from fibaction.words.meta import Meta
 
@@ -69,6 +69,18 @@ class Connection(ABC):
             TransportError, ProtocolError: As for `actions`.
         """
         return ActionPeers()
+
+    async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
+        """Return the texts of the `.action` file of an action, and of the `.msg` files that it
+        nests, by the types that they define, as `define_action` takes them.
+
+        Raises:
+            TransportError: They are not known, or not all of them; the text says how to get them.
+        """
+        raise TransportError(
+            f"the types of {action.name!r} are known here as JSON Schemas only: connect to the"
+            " robot itself, at dds:// or ros2://"
+        )
 
     async def workers(self) -> list[WorkerInfo]:
         """Return the workers of the fleet; empty if this transport has no fleet.

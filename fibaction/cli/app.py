@@ -50,7 +50,7 @@ VERBS = {
     "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
     "console": ("console", "console_command", "Operate actions in the browser."),
     "mcp": ("serve_mcp", "mcp_command", "Serve actions as tools of language models."),
-    "gen": ("gen", "gen_command", "Write Python types for an .action file."),
+    "gen": ("gen", "gen_command", "Write Python types for .action files or a robot."),
 }
 """Each verb: its module in `fibaction.cli.verbs`, the name of its command there, and its short
 help."""

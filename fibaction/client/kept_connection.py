@@ -97,6 +97,9 @@ class KeptConnection(Connection):
     async def peers(self, action: str) -> ActionPeers:
         return await self._host.connection.peers(action)
 
+    async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
+        return await self._host.connection.interface_texts(action)
+
     async def workers(self) -> list[WorkerInfo]:
         return await self._host.connection.workers()
 

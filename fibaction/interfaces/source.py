@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from fibaction.interfaces.definitions import FieldDefinition, FieldType
@@ -30,39 +30,50 @@ def python_source(action: ActionFile) -> str:
 
     The action is a constant with its name in capitals.
     """
-    messages = action.messages()
-    names = _Names(_names_in(messages))
-    classes = [line for message in messages for line in ("", "", *_class(message, names))]
-    arguments = [
-        _literal(action.name),
-        f"goal={action.goal.class_name}",
-        f"feedback={action.feedback.class_name}",
-        f"result={action.result.class_name}",
-        *([f"type_name={_literal(action.type_name)}"] if action.type_name else []),
-    ]
-    constant = re.sub(r"\W+", "_", action.name).strip("_").upper()
-    if constant in {message.class_name for message in messages}:
-        constant += "_"
-    made = [
-        f"{constant} = {names.use('Action', 'fibaction')}(",
-        *(f"    {argument}," for argument in arguments),
-        ")",
-        *_definition(action, names),
-    ]
-    head = [
+    about = [
         f'"""The messages of `{action.type_name or action.path.stem}`.',
         "",
         f"Written by `fibaction gen` from {action.path.name}.",
         "Change that file, not this one.",
         '"""',
     ]
-    return "\n".join([*head, *names.imports(), *classes, "", "", *made, ""])
+    return module_source([action], about)
+
+
+def module_source(actions: Sequence[ActionFile], about: Iterable[str]) -> str:
+    """Return the source of a module with these actions, and with a class for each message of all.
+
+    Messages of one class name must be the same. `about` are the lines of the docstring.
+    """
+    found = {one.class_name: one for action in actions for one in action.messages()}
+    messages = list(found.values())
+    names = _Names(_names_in(messages))
+    classes = [line for message in messages for line in ("", "", *_class(message, names))]
+    taken = set(found)
+    made = [line for action in actions for line in ("", *_action(action, taken, names))]
+    by_type = {action.type_name: action for action in actions if action.type_name}
+    defined = [line for action in by_type.values() for line in _definition(action, names)]
+    return "\n".join([*about, *names.imports(), *classes, "", *made, *defined, ""])
+
+
+def _action(action: ActionFile, taken: set[str], names: _Names) -> Iterator[str]:
+    """Yield an action as a constant, whose name becomes one of those that are taken."""
+    constant = re.sub(r"\W+", "_", action.name).strip("_").upper()
+    while constant in taken:
+        constant += "_"
+    taken.add(constant)
+    yield f"{constant} = {names.use('Action', 'fibaction')}("
+    yield f"    {_literal(action.name)},"
+    yield f"    goal={action.goal.class_name},"
+    yield f"    feedback={action.feedback.class_name},"
+    yield f"    result={action.result.class_name},"
+    if action.type_name:
+        yield f"    type_name={_literal(action.type_name)},"
+    yield ")"
 
 
 def _definition(action: ActionFile, names: _Names) -> Iterator[str]:
-    """Yield the call that defines the type for `dds://`, if it is known."""
-    if not action.type_name:
-        return
+    """Yield the call that defines the type for `dds://`."""
     yield ""
     yield f"{names.use('define_action', 'fibaction.action_files')}("
     yield f"    {_literal(action.type_name)},"

@@ -26,7 +26,13 @@ from fibaction.border.abc import (
     Transport,
 )
 from fibaction.types.action import Action, ActionInfo
-from fibaction.words.errors import ActionError, ConnectionLost, StoreError, UnknownGoal
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    StoreError,
+    TransportError,
+    UnknownGoal,
+)
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
@@ -349,6 +355,12 @@ class Nowhere(Connection):
 @pytest.mark.asyncio
 async def test_a_connection_need_not_know_its_peers() -> None:
     assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
+
+
+@pytest.mark.asyncio
+async def test_a_connection_need_not_know_interface_files() -> None:
+    with pytest.raises(TransportError, match=r"connect to the robot itself, at dds:// or ros2://"):
+        await Nowhere().interface_texts(FIBONACCI.info)
 
 
 @pytest.mark.asyncio

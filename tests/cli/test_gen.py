@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
 
+from fibaction import ActionInfo, ConnectionLost, TransportError
+from fibaction.border.abc import Connection, Endpoint
 from fibaction.cli.verbs import gen
 from tests.cli.conftest import Invoke, Run
 
@@ -125,3 +129,135 @@ def test_a_server_without_actions_has_no_types(
 
     assert done.exit_code == 2
     assert done.stderr == "Error: robot:server serves no actions, so there are no types\n"
+
+
+# Of a robot
+
+PICK, PLACE = "arm_msgs/action/Pick", "arm_msgs/action/Place"
+ROBOT = "dds://?domain_id=3"
+
+
+class _Robot(Connection):
+    """A connection to a robot whose types are these texts, or these errors."""
+
+    def __init__(self, actions: dict[str, dict[str, str] | TransportError]) -> None:
+        self._actions = actions
+
+    def endpoint(self, action: object) -> Endpoint:
+        raise NotImplementedError
+
+    async def actions(self) -> list[ActionInfo]:
+        return [ActionInfo(name, f"arm_msgs/action/{name.title()}") for name in self._actions]
+
+    async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
+        texts = self._actions[action.name]
+        if isinstance(texts, TransportError):
+            raise texts
+        return texts
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, str] | TransportError]:
+    """The actions of the robot at `ROBOT`."""
+    found: dict[str, dict[str, str] | TransportError] = {
+        "pick": {PICK: "int32 x\n---\n---\n"},
+        "place": {PLACE: "int32 y\n---\n---\n"},
+    }
+
+    @asynccontextmanager
+    async def connect(url: str) -> AsyncGenerator[Connection, None]:
+        assert url == ROBOT
+        yield _Robot(found)
+
+    monkeypatch.setattr(gen, "connect", connect)
+    return found
+
+
+@pytest.mark.usefixtures("served")
+def test_all_actions_of_a_robot_are_one_module(invoke: Invoke, tmp_path: Path) -> None:
+    done = invoke("-u", ROBOT, "gen", "--from-robot")
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert "PICK = Action(" in done.stdout
+    assert "PLACE = Action(" in done.stdout
+    path = tmp_path / "robot.py"
+    assert invoke("gen", "--from-robot", "-u", ROBOT, "-o", str(path)).output == ""
+    assert path.read_text(encoding="utf-8") == done.stdout
+
+
+@pytest.mark.usefixtures("served")
+def test_actions_of_a_robot_can_be_named(invoke: Invoke) -> None:
+    done = invoke("-u", ROBOT, "gen", "--from-robot", "/place", "place")
+    assert done.stdout.count("Action(\n") == 1
+    assert "PLACE = Action(" in done.stdout
+    done = invoke("-u", ROBOT, "gen", "--from-robot", "plaice")
+    assert done.exit_code == 6
+    assert done.stderr == "Error: the action /plaice is not served; did you mean /place?\n"
+
+
+def test_what_cannot_be_written_is_said_and_the_rest_is_written(
+    invoke: Invoke, served: dict[str, dict[str, str] | TransportError], tmp_path: Path
+) -> None:
+    served["push"] = TransportError("its type is not known: ask for it")
+    served["pull"] = {"arm_msgs/action/Pull": "int33 x\n---\n---\n"}
+    done = invoke("-u", ROBOT, "gen", "--from-robot")
+    assert done.exit_code == 0
+    push, pull = done.stderr.splitlines()
+    assert push == "/push is not written: its type is not known: ask for it"
+    assert pull.startswith("/pull is not written: arm_msgs/action/Pull.action:1: expected a type")
+    assert pull.endswith("; write it alone, with --from-robot /pull")
+    assert "PICK = Action(" in done.stdout
+
+    path = tmp_path / "robot.py"
+    done = invoke("-u", ROBOT, "gen", "--from-robot", "pick", "push", "-o", str(path))
+    assert done.exit_code == 2
+    assert done.stderr.splitlines() == [
+        push,
+        "Error: nothing is written, because types are not known",
+    ]
+    assert not path.exists()
+
+
+def test_a_robot_of_which_nothing_can_be_written_is_an_error(
+    invoke: Invoke, served: dict[str, dict[str, str] | TransportError]
+) -> None:
+    served.clear()
+    done = invoke("-u", ROBOT, "gen", "--from-robot")
+    assert (done.exit_code, done.stderr) == (6, "Error: dds:// serves no actions\n")
+    served["push"] = TransportError("its type is not known: ask for it")
+    assert invoke("-u", ROBOT, "gen", "--from-robot").exit_code == 2
+    served["push"] = ConnectionLost("the line is cut")
+    done = invoke("-u", ROBOT, "gen", "--from-robot")
+    assert (done.exit_code, done.stderr) == (6, "Error: the line is cut\n")
+
+
+@pytest.mark.usefixtures("served")
+def test_a_file_that_cannot_be_written_is_named(invoke: Invoke) -> None:
+    done = invoke("-u", ROBOT, "gen", "--from-robot", "-o", "/nowhere/robot.py")
+    assert (done.exit_code, done.stderr) == (
+        2,
+        "Error: /nowhere/robot.py: No such file or directory\n",
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["--from-robot", "--ts"], "--ts, --name, --type and --search are not for --from-robot"),
+        (["--from-robot", "-s", "."], "name the folders of interface files in FIBACTION_SEARCH"),
+        (["--from-robot", "-u", "inproc://a"], "inproc://a is for clients in the process of the"),
+        ([], "give one FILE, or --from-robot"),
+        ([PICK_UP, COUNT], "give one FILE, or --from-robot"),
+    ],
+)
+def test_what_does_not_go_together_is_an_error_of_usage(
+    invoke: Invoke, arguments: list[str], error: str
+) -> None:
+    done = invoke("gen", *arguments)
+    assert done.exit_code == 2
+    assert error in done.stderr
+
+
+def test_a_server_without_types_of_ros_is_told_where_to_ask(invoke: Invoke, tcp: str) -> None:
+    done = invoke("-u", tcp, "gen", "--from-robot", "fibonacci")
+    assert done.exit_code == 2
+    assert "the types of 'fibonacci' are known here as JSON Schemas only: connect" in done.stderr

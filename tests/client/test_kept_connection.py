@@ -21,6 +21,7 @@ from fibaction import (
     GoalHandle,
     GoalStatus,
     ServerNotFound,
+    TransportError,
     connect,
     serve,
 )
@@ -81,6 +82,8 @@ async def test_without_an_action_it_is_a_connection(url: str) -> None:
     assert await connection.actions() == [COUNT.info]
     assert (await connection.peers("count")).servers == (url,)
     assert await connection.client(COUNT).call(1) == "counted to 1"
+    with pytest.raises(TransportError, match="are known here as JSON Schemas only"):
+        await connection.interface_texts(COUNT.info)
     await connection.aclose()
 
 

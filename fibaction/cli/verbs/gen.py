@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
 from fibaction._api import connect
+from fibaction.border.abc import Connection
+from fibaction.border.urls import without_settings
+from fibaction.cli.arguments.action_names import no_action, shown
 from fibaction.cli.arguments.import_target import import_servers
+from fibaction.cli.arguments.options import reject_inproc, url_of
+from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
-from fibaction.interfaces.action_files import action_source, load_action
+from fibaction.interfaces.action_files import InterfaceError, action_source, load_action
+from fibaction.interfaces.robot_source import RobotSource
 from fibaction.schema.typescript import typescript_source
 from fibaction.types.action import ActionInfo
+from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
+
+
+def _url(context: click.Context, _: click.Parameter, value: str | None) -> str:
+    return value or url_of(context)
 
 
 @click.command(
@@ -20,10 +33,17 @@ from fibaction.types.action import ActionInfo
 Examples:
   fibaction gen Fibonacci.action > fibonacci_types.py
   fibaction gen NavigateToPose.action --search ~/ros2_ws/src -o navigate_types.py
+  fibaction -u ros2:// gen --from-robot > robot.py
+  fibaction -u dds:// gen --from-robot /arm/pick /arm/place -o arm.py
   fibaction gen --ts http://127.0.0.1:8080 -o robot_types.ts
   fibaction gen --ts robot:server -o robot_types.ts""",
 )
-@click.argument("source", metavar="FILE")
+@click.argument("sources", metavar="[FILE | ACTION...]", nargs=-1)
+@click.option(
+    "--from-robot",
+    is_flag=True,
+    help="Write the types of all actions that a robot serves at --url, or of each ACTION.",
+)
 @click.option(
     "--ts",
     "is_typescript",
@@ -52,13 +72,22 @@ Examples:
     type=click.Path(dir_okay=False, path_type=Path),
     help="The file to write, instead of stdout. It is not changed after an error.",
 )
+@click.option(
+    "-u",
+    "--url",
+    metavar="URL",
+    callback=_url,
+    help="URL of the robot.  [as in fibaction --help]",
+)
 def gen_command(
-    source: str,
+    sources: tuple[str, ...],
+    from_robot: bool,
     is_typescript: bool,
     name: str,
     type_name: str,
     search: tuple[Path, ...],
     output: Path | None,
+    url: str,
 ) -> None:
     """Write the types of an .action FILE as a Python module, or as TypeScript with --ts.
 
@@ -69,7 +98,23 @@ def gen_command(
     Nested messages are searched for beside the file, in its package and the packages beside that,
     in the folders of --search, and in those of ROS, if setup.bash has been sourced or ROS is
     installed in this virtual environment.
+
+    With --from-robot, one Python module gets the types of a robot's actions: all of them where ROS
+    and the packages of the types are installed (ros2://), and elsewhere (dds://) those whose files
+    are found, and those that the robot tells. What cannot be written is said on stderr.
     """
+    if from_robot:
+        if is_typescript or name or type_name or search:
+            raise Failure(
+                "--ts, --name, --type and --search are not for --from-robot: name the folders of"
+                " interface files in FIBACTION_SEARCH",
+                ExitCode.USAGE,
+            )
+        reject_inproc(url)
+        run(write_types_of_robot, url, sources, output)
+    if len(sources) != 1:
+        raise click.UsageError("give one FILE, or --from-robot")
+    (source,) = sources
     if is_typescript and _is_server(source):
         if name or type_name or search:
             raise Failure(
@@ -77,13 +122,19 @@ def gen_command(
                 ExitCode.USAGE,
             )
         run(write_types_of_server, source, output)
-    file = Path(source)
+    _write_types_of_file(
+        Path(source), output, is_typescript, name=name, type_name=type_name, search=search
+    )
+
+
+def _write_types_of_file(
+    file: Path, output: Path | None, is_typescript: bool, **given: Any
+) -> None:
     try:
         if is_typescript:
-            action = load_action(file, name=name, search=search, type_name=type_name)
-            text = typescript_source([action.info])
+            text = typescript_source([load_action(file, **given).info])
         else:
-            text = action_source(file, name=name, search=search, type_name=type_name)
+            text = action_source(file, **given)
         write(text, output)
     except OSError as exc:
         raise Failure(f"{exc.filename or file}: {exc.strerror}", ExitCode.USAGE) from exc
@@ -115,6 +166,54 @@ async def write_types_of_server(source: str, output: Path | None) -> int:
     except OSError as exc:
         raise Failure(f"{exc.filename or output}: {exc.strerror}", ExitCode.USAGE) from exc
     return ExitCode.SUCCEEDED
+
+
+async def write_types_of_robot(url: str, names: Sequence[str], output: Path | None) -> int:
+    """Write the types of the actions of a robot, or of those that are named.
+
+    Remarks on stderr tell what cannot be written.
+
+    Raises:
+        Failure, ActionError: The robot cannot be reached, or a named action cannot be written, or
+            none can.
+    """
+    source = RobotSource()
+    problems: list[str] = []
+    async with connect(url) as connection:
+        for info in await _named(connection, names):
+            try:
+                texts = await connection.interface_texts(info)
+                source.add(info.name, info.type_name, texts)
+            except InterfaceError as exc:
+                advice = f"write it alone, with --from-robot {shown(info.name)}"
+                problems.append(f"{shown(info.name)} is not written: {exc}; {advice}")
+            except (ConnectionLost, ServerNotFound):
+                raise
+            except TransportError as exc:
+                problems.append(f"{shown(info.name)} is not written: {exc}")
+    for problem in problems:
+        note(problem)
+    if problems and (names or not source):
+        raise Failure("nothing is written, because types are not known", ExitCode.USAGE)
+    if not source:
+        raise Failure(f"{without_settings(url)} serves no actions", ExitCode.UNREACHABLE)
+    try:
+        write(source.source(), output)
+    except OSError as exc:
+        raise Failure(f"{exc.filename or output}: {exc.strerror}", ExitCode.USAGE) from exc
+    return ExitCode.SUCCEEDED
+
+
+async def _named(connection: Connection, names: Sequence[str]) -> list[ActionInfo]:
+    """Return the actions of these names, or all if there are none.
+
+    Raises:
+        Failure: An action is not served.
+    """
+    found = {shown(info.name): info for info in await connection.actions()}
+    if missing := [name for name in names if shown(name) not in found]:
+        raise no_action(missing[0], found.values())
+    return [found[one] for one in dict.fromkeys(map(shown, names))] or list(found.values())
 
 
 def write(text: str, output: Path | None) -> None:

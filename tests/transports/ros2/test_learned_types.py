@@ -133,6 +133,8 @@ async def test_an_action_of_fibaction_is_described_by_its_server_and_takes_goals
             assert await goal.result() == {"spots": 7}
         assert feedback == [{"painted": [{"x": 7, "y": 1}], "share": 0.5}]
         assert await found(connection, name) == info
+        texts = await connection.interface_texts(info)
+        assert texts == {PAINT: TEXT, "far_msgs/msg/Spot": "int32 x 7\nint32 y\n"}
     assert [one.type_name for one in asked] == [PAINT]
 
 
@@ -164,6 +166,10 @@ async def test_an_action_of_which_only_feedback_is_told_is_followed(
             f"the goal and the result of {PAINT} are not known here: put {PAINT}.action into a"
             " folder, and name that folder with search=FOLDER or in FIBACTION_SEARCH"
         )
+        with pytest.raises(TransportError) as told:
+            await connection.interface_texts(info)
+        assert str(told.value) == str(caught.value)
+        assert (await knowing.interface_texts(info))[PAINT] == TEXT
     assert [one.type_name for one in asked] == [f"{PAINT}_FeedbackMessage"]
 
 
@@ -275,6 +281,8 @@ async def test_another_version_of_a_type_is_told_before_the_first_goal(
         for _ in range(2):
             with pytest.raises(TransportError) as caught:
                 await client.send_goal({"spot": 1})
+        with pytest.raises(TransportError, match="its server has another version of the types"):
+            await connection.interface_texts(info)
         there, here = "RIHS01_[0-9a-f]{8}.. there", "RIHS01_[0-9a-f]{8}.. here"
         (part,) = re.findall(
             f"{PAINT}_SendGoal_Request is {there}, and {here}; {PAINT}_Feed", str(caught.value)

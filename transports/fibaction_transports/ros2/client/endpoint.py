@@ -198,13 +198,25 @@ class RosConnection(Connection):
             self._warn_of_versions(info)
         return infos
 
+    async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
+        """See `Connection.interface_texts`. They are those of the version that the server has."""
+        full = action_names(self._ros.resolve, action.name)
+        await self._ros.learn([(full.feedback, action.type_name)])
+        self._check_ros()
+        texts = self._ros.types.texts(action.type_name)
+        if problem := self._version_problem(action):
+            raise TransportError(problem)
+        return texts
+
+    def _version_problem(self, info: ActionInfo) -> str:
+        full = action_names(self._ros.resolve, info.name)
+        return explain_versions(self._ros, full, self._ros.types.find(info.type_name).impl)
+
     def _warn_of_versions(self, info: ActionInfo) -> None:
         """Log once that a server has other versions of the types than this end."""
         if not info.feedback:
             return  # there are no types here
-        full = action_names(self._ros.resolve, info.name)
-        impl = self._ros.types.find(info.type_name).impl
-        problem = explain_versions(self._ros, full, impl)
+        problem = self._version_problem(info)
         if problem and self._warned.get(info.name) != problem:
             logger.warning("%s cannot be used: %s", info.name, problem)
         self._warned[info.name] = problem

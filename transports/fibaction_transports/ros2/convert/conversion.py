@@ -19,6 +19,7 @@ from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.ros2.convert.fields import Unfit
+from fibaction_transports.ros2.convert.interface_texts import interface_texts
 from fibaction_transports.ros2.convert.message_types import MessageKind, MessagePart
 from fibaction_transports.ros2.convert.schemas import UserSchema
 
@@ -121,6 +122,10 @@ class RosAction:
     def info(self, name: str) -> ActionInfo:
         """Return the description of an action, for users without types of their own."""
         return ActionInfo(name, self.type_name, *map(msgspec.json.schema, self.types))
+
+    def texts(self) -> dict[str, str]:
+        """Return the texts of interface files that define the type: see `interface_texts`."""
+        return interface_texts(self.type_name, *self._kinds)
 
     def codecs(self, info: ActionInfo) -> RosCodecs:
         """Return the codecs for the types of an action's users.

@@ -77,6 +77,15 @@ class RosTypes(ABC):
             TransportError: There is no such type that can be used; the text says what to do.
         """
 
+    @abstractmethod
+    def texts(self, type_name: str) -> dict[str, str]:
+        """Return the text of the `.action` file of a type, and those of the `.msg` files that it
+        nests, by the types that they define.
+
+        Raises:
+            TransportError: As for `find`, or the type is known in part only.
+        """
+
     def version(self, message_type: Any) -> TypeVersion | None:
         """Return the version of a type of messages; None if the middleware does not tell it."""
         return None

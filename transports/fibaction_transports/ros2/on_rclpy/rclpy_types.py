@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
+from fibaction.interfaces import InterfaceError
+from fibaction.interfaces.files import ActionFile, read_action, read_action_texts, ros_folders
 from fibaction.words.errors import ProtocolError, TransportError, text_of
+from fibaction_transports.cdr.action_messages import action_interface
+from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.convert.conversion import RosAction, check_action_type
 from fibaction_transports.ros2.convert.message_classes import message_kind
 from fibaction_transports.ros2.node.ros_node import RosTypes
@@ -30,6 +35,10 @@ class RclpyTypes(RosTypes):
         check_action_type(type_name, action)
         return _found(type_name)
 
+    def texts(self, type_name: str) -> dict[str, str]:
+        made = self.find(type_name).texts()
+        return _installed_texts(type_name, made) or made
+
     def uuid(self, goal_id: bytes) -> Any:
         return uuid_of(goal_id)
 
@@ -38,6 +47,27 @@ class RclpyTypes(RosTypes):
             return deserialize(message, message_type)
         except Exception as exc:  # rclpy raises whatever rcl says
             raise ProtocolError(text_of(exc)) from exc
+
+
+def _installed_texts(type_name: str, made: Mapping[str, str]) -> dict[str, str]:
+    """Return the texts of the installed files, which have comments, too; empty if there are none,
+    or if they define another type than the texts that are made from the classes.
+    """
+    folders = list(ros_folders())
+    paths = (folder / f"{type_name}.action" for folder in folders)
+    path = next((path for path in paths if path.is_file()), None)
+    if path is None:
+        return {}
+    try:
+        file = read_action(path, type_name=type_name, search=folders)
+        is_same = _hash(file) == _hash(read_action_texts(type_name, made))
+    except (InterfaceError, OSError):
+        return {}
+    return file.texts() if is_same else {}
+
+
+def _hash(file: ActionFile) -> str:
+    return type_hash(action_interface(file))
 
 
 @cache

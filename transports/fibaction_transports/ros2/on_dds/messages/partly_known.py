@@ -23,16 +23,17 @@ class PartlyKnownAction(RosAction):
     ) -> None:
         """`advice` says what makes the rest known."""
         super().__init__(type_name, impl, kinds)
-        self._problem = f"the goal and the result of {type_name} are not known here: {advice}"
+        self.problem = f"the goal and the result of {type_name} are not known here: {advice}"
+        """The reason why it takes no goals, and what to do."""
 
     def info(self, name: str) -> ActionInfo:
         return msgspec.structs.replace(super().info(name), goal={}, result={})
 
     def codecs(self, info: ActionInfo) -> RosCodecs:
         if info.goal or info.result:
-            raise TransportError(self._problem)
+            raise TransportError(self.problem)
         known = super().codecs(info)
-        return RosCodecs(_UnknownGoal(self._problem), known.feedback, _UnknownResult())
+        return RosCodecs(_UnknownGoal(self.problem), known.feedback, _UnknownResult())
 
 
 class _UnknownGoal(RosCodec):
