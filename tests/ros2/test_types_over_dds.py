@@ -12,7 +12,7 @@ import pytest
 from fibaction import Action, TransportError, connect, serve
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
-from fibaction_transports.ros2.on_dds.messages import dds_types
+from fibaction_transports.ros2.on_dds.messages import interface_files
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import PATIENCE, Peer, peer
 
@@ -28,8 +28,8 @@ def anyio_backend() -> str:
 @pytest.fixture
 def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no interface file be found in this process, also none that was loaded before."""
-    monkeypatch.setattr(dds_types, "ros_folders", lambda: iter(()))
-    monkeypatch.setattr(dds_types, "known_action", lambda type_name: None)
+    monkeypatch.setattr(interface_files, "ros_folders", lambda: iter(()))
+    monkeypatch.setattr(interface_files, "known_action", lambda type_name: None)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from fibaction import Action, ActionInfo, ProtocolError, TransportError
 from fibaction.action_files import action_source, define_action, load_action
 from fibaction.interfaces.ros_types import Int32
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
+from fibaction_transports.ros2.on_dds.messages.interface_files import InterfaceFiles
 
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
 
@@ -242,3 +243,16 @@ def test_a_type_that_differs_from_its_file_is_an_error_that_names_the_fields() -
         DdsTypes().find(FIBONACCI).codecs(action.info)
     assert "goal.speed: the ROS type has no such field" in str(caught.value)
     assert "result.sequence (int32[]): the action has no such field" in str(caught.value)
+
+
+def test_a_definition_that_was_loaded_is_one_of_the_versions_and_a_broken_one_is_none(
+    types: DdsTypes, tmp_path: Path
+) -> None:
+    write(tmp_path, "two_msgs/action/Go.action", "int32 y\n---\n---\n")
+    define_action("two_msgs/action/Go", {"two_msgs/action/Go": "int32 x\n---\n---\n"})
+    files = InterfaceFiles([tmp_path])
+    texts = [file.goal.definition.text for file in files.versions("two_msgs/action/Go")]
+    assert texts == ["int32 x\n", "int32 y\n"]
+    define_action("two_msgs/action/Go", {"two_msgs/action/Go": "int33\n---\n---\n"})
+    texts = [file.goal.definition.text for file in files.versions("two_msgs/action/Go")]
+    assert texts == ["int32 y\n"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import uuid
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -21,7 +21,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.interfaces.files import read_action
+from fibaction.interfaces.files import ActionFile, read_action
 from fibaction.interfaces.structs import make_structs
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
@@ -36,7 +36,8 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
 )
 from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.on_dds.messages import dds_types
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
+from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, ServerVersion
+from fibaction_transports.ros2.on_dds.messages.interface_files import InterfaceFiles
 from fibaction_transports.ros2.on_dds.messages.message_type import TypeHashes, read_hashes
 from fibaction_transports.ros2.on_dds.services import provide
 from fibaction_transports.ros2.qos import EndQos
@@ -294,6 +295,56 @@ async def test_another_version_of_a_type_is_told_before_the_first_goal(
         assert "use the interface files with which the server was built" in str(caught.value)
 
 
+@pytest.mark.parametrize("place", [f"old/{PAINT}.action", "old/Paint.action"])
+async def test_of_several_versions_in_files_that_of_the_server_is_taken(
+    place: str, folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    name, other = new_name(), tmp_path_factory.mktemp("other")
+    for path, text in (
+        (other / f"{PAINT}.action", "int32 spot\n---\nint32 spots\n---\n"),
+        (other / "broken" / f"{PAINT}.action", "int33 spot\n---\n---\n"),
+        (other / place, TEXT),
+    ):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    search = [str(other), str(other / "old"), str(folder)]
+    async with (
+        painting(folder, name) as begun,
+        connect(DdsTransport(search=search)) as connection,
+    ):
+        begun.set()
+        info = await found(connection, name)
+        assert (await connection.interface_texts(info))[PAINT] == TEXT
+        client = connection.client(Action.untyped(info))
+        await client.wait_for_server(PATIENCE)
+        assert await client.call({"spot": {"x": 4}}) == {"spots": 4}
+
+
+def test_a_version_that_no_file_has_is_looked_for_once_and_few_are_remembered(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dds_types, "MOST_MISSED", 1)
+    read: list[str] = []
+    versions = InterfaceFiles.versions
+
+    def counted(files: InterfaceFiles, type_name: str) -> Iterator[ActionFile]:
+        read.append(type_name)
+        return versions(files, type_name)
+
+    monkeypatch.setattr(InterfaceFiles, "versions", counted)
+    types = DdsTypes([folder])
+    one, two, none = (
+        ServerVersion(frozenset(goal), frozenset(), frozenset()) for goal in (["one"], ["two"], [])
+    )
+    for version in (one, one, two, one, none):
+        types.choose(PAINT, version)
+    assert read == [PAINT] * 3
+    types.choose("far_msgs/../Paint", one)
+    right = types.find(PAINT).impl.SendGoalService.Request.type_hash
+    types.choose(PAINT, one._replace(goal=frozenset([right, "another"])))
+    assert read == [PAINT] * 3
+
+
 class SlowNode:
     """A node that learns late of another one, whose service is late, and then lost."""
 
@@ -303,7 +354,12 @@ class SlowNode:
 
     def publishers(self, topic: str) -> list[EndInfo]:
         self.looks += 1
-        return [EndInfo(b"gid", "/far" if self.looks > 1 else "", EndQos(), "RIHS01_")]
+        return [EndInfo(b"gid", "/far" if self.looks > 2 else "", EndQos(), "RIHS01_")]
+
+    def request_readers(self, service: str) -> list[EndInfo]:
+        return []
+
+    answer_writers = request_readers
 
     def caller(self, service: str, *_: object) -> SlowNode:
         assert service == "/far/get_type_description"

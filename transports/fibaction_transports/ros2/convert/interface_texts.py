@@ -19,12 +19,7 @@ from fibaction_transports.ros2.convert.fields import ArrayKind, Kind
 from fibaction_transports.ros2.convert.message_types import MessageKind
 
 _CONSTANT = re.compile(r"[A-Z][A-Z0-9_]*", re.ASCII)
-_TYPES_OF_CONSTANTS: dict[type, str] = {
-    bool: "bool",
-    int: "int64",
-    float: "float64",
-    str: "string",
-}
+_TYPES_OF_CONSTANTS = {"bool": "bool", "int": "int64", "float": "float64", "str": "string"}
 
 
 def interface_texts(
@@ -58,7 +53,9 @@ def _text(message: MessageKind) -> str:
 def _constants(message: MessageKind) -> Iterator[str]:
     attributes = cast("Mapping[str, Any]", vars(message.default))
     for name, value in attributes.items():
-        if _CONSTANT.fullmatch(name) and (kind := _TYPES_OF_CONSTANTS.get(type(value))):
+        if _CONSTANT.fullmatch(name) and (
+            kind := _TYPES_OF_CONSTANTS.get(value.__class__.__name__)
+        ):
             line = f"{'uint64' if kind == 'int64' and value >= 2**63 else kind} {name}={value}"
             read = _read(line)
             if read is not None and [one.value for one in read.constants] == [value]:

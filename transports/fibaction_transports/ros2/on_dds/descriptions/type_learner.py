@@ -9,6 +9,9 @@ needs the hash of a type, and endpoints announce the hashes of their messages on
 rclpy describes the feedback, and not the goal and the result. The nodes of this project announce
 the hash of the action, too, and describe all of it.
 
+Requests and answers announce their hashes, too. Where files define several versions of a type, they
+tell which of them the server has.
+
 The service may be off, and the answer may be wrong: each action has `ASK_TIME` seconds, and a
 publisher that has not answered as it should is not asked again.
 """
@@ -26,6 +29,7 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.node.parts import AnswerSink, EndInfo, ErrorSink
+from fibaction_transports.ros2.node.ros_node import FEEDBACK
 from fibaction_transports.ros2.on_dds.descriptions.described_types import (
     UnusableDescription,
     described_action,
@@ -35,7 +39,7 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     DescriptionRequest,
     DescriptionResponse,
 )
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
+from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, ServerVersion
 from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
 from fibaction_transports.ros2.on_dds.services import DdsCaller
 from fibaction_transports.ros2.qos import EndQos
@@ -58,6 +62,14 @@ class AskingNode(Protocol):
     @abstractmethod
     def publishers(self, topic: str) -> Sequence[EndInfo]:
         """See `RosNode.publishers`."""
+
+    @abstractmethod
+    def request_readers(self, service: str) -> Sequence[EndInfo]:
+        """See `RosNode.request_readers`."""
+
+    @abstractmethod
+    def answer_writers(self, service: str) -> Sequence[EndInfo]:
+        """See `RosNode.answer_writers`."""
 
     @abstractmethod
     def caller(
@@ -84,11 +96,22 @@ class TypeLearner:
         self._silent: OrderedDict[bytes, None] = OrderedDict()
 
     async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
-        """See `RosNode.learn`."""
+        """See `RosNode.learn`. Of several versions in files, that of the server is taken."""
+        for topic, type_name in actions:
+            self._types.choose(type_name, self._version(topic))
         unknown = [one for one in actions if not self._types.has_file(one[1])]
         async with anyio.create_task_group() as tasks:
             for topic, type_name in unknown[:MOST_ACTIONS]:
                 tasks.start_soon(self._learn, topic, type_name)
+
+    def _version(self, topic: str) -> ServerVersion:
+        action = topic.removesuffix(FEEDBACK)
+        send_goal, get_result = (f"{action}/_action/{part}" for part in ("send_goal", "get_result"))
+        return ServerVersion(
+            _hashes(self._node.request_readers(send_goal)),
+            _hashes(self._node.answer_writers(get_result)),
+            _hashes(self._node.publishers(topic)),
+        )
 
     async def _learn(self, topic: str, type_name: str) -> None:
         with anyio.move_on_after(ASK_TIME):
@@ -155,3 +178,7 @@ class TypeLearner:
         finally:
             self._node.remove_caller(caller)
         return response
+
+
+def _hashes(ends: Sequence[EndInfo]) -> frozenset[str]:
+    return frozenset(end.type_hash for end in ends) - {""}
