@@ -9,9 +9,10 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import Action, TransportError, connect, serve
+from fibaction import Action, GoalStatus, TransportError, connect, serve
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
+from fibaction_transports.ros2.on_dds.descriptions import type_learner
 from fibaction_transports.ros2.on_dds.messages import interface_files
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import PATIENCE, Peer, peer
@@ -70,6 +71,33 @@ async def test_a_robot_of_rclpy_tells_the_type_of_its_feedback(alone: str, no_fi
                 assert feedback["partial_sequence"][:3] == [0, 1, 1]
                 break
             with pytest.raises(TransportError, match="are not known here: put arduinobot_msgs"):
+                await client.send_goal({"order": 3})
+
+
+async def test_a_robot_that_tells_nothing_of_its_types_is_followed(
+    alone: str, no_files: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type_learner, "ASK_TIME", 0.0)
+    knowing_server = Behaviour().server("tutorial")
+    with anyio.fail_after(2 * PATIENCE):
+        async with (
+            peer("tutorial_server", ROS_DOMAIN_ID=alone),
+            connect(DdsTransport(domain_id=int(alone), discovery_timeout=PATIENCE)) as connection,
+            connect(
+                DdsTransport(domain_id=int(alone), search=[FILES]), knowing_server.action
+            ) as knowing,
+        ):
+            info = await found(connection, "tutorial")
+            assert info == ActionInfo("tutorial", TYPE)
+            client = connection.client(Action.untyped(info))
+            await client.wait_for_server()
+            await knowing.wait_for_server()
+            goal = await knowing.send_goal(knowing.action.goal.type(10))
+            followed = await client.attach(goal.goal_id)
+            assert {one async for one in followed.feedback} == {None}
+            assert await followed.result() is None
+            assert (await followed.outcome()).status is GoalStatus.SUCCEEDED
+            with pytest.raises(TransportError, match="is not known here: put arduinobot_msgs"):
                 await client.send_goal({"order": 3})
 
 

@@ -198,6 +198,50 @@ async def test_users_types_for_a_goal_that_is_not_known_are_an_error(
             connection.client(typed)
 
 
+async def test_an_action_of_which_nothing_is_told_is_followed_to_its_end(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph, "read_hashes", lambda user_data: TypeHashes())
+    name = new_name()
+    async with (
+        painting(folder, name) as begun,
+        connect(DdsTransport(search=[str(folder)])) as knowing,
+        connect(DdsTransport()) as connection,
+    ):
+        info = await found(connection, name)
+        assert info == ActionInfo(name, PAINT)
+        client = connection.client(Action.untyped(info))
+        assert connection.endpoint(info).info == info
+        whole = knowing.client(Action.untyped(await found(knowing, name)))
+        await client.wait_for_server(PATIENCE)
+        async with whole.send_goal({"spot": {"x": 3}}) as goal:
+            followed = await client.attach(goal.goal_id)
+            begun.set()
+            assert [one async for one in followed.feedback] == [None]
+            assert await followed.result() is None
+            assert await goal.result() == {"spots": 3}
+        missing = f"{PAINT} is not known here: put {PAINT}.action into a folder"
+        with pytest.raises(TransportError, match=missing):
+            await client.send_goal({"spot": {"x": 3}})
+        with pytest.raises(TransportError, match=missing):
+            await connection.interface_texts(info)
+        typed = Action(name, goal=int, feedback=dict, result=str, type_name=PAINT)
+        with pytest.raises(TransportError, match=missing):
+            connection.client(typed)
+
+
+def test_an_unknown_action_is_one_object_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dds_types, "MOST_LEARNED", 1)
+    types = DdsTypes()
+    one = types.find_to_follow(PAINT)
+    assert types.find_to_follow(PAINT) is one
+    assert one.info("paint") == ActionInfo("paint", PAINT)
+    types.find_to_follow("far_msgs/action/Draw")
+    assert types.find_to_follow(PAINT) is not one
+    with pytest.raises(TransportError, match="give the Action 'paint' a type_name"):
+        types.find_to_follow("Paint", "paint")
+
+
 @pytest.mark.parametrize(
     "response",
     [
@@ -226,15 +270,30 @@ async def test_a_publisher_that_does_not_answer_as_it_should_is_asked_once(
     assert len(requests) == 1
 
 
-async def test_a_node_without_the_service_costs_a_moment(
+async def test_a_node_that_does_not_answer_costs_a_moment_and_is_asked_again_later(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(type_learner, "ASK_TIME", 0.1)
-    monkeypatch.setattr(type_learner.TypeLearner, "_ask", lambda *_: anyio.sleep_forever())
     monkeypatch.setattr(type_learner, "MOST_SILENT", 0)
+    asked: list[str] = []
+
+    async def ask(learner: object, node: str, request: DescriptionRequest) -> None:
+        asked.append(request.type_name)
+        await anyio.sleep_forever()
+
+    monkeypatch.setattr(type_learner.TypeLearner, "_ask", ask)
     name = new_name()
     async with painting(folder, name), connect(DdsTransport()) as connection:
+        for _ in range(2):  # none is remembered
+            assert await found(connection, name) == ActionInfo(name, PAINT)
+        assert len(asked) == 2
+        monkeypatch.setattr(type_learner, "MOST_SILENT", 1)
+        for _ in range(3):
+            assert await found(connection, name) == ActionInfo(name, PAINT)
+        assert len(asked) == 3
+        monkeypatch.setattr(type_learner, "current_time", lambda: anyio.current_time() + 60)
         assert await found(connection, name) == ActionInfo(name, PAINT)
+        assert len(asked) == 4
 
 
 async def test_an_end_without_a_hash_is_not_asked(

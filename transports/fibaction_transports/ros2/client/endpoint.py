@@ -176,7 +176,7 @@ class RosConnection(Connection):
         full = action_names(self._ros.resolve, info.name)
         served = {} if info.type_name else dict(self._looked(self._ros.served_actions))
         type_name = info.type_name or served.get(full.feedback, "")
-        found = self._ros.types.find(type_name, info.name)
+        found = self._ros.types.find_to_follow(type_name, info.name)
         codecs = found.codecs(info)
         client = self._clients.get((full.feedback, type_name))
         if client is None or client.impl is not found.impl:

@@ -77,6 +77,15 @@ class RosTypes(ABC):
             TransportError: There is no such type that can be used; the text says what to do.
         """
 
+    def find_to_follow(self, type_name: str, action: str = "") -> RosAction:
+        """Find a type as `find` does, for a client. A middleware may follow goals of types that it
+        does not know: then an error comes with the first goal that is sent.
+
+        Raises:
+            TransportError: As for `find`.
+        """
+        return self.find(type_name, action)
+
     @abstractmethod
     def texts(self, type_name: str) -> dict[str, str]:
         """Return the text of the `.action` file of a type, and those of the `.msg` files that it

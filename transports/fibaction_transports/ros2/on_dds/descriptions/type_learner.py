@@ -13,17 +13,20 @@ Requests and answers announce their hashes, too. Where files define several vers
 tell which of them the server has.
 
 The service may be off, and the answer may be wrong: each action has `ASK_TIME` seconds, and a
-publisher that has not answered as it should is not asked again.
+publisher whose answer is not as it should be is not asked again. One that does not answer is asked
+again after `SILENCE` seconds: a node of rclpy answers nothing while it executes a goal.
 """
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
 import anyio
+from anyio import current_time
 
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost
@@ -46,12 +49,14 @@ from fibaction_transports.ros2.qos import EndQos
 
 ASK_TIME: Final = 1.0
 """Seconds in which the type of an action is learned."""
+SILENCE: Final = 5.0
+"""Seconds for which a node that has not answered is not asked again."""
 LOOK_PAUSE: Final = 0.02
 """Seconds between two looks for the service of a node."""
 MOST_ACTIONS: Final = 100
 """Actions that are asked for at a time."""
 MOST_SILENT: Final = 1_000
-"""Publishers that are remembered because they have not answered."""
+"""Publishers that are remembered because they have not answered as they should."""
 
 logger = clean_logger("fibaction.ros2")
 
@@ -93,7 +98,8 @@ class TypeLearner:
     def __init__(self, node: AskingNode, types: DdsTypes) -> None:
         self._node = node
         self._types = types
-        self._silent: OrderedDict[bytes, None] = OrderedDict()
+        self._silent: OrderedDict[bytes, float] = OrderedDict()
+        """The times until which publishers are not asked."""
 
     async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
         """See `RosNode.learn`. Of several versions in files, that of the server is taken."""
@@ -122,7 +128,10 @@ class TypeLearner:
     async def _publishers(self, topic: str) -> list[EndInfo]:
         """Return the publishers of feedback, when their nodes are known."""
         while True:
-            ends = [end for end in self._node.publishers(topic) if end.gid not in self._silent]
+            now = current_time()
+            ends = [
+                end for end in self._node.publishers(topic) if self._silent.get(end.gid, 0.0) <= now
+            ]
             if all(end.node for end in ends):
                 return ends
             await anyio.sleep(LOOK_PAUSE)
@@ -137,13 +146,14 @@ class TypeLearner:
                 continue
             if self._types.has_learned(type_name, type_hash):
                 return True
-            self._silent[end.gid] = None
+            self._silent[end.gid] = current_time() + SILENCE
             if len(self._silent) > MOST_SILENT:
                 self._silent.popitem(last=False)
             response = await self._ask(end.node, DescriptionRequest(name, type_hash))
             try:
                 file = described_action(response, type_name, **{part: type_hash})
             except UnusableDescription as exc:
+                self._silent[end.gid] = math.inf
                 logger.info("%s describes %s: %s", end.node, name, excerpt(str(exc)))
                 continue
             self._types.learn(file, type_hash, is_whole=part == "action")

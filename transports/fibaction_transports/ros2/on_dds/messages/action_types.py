@@ -6,7 +6,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Final
 
-from fibaction.interfaces.files import ActionFile
+from fibaction.interfaces.files import ActionFile, read_action_texts
 from fibaction_transports.cdr.action_messages import (
     ActionCodecs,
     FeedbackMessage,
@@ -53,15 +53,39 @@ _STATUS_ONLY: Final = CdrCodec(_STATUS, {_STATUS.class_name: _without_result})
 """The codec of answers whose results cannot be read: these follow the status."""
 
 
-def action_of(file: ActionFile, advice: str = "") -> RosAction:
+_GOAL_ID: Final = composed("fibaction/msg/FeedbackGoal", "UUID goal_id", MESSAGES)
+
+
+def _without_feedback(goal_id: UuidMessage) -> FeedbackMessage:
+    return FeedbackMessage(goal_id, None)
+
+
+_GOAL_ID_ONLY: Final = CdrCodec(_GOAL_ID, {**STRUCTS, _GOAL_ID.class_name: _without_feedback})
+"""The codec of feedback that cannot be read: it follows the ID of the goal."""
+
+
+def unknown_action(type_name: str, problem: str) -> PartlyKnownAction:
+    """Return an action of which nothing but the name of its type is known: its goals are listed,
+    canceled and followed to their ends. `problem` says so, and what makes it known.
+    """
+    known = action_of(read_action_texts(type_name, {type_name: "---\n---\n"}), problem)
+    feedback = known.impl.FeedbackMessage
+    known.impl.FeedbackMessage = MessageType(
+        feedback.definition, _GOAL_ID_ONLY, feedback, is_known=False
+    )
+    return PartlyKnownAction(type_name, known.impl, [], problem, has_feedback=False)
+
+
+def action_of(file: ActionFile, problem: str = "") -> RosAction:
     """Return the type of an action from its interface file.
 
-    With an `advice`, only the feedback of the file is known: it says what makes the rest known.
+    With a `problem`, only the feedback of the file is known: it says so, and what makes the rest
+    known.
 
     Raises:
         TransportError: The file has no type name of ROS.
     """
-    is_known = not advice
+    is_known = not problem
     codecs = ActionCodecs(file, as_arrays=True)
     parts = codecs.interface.nested
     send_goal, get_result = parts["send_goal_service"].nested, parts["get_result_service"].nested
@@ -106,5 +130,5 @@ def action_of(file: ActionFile, advice: str = "") -> RosAction:
     )
     kinds = [message_kind(part, codecs.structs) for part in (file.goal, file.feedback, file.result)]
     if not is_known:
-        return PartlyKnownAction(file.type_name, impl, kinds, advice)
+        return PartlyKnownAction(file.type_name, impl, kinds, problem)
     return RosAction(file.type_name, impl, kinds)

@@ -16,7 +16,7 @@ from fibaction_transports.ros2.convert.conversion import (
     is_action_type,
 )
 from fibaction_transports.ros2.node.ros_node import RosTypes, TypeVersion
-from fibaction_transports.ros2.on_dds.messages.action_types import action_of
+from fibaction_transports.ros2.on_dds.messages.action_types import action_of, unknown_action
 from fibaction_transports.ros2.on_dds.messages.interface_files import InterfaceFiles
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
 from fibaction_transports.ros2.on_dds.messages.node_messages import PARAMETER
@@ -64,12 +64,25 @@ class DdsTypes(RosTypes):
         self._found: dict[str, _Definition] = {}
         self._learned: OrderedDict[str, _Definition] = OrderedDict()
         """The actions that other nodes have described."""
+        self._unknown: dict[str, RosAction] = {}
         self._missed: set[tuple[str, ServerVersion]] = set()
         self.GoalInfo = STRUCTS["action_msgs/msg/GoalInfo"]
         self.Parameter = PARAMETER
 
     def find(self, type_name: str, action: str = "") -> RosAction:
         return self._definition(type_name, action).action
+
+    def find_to_follow(self, type_name: str, action: str = "") -> RosAction:
+        check_action_type(type_name, action)
+        try:
+            return self.find(type_name)
+        except TransportError as exc:
+            # The same object each time, so that its clients are, too.
+            if type_name not in self._unknown:
+                if len(self._unknown) == MOST_LEARNED:
+                    self._unknown.clear()
+                self._unknown[type_name] = unknown_action(type_name, str(exc))
+            return self._unknown[type_name]
 
     def texts(self, type_name: str) -> dict[str, str]:
         found = self._definition(type_name)
@@ -122,8 +135,11 @@ class DdsTypes(RosTypes):
         """Take a type as another node describes it. Without `is_whole`, its goal and its result
         are not known.
         """
-        advice = "" if is_whole else self._files.advice(file.type_name)
-        self._learned[file.type_name] = _Definition(file, action_of(file, advice), type_hash)
+        name, problem = file.type_name, ""
+        if not is_whole:
+            advice = self._files.advice(name)
+            problem = f"the goal and the result of {name} are not known here: {advice}"
+        self._learned[name] = _Definition(file, action_of(file, problem), type_hash)
         if len(self._learned) > MOST_LEARNED:
             self._learned.popitem(last=False)
 

@@ -1,4 +1,4 @@
-"""An action of which only the feedback is known: what a robot tells of its types without files."""
+"""Actions whose types are known in part, or not at all, because a robot tells no more of them."""
 
 from __future__ import annotations
 
@@ -19,21 +19,31 @@ class PartlyKnownAction(RosAction):
     """An action whose goal and result are not known: its goals are followed, and none is sent."""
 
     def __init__(
-        self, type_name: str, impl: Any, kinds: Sequence[MessageKind], advice: str
+        self,
+        type_name: str,
+        impl: Any,
+        kinds: Sequence[MessageKind],
+        problem: str,
+        *,
+        has_feedback: bool = True,
     ) -> None:
-        """`advice` says what makes the rest known."""
+        """Describe it. `problem` says what is not known, and what makes it known. Without
+        `has_feedback`, the feedback is not known, either.
+        """
         super().__init__(type_name, impl, kinds)
-        self.problem = f"the goal and the result of {type_name} are not known here: {advice}"
-        """The reason why it takes no goals, and what to do."""
+        self.problem = problem
+        self._has_feedback = has_feedback
 
     def info(self, name: str) -> ActionInfo:
-        return msgspec.structs.replace(super().info(name), goal={}, result={})
+        feedback = super().info(name).feedback if self._has_feedback else {}
+        return ActionInfo(name, self.type_name, feedback=feedback)
 
     def codecs(self, info: ActionInfo) -> RosCodecs:
-        if info.goal or info.result:
+        if info.goal or info.result or (info.feedback and not self._has_feedback):
             raise TransportError(self.problem)
-        known = super().codecs(info)
-        return RosCodecs(_UnknownGoal(self.problem), known.feedback, _UnknownResult())
+        unknown = _UnknownPart()
+        feedback = super().codecs(info).feedback if self._has_feedback else unknown
+        return RosCodecs(_UnknownGoal(self.problem), feedback, unknown)
 
 
 class _UnknownGoal(RosCodec):
@@ -46,8 +56,8 @@ class _UnknownGoal(RosCodec):
         raise TransportError(self._problem)
 
 
-class _UnknownResult(RosCodec):
-    """The codec of results that cannot be read: each is None."""
+class _UnknownPart(RosCodec):
+    """The codec of results, or of feedback, that cannot be read: each is None."""
 
     def __init__(self) -> None:
         pass
