@@ -27,10 +27,8 @@ from fibaction.words.goals import ActionPeers, WorkerInfo
 class ClientConnection(Connection):
     """An open connection, as `connect` returns it: the source of clients of all its actions.
 
-    For example:
-
-        async with connect("tcp://127.0.0.1:7400") as connection:
-            drive, look = connection.client(DRIVE), connection.client(LOOK)
+    async with connect("tcp://127.0.0.1:7400") as connection:
+        drive, look = connection.client(DRIVE), connection.client(LOOK)
     """
 
     def __init__(self, connection: Connection, tracing: GoalTracer | None = None) -> None:
@@ -84,6 +82,10 @@ class ClientConnection(Connection):
     async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
         """Return the texts of an action's interface files: see `Connection.interface_texts`."""
         return await self._connection.interface_texts(action)
+
+    async def nodes(self) -> set[str]:
+        """Return the names of the other nodes: see `Connection.nodes`."""
+        return await self._connection.nodes()
 
     async def workers(self) -> list[WorkerInfo]:
         """Return the workers of the fleet: see `Connection.workers`."""

@@ -82,6 +82,15 @@ class Connection(ABC):
             " robot itself, at dds:// or ros2://"
         )
 
+    async def nodes(self) -> set[str]:
+        """Return the full names of the other nodes of a network of servers, such as
+        `/robot1/camera`, whether they serve an action or not; empty if this transport has no nodes.
+
+        Raises:
+            TransportError, ProtocolError: As for `actions`.
+        """
+        return set()
+
     async def workers(self) -> list[WorkerInfo]:
         """Return the workers of the fleet; empty if this transport has no fleet.
 

@@ -100,6 +100,9 @@ class KeptConnection(Connection):
     async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
         return await self._host.connection.interface_texts(action)
 
+    async def nodes(self) -> set[str]:
+        return await self._host.connection.nodes()
+
     async def workers(self) -> list[WorkerInfo]:
         return await self._host.connection.workers()
 

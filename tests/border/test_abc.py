@@ -355,6 +355,7 @@ class Nowhere(Connection):
 @pytest.mark.asyncio
 async def test_a_connection_need_not_know_its_peers() -> None:
     assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
+    assert await Nowhere().nodes() == set()
 
 
 @pytest.mark.asyncio

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ServerNotFound
+from fibaction.cli.arguments import namespaces
 from fibaction.cli.arguments.namespaces import (
     ROOT,
     Namespace,
@@ -13,6 +14,7 @@ from fibaction.cli.arguments.namespaces import (
     no_namespace,
 )
 from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.types.action import ActionInfo
 from tests.cli.served import Served, counter
 
 NAMES = ["/robot1/navigate", "robot2/navigate", "robot2/arm/pick", "robot10/navigate", "look"]
@@ -90,6 +92,45 @@ async def test_a_namespace_that_had_actions_may_lose_them_but_one_that_never_had
     served.error = ServerNotFound("nobody is there")
     with pytest.raises(ServerNotFound):
         await robot1.actions()
+
+
+class Robots(Served):
+    """A network with a node in `/robot3`, whose action comes with the third look."""
+
+    looks = 0
+
+    async def actions(self) -> list[ActionInfo]:
+        self.looks += 1
+        if self.looks == 3:
+            self.servers["robot3/navigate"] = counter("robot3/navigate")
+        return await super().actions()
+
+    async def nodes(self) -> set[str]:
+        return {"/robot3/camera", "/robot30/camera"}
+
+
+@pytest.mark.asyncio
+async def test_the_first_action_of_a_namespace_is_waited_for_if_it_has_a_node() -> None:
+    served = Robots(counter("robot1/navigate"))
+    found = await Namespace("/robot3").narrow(served.connection).actions()
+    assert [info.name for info in found] == ["robot3/navigate"]
+    with pytest.raises(Failure, match="in the namespace /robot4; did you mean /robot3"):
+        await Namespace("/robot4").narrow(served.connection).actions()
+
+
+@pytest.mark.asyncio
+async def test_a_namespace_whose_nodes_serve_nothing_is_told_with_its_nodes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(namespaces, "LATE", 0.0)
+    served = Robots(counter("robot1/navigate"))
+    with pytest.raises(Failure) as caught:
+        await Namespace("/robot3").narrow(served.connection).actions()
+    text = "there is no action in the namespace /robot3 yet, only nodes that serve none"
+    assert caught.value.message == f"{text}: /robot3/camera"
+    nodes = [f"/robot3/n{number:02}" for number in range(11)]
+    message = no_namespace(Namespace("/robot3"), (), nodes).message
+    assert message == f"{text}: {', '.join(nodes[:10])}, ..."
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,7 @@ async def test_without_an_action_it_is_a_connection(url: str) -> None:
     assert isinstance(connection, ClientConnection)
     assert await connection.actions() == [COUNT.info]
     assert (await connection.peers("count")).servers == (url,)
+    assert await connection.nodes() == set()
     assert await connection.client(COUNT).call(1) == "counted to 1"
     with pytest.raises(TransportError, match="are known here as JSON Schemas only"):
         await connection.interface_texts(COUNT.info)

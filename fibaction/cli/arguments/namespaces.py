@@ -7,8 +7,11 @@ parts: `/robot1/navigate` and `/robot1/arm/pick`, but not `/robot10/navigate`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, Self
+
+import anyio
+from anyio import current_time
 
 from fibaction._api import ClientConnection
 from fibaction.border.abc import Connection, Endpoint
@@ -16,6 +19,11 @@ from fibaction.cli.arguments.action_names import LONGEST_COMPARED, MOST_SUGGESTE
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.types.action import Action, ActionInfo
+
+LATE = 3.0
+"""Seconds for which the first action of a namespace is waited for if a node of it is there."""
+LATE_PAUSE = 0.1
+"""Seconds between two looks for it."""
 
 _PATH = re.compile(r"/|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*/?", re.ASCII)
 
@@ -75,25 +83,38 @@ class _NarrowConnection(Connection):
         return self._connection.endpoint(action)
 
     async def actions(self) -> list[ActionInfo]:
-        """Return the actions of the namespace.
+        """Return the actions of the namespace. They are waited for if a node of it is there, which
+        may have only begun, and there has been no action before.
 
         Raises:
             Failure: There is none, and there has been none before.
             TransportError, ProtocolError: The server cannot be asked.
         """
-        infos = await self._connection.actions()
-        found = [info for info in infos if self._namespace.holds(info.name)]
-        self._exists = self._exists or bool(found)
-        if not self._exists:
-            raise no_namespace(self._namespace, (info.name for info in infos))
-        return found
+        deadline = current_time() + LATE
+        nodes: list[str] = []
+        while True:
+            infos = await self._connection.actions()
+            found = [info for info in infos if self._namespace.holds(info.name)]
+            self._exists = self._exists or bool(found)
+            if self._exists:
+                return found
+            nodes = sorted(filter(self._namespace.holds, await self._connection.nodes()))
+            if not nodes or current_time() >= deadline:
+                raise no_namespace(self._namespace, (info.name for info in infos), nodes)
+            await anyio.sleep(LATE_PAUSE)
 
 
-def no_namespace(namespace: Namespace, names: Iterable[str]) -> Failure:
-    """Return the error for a namespace without actions, with the most similar namespace."""
+def no_namespace(namespace: Namespace, names: Iterable[str], nodes: Sequence[str] = ()) -> Failure:
+    """Return the error for a namespace without actions: with the nodes that it has all the same,
+    or else with the most similar namespace.
+    """
     known = sorted(namespaces_of(names))
     text = f"there is no action in the namespace {namespace.path}"
-    if near := nearest(namespace.path, known):
+    if nodes:
+        some = ", ".join(map(excerpt, nodes[:MOST_SUGGESTED]))
+        text += f" yet, only nodes that serve none: {some}"
+        text += ", ..." if len(nodes) > MOST_SUGGESTED else ""
+    elif near := nearest(namespace.path, known):
         text += f"; did you mean {excerpt(near)}?"
     elif known:
         some = ", ".join(map(excerpt, known[:MOST_SUGGESTED]))

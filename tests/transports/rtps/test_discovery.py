@@ -26,6 +26,7 @@ from fibaction_transports.rtps.messages.encoder import packet_head, submessage_b
 from fibaction_transports.rtps.messages.ids import (
     FAST_DDS,
     PARTICIPANT,
+    PUBLICATIONS_WRITER,
     SPDP_WRITER,
     UNKNOWN_ENTITY,
     Guid,
@@ -41,7 +42,7 @@ from fibaction_transports.rtps.messages.submessages import (
     Submessage,
     WriterHeartbeat,
 )
-from fibaction_transports.rtps.qos import Durability, Liveliness, Qos
+from fibaction_transports.rtps.qos import Durability, Liveliness, Qos, Reliability
 from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
 
 PREFIX = FAST_DDS + b"a peer    "
@@ -72,6 +73,38 @@ def receive(world: World, node: Node, datagram: bytes) -> None:
 
 def prefixes(node: Node) -> list[bytes]:
     return [event.prefix for event in node.all(ParticipantFound)]
+
+
+def test_a_participant_is_incomplete_until_its_endpoints_and_its_samples_have_come() -> None:
+    world = World()
+    one, other = world.join(), world.join()
+    kept = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+    writer = one.participant.create_writer(TOPIC, TYPE, kept, world.now)
+    writer.write(payload("kept"), world.now)
+    reader = reader_of(world, other, kept)
+    withheld = {PUBLICATIONS_WRITER, writer.guid.entity}
+
+    def is_lost(datagram: bytes, address: object) -> bool:
+        samples = (each for each in read_packet(datagram).submessages if isinstance(each, Data))
+        return any(each.writer in withheld for each in samples)
+
+    def incomplete(found_after: float = -1.0) -> int:
+        return other.participant.incomplete_participants(found_after, reader)
+
+    world.is_lost = is_lost
+    world.run(1.0)
+    assert len(other.participant.remote_participants) == 1
+    assert (incomplete(), reader.is_complete(writer.guid)) == (1, False)
+    withheld.remove(PUBLICATIONS_WRITER)
+    assert world.run_until(lambda: reader.is_matched(writer.guid))
+    world.run(0.1)
+    assert (incomplete(), incomplete(found_after=world.now)) == (1, 0)
+    withheld.clear()
+    assert world.run_until(lambda: incomplete() == 0)
+    assert other.texts(reader) == ["kept"]
+    assert other.participant.count_remote_endpoints() == 1
+    modest = reader_of(world, other, Qos(reliability=Reliability.BEST_EFFORT))
+    assert modest.is_complete(writer.guid)
 
 
 def test_participants_find_each_other_and_match_what_was_there_before_and_comes_later() -> None:

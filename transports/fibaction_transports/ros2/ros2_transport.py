@@ -10,6 +10,7 @@ from fibaction.border.peer_text import clean_logger
 from fibaction.border.urls import check_settings, without_settings
 from fibaction.words.errors import InvalidURL
 from fibaction_transports.ros2.dds_transport import DdsTransport
+from fibaction_transports.ros2.on_dds.scout import open_scout
 from fibaction_transports.ros2.ros_transport import (
     IN_URLS,
     RosTransport,
@@ -110,7 +111,7 @@ class Ros2Transport(RosTransport):
         shared = shared_settings(namespace, domain_id, ends)
         if node is not None:
             shared["namespace"] = node.get_namespace()
-        super().__init__(RclpyAdapter(settings, node), ends, shared)
+        super().__init__(RclpyAdapter(settings, node, open_scout), ends, shared)
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> RosTransport:

@@ -157,9 +157,21 @@ class Participant:
         """The endpoints of other participants, matched or not."""
         return self._remote.all()
 
+    def count_remote_endpoints(self) -> int:
+        """Return the number of the endpoints of other participants."""
+        return len(self._remote)
+
     def remote_endpoints_on(self, topic: str) -> list[EndpointData]:
         """Return the endpoints that other participants have on a topic, matched or not."""
         return self._remote.on_topic(topic)
+
+    def incomplete_participants(self, found_after: float, reader: DataReader) -> int:
+        """Return the number of participants that were found after a time, and whose endpoints, or
+        whose samples for a reader, have not all come.
+        """
+        lacking = {guid.prefix for guid in reader.writers if not reader.is_complete(guid)}
+        recent = [one.data for one in self._participants.all() if one.found > found_after]
+        return sum(one.prefix in lacking or not self._builtin.has_all(one) for one in recent)
 
     def vendor_of(self, prefix: bytes) -> bytes | None:
         """Return the vendor of another participant; None if it is not known."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable, Iterable
+from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
-from typing import Any, TypeVar
+from typing import Any
 
-import anyio
-from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Connection, Endpoint, GoalRequest
@@ -33,22 +31,17 @@ from fibaction.words.goals import (
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
+from fibaction_transports.ros2.client.graph_looks import GraphLooks
 from fibaction_transports.ros2.client.type_versions import explain_versions
 from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node.graph_view import FEEDBACK, GraphView
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.node.ros_node import FEEDBACK, RosNode, RosTypes
+from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import FIRST_STAMP, LAST_STAMP
 from fibaction_transports.ros2.settings import EndSettings
 
-SETTLED = 0.2
-"""Seconds without a change after which a list of actions or nodes counts as complete."""
-LIST_PAUSE = 0.05
-"""Seconds between two looks at the graph."""
-
 logger = clean_logger("fibaction.ros2")
-
-FoundT = TypeVar("FoundT")
 
 _ENDS = frozenset(status for status in GoalStatus if status.is_terminal)
 
@@ -161,7 +154,7 @@ class RosConnection(Connection):
         self._ros = ros
         self._tasks = tasks
         self._settings = settings
-        self._deadline = current_time() + settings.discovery_timeout
+        self._looks = GraphLooks(ros, settings.discovery_timeout)
         self._clients: dict[tuple[str, str], RosActionClient] = {}
         self._warned: dict[str, str] = {}
         """The last warning of the versions of each action's types."""
@@ -174,7 +167,7 @@ class RosConnection(Connection):
         """
         info = action.info if isinstance(action, Action) else action
         full = action_names(self._ros.resolve, info.name)
-        served = {} if info.type_name else dict(self._looked(self._ros.served_actions))
+        served = {} if info.type_name else dict(self._looks.once(GraphView.served_actions))
         type_name = info.type_name or served.get(full.feedback, "")
         found = self._ros.types.find_to_follow(type_name, info.name)
         codecs = found.codecs(info)
@@ -189,9 +182,9 @@ class RosConnection(Connection):
         """See `Connection.actions`. Actions whose types are not installed here have no schemas,
         but for what their servers tell of them. The log says which have other versions there.
         """
-        found = await self._settled(self._ros.served_actions)
+        found = await self._looks.settled(GraphView.served_actions)
         await self._ros.learn(found)
-        self._check_ros()
+        self._looks.check()
         named = [(self._relative(topic), type_name) for topic, type_name in found]
         infos = [_described(self._ros.types, *one) for one in named]
         for info in infos:
@@ -225,41 +218,18 @@ class RosConnection(Connection):
         """See `Connection.peers`. Peers are named by their nodes. The clients are the nodes that
         subscribe to the feedback, as every client of an action does.
         """
-        ros = self._ros
+        full = action_names(self._ros.resolve, action)
 
-        def look() -> ActionPeers | None:
-            full = action_names(ros.resolve, action)
-            servers = _nodes(ros.publishers(full.status))
-            clients = _nodes(ros.subscriptions(full.feedback))
+        def look(view: GraphView) -> ActionPeers | None:
+            servers = _nodes(view.publishers(full.status))
+            clients = _nodes(view.subscriptions(full.feedback))
             return ActionPeers(servers, clients) if servers or clients else None
 
-        return await self._settled(look) or ActionPeers()
+        return await self._looks.settled(look) or ActionPeers()
 
-    async def _settled(self, look: Callable[[], FoundT]) -> FoundT:
-        """Return what is found in the graph when it has not changed for a moment, or when nothing
-        was found for `discovery_timeout` seconds.
-
-        Raises:
-            ConnectionLost: ROS has been shut down.
-        """
-        found = self._looked(look)
-        settled = current_time() + SETTLED
-        while current_time() < (settled if found else self._deadline):
-            await anyio.sleep(LIST_PAUSE)
-            before, found = found, self._looked(look)
-            if found != before:
-                settled = current_time() + SETTLED
-        return found
-
-    def _looked(self, look: Callable[[], FoundT]) -> FoundT:
-        self._check_ros()
-        found = look()
-        self._check_ros()
-        return found
-
-    def _check_ros(self) -> None:
-        if not self._ros.is_up:
-            raise ConnectionLost(str(self._ros.error))
+    async def nodes(self) -> set[str]:
+        found = await self._looks.settled(lambda view: view.nodes())
+        return found - {self._ros.full_name}
 
     def _relative(self, topic: str) -> str:
         """Return the shortest name of the action in the node's namespace."""

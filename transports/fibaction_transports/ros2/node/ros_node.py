@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Any, NamedTuple
 
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.node.graph_view import GraphView
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
@@ -24,10 +26,6 @@ from fibaction_transports.ros2.node.parts import (
     TopicSubscription,
 )
 from fibaction_transports.ros2.qos import EndQos
-
-FEEDBACK = "/_action/feedback"
-"""The end of the name of an action's feedback topic, after the name of the action."""
-_FEEDBACK_MESSAGE = "_FeedbackMessage"
 
 
 class RosClock(ABC):
@@ -112,7 +110,7 @@ class RosTypes(ABC):
         """
 
 
-class RosNode(ABC):
+class RosNode(GraphView):
     """A node in a graph of ROS.
 
     Methods that make a part raise `TransportError` if ROS does not allow it. All parts are removed
@@ -123,6 +121,8 @@ class RosNode(ABC):
     clock: RosClock
     error: ConnectionLost | None
     """The reason for which nothing more will arrive, if so."""
+    full_name: str
+    """The name with the namespace, for example `/robot/arm`."""
     namespace: str
     """The namespace, for example `/robot`; `/` without one."""
     tells_signs: bool
@@ -212,44 +212,18 @@ class RosNode(ABC):
 
     # The graph
 
-    async def learn(self, actions: Sequence[tuple[str, str]]) -> None:  # noqa: B027
+    def observed(self) -> AbstractAsyncContextManager[GraphView]:
+        """Return a view of the graph to look at while the block lasts. By default, it is the node
+        itself; a middleware that does not tell how far discovery has come may have another one.
+        """
+        return nullcontext(self)
+
+    async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
         """Learn the types of actions that `types` does not know from their servers, if the
         middleware can ask them. It takes a second at most.
 
         Each action is given by its feedback topic and its type.
         """
-
-    @abstractmethod
-    def topics(self) -> list[tuple[str, str]]:
-        """Return the topics, with or without a publisher, each with the name of its type."""
-
-    def served_actions(self) -> list[tuple[str, str]]:
-        """Return the feedback topics of all actions with a server, each with the action's type."""
-        return sorted(
-            (topic, type_name.removesuffix(_FEEDBACK_MESSAGE))
-            for topic, type_name in self.topics()
-            if topic.endswith(FEEDBACK)
-            and type_name.endswith(_FEEDBACK_MESSAGE)
-            and self.count_publishers(topic)
-        )
-
-    @abstractmethod
-    def publishers(self, topic: str) -> Sequence[EndInfo]:
-        """Return the publishers of a topic, connected or not."""
-
-    @abstractmethod
-    def subscriptions(self, topic: str) -> Sequence[EndInfo]:
-        """Return the subscriptions to a topic, connected or not."""
-
-    # Counts may be quicker than lists.
-
-    def count_publishers(self, topic: str) -> int:
-        """Return the number of publishers of a topic, connected or not."""
-        return len(self.publishers(topic))
-
-    def count_subscriptions(self, topic: str) -> int:
-        """Return the number of subscriptions to a topic, connected or not."""
-        return len(self.subscriptions(topic))
 
     @abstractmethod
     def count_callers(self, service: str) -> int:

@@ -13,7 +13,7 @@ from fibaction.border.abc import Diagnosis
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node.ros_node import FEEDBACK
+from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter
 from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes
 from fibaction_transports.ros2.on_dds.names import ros_type, topic_name

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from anyio import current_time
 from msgspec import Struct
 
 from fibaction.border.abc import Notifier
@@ -18,6 +19,7 @@ from fibaction_transports.cdr.standard_messages import (
     NodeEntitiesInfo,
     ParticipantEntitiesInfo,
 )
+from fibaction_transports.ros2.node.graph_view import DiscoveryState, GraphView
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.on_dds.messages.action_types import standard_type
 from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes
@@ -25,6 +27,7 @@ from fibaction_transports.ros2.on_dds.names import (
     GRAPH_TOPIC,
     ros_topic,
     ros_type,
+    topic_name,
 )
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
@@ -37,6 +40,12 @@ from fibaction_transports.rtps.qos import Durability, Qos, Reliability
 
 MOST_ENTITIES = 4_096
 """Endpoints that a participant may name as those of its nodes; a message with more is ignored."""
+QUIET = 0.4
+"""Seconds without news after which no participant is expected that does not begin just now.
+Participants announce themselves when they begin, and answer the first announcements of others, of
+which there is one in each 0.1 s, at once."""
+ENDPOINTS_PATIENCE = 4.0
+"""Seconds for which the endpoints of a new participant are waited for."""
 
 _KEPT = Qos(depth=1, durability=Durability.TRANSIENT_LOCAL)
 
@@ -72,7 +81,7 @@ def _end_qos(qos: Qos) -> EndQos:
     )
 
 
-class DdsGraph:
+class DdsGraph(GraphView):
     """The ends of all topics, those of this node among them."""
 
     def __init__(self, network: ParticipantNetwork, node: NodeName) -> None:
@@ -152,6 +161,18 @@ class DdsGraph:
 
     # Questions
 
+    def discovery(self) -> DiscoveryState:
+        """See `GraphView.discovery`. A participant is pending until its endpoints have come, as far
+        as its heartbeats tell of them, and its nodes.
+        """
+        peers = self._participant
+        known = len(peers.remote_participants) + peers.count_remote_endpoints()
+        pending = peers.incomplete_participants(current_time() - ENDPOINTS_PATIENCE, self.reader)
+        return DiscoveryState(known + len(self._nodes), pending, QUIET)
+
+    def nodes(self) -> set[str]:
+        return {name for found in self._nodes.values() for name in found.values()}
+
     def nodes_of(self, prefix: bytes) -> list[str]:
         """Return the full names of the nodes of another participant that have endpoints."""
         return sorted(set(self._nodes.get(prefix, {}).values()))
@@ -164,6 +185,12 @@ class DdsGraph:
             if end.guid.is_writer and ros_topic(end.topic)
         }
         return list(found.items())
+
+    def publishers(self, topic: str) -> Sequence[EndInfo]:
+        return self.writers(topic_name(topic))
+
+    def subscriptions(self, topic: str) -> Sequence[EndInfo]:
+        return self.readers(topic_name(topic))
 
     def writers(self, topic: str) -> Sequence[EndInfo]:
         """Return the writers of a topic of DDS."""

@@ -16,6 +16,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost, TransportError
+from fibaction_transports.ros2.node.graph_view import DiscoveryState
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
@@ -77,7 +78,7 @@ class DdsNode(RosNode):
         self.clock = self._clock = DdsClock()
         self.parameters = DdsParameters(self._use_simulated_time)
         self.error: ConnectionLost | None = None
-        self.name = name
+        self.full_name = str(name)
         self.namespace = name.namespace
         self._resolver = resolver
         self.graph = DdsGraph(network, name)
@@ -238,14 +239,20 @@ class DdsNode(RosNode):
     async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
         await self._learner.learn(actions)
 
+    def discovery(self) -> DiscoveryState:
+        return self.graph.discovery()
+
+    def nodes(self) -> set[str]:
+        return self.graph.nodes()
+
     def topics(self) -> list[tuple[str, str]]:
         return self.graph.topics()
 
     def publishers(self, topic: str) -> Sequence[EndInfo]:
-        return self.graph.writers(topic_name(topic))
+        return self.graph.publishers(topic)
 
     def subscriptions(self, topic: str) -> Sequence[EndInfo]:
-        return self.graph.readers(topic_name(topic))
+        return self.graph.subscriptions(topic)
 
     def request_readers(self, service: str) -> Sequence[EndInfo]:
         return self.graph.readers(request_topic(service))

@@ -14,6 +14,7 @@ from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.adapter import RosAdapter
 from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.node.scouted_view import ScoutOpener, no_scout
 from fibaction_transports.ros2.on_rclpy.parameters import parameter_services
 from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
@@ -31,18 +32,25 @@ from fibaction_transports.ros2.settings import LAST_DOMAIN, NodeSettings
 class RclpyAdapter(RosAdapter):
     """The way to a graph of ROS through rclpy."""
 
-    def __init__(self, settings: NodeSettings, node: Any) -> None:
-        """`node` is the user's own; None makes one with these settings each time."""
+    def __init__(self, settings: NodeSettings, node: Any, scout: ScoutOpener) -> None:
+        """`node` is the user's own; None makes one with these settings each time. `scout` opens a
+        view of the graph of a domain that tells how far discovery has come.
+        """
+        self._scout = scout
         self.types = RclpyTypes()
         self._settings = settings
         self._node = node
 
     def open(self) -> AbstractAsyncContextManager[RosNode]:
-        return own_node(self._settings) if self._node is None else users_node(self._node)
+        if self._node is None:
+            return own_node(self._settings, self._scout)
+        return users_node(self._node, self._scout)
 
 
 @asynccontextmanager
-async def own_node(settings: NodeSettings) -> AsyncGenerator[RclpyNode, None]:
+async def own_node(
+    settings: NodeSettings, scout: ScoutOpener = no_scout
+) -> AsyncGenerator[RclpyNode, None]:
     """Make a node in a context of its own, spun by a thread of its own.
 
     Raises:
@@ -52,7 +60,7 @@ async def own_node(settings: NodeSettings) -> AsyncGenerator[RclpyNode, None]:
     _check(settings, name)
     context = Context()
     try:
-        ros = _make(context, settings, name)
+        ros = _make(context, settings, name, scout)
     except Exception as exc:  # rclpy raises whatever rcl says
         context.try_shutdown()
         raise TransportError(f"cannot make the ROS node {name!r}: {exc}") from exc
@@ -100,7 +108,7 @@ def _check(settings: NodeSettings, name: str) -> None:
             raise TransportError(f"invalid {setting} {value!r}: it has {rule}") from exc
 
 
-def _make(context: Any, settings: NodeSettings, name: str) -> RclpyNode:
+def _make(context: Any, settings: NodeSettings, name: str, scout: ScoutOpener) -> RclpyNode:
     arguments = None if settings.arguments is None else list(settings.arguments)
     rclpy.init(
         args=arguments,
@@ -116,7 +124,7 @@ def _make(context: Any, settings: NodeSettings, name: str) -> RclpyNode:
         namespace=settings.namespace,
         start_parameter_services=False,  # see `parameters`
     )
-    ros = RclpyNode(node)
+    ros = RclpyNode(node, scout)
     for source in parameter_services(node):
         ros.keep(source.handle)
         ros.listen(source)
@@ -124,9 +132,9 @@ def _make(context: Any, settings: NodeSettings, name: str) -> RclpyNode:
 
 
 @asynccontextmanager
-async def users_node(node: Any) -> AsyncGenerator[RclpyNode, None]:
+async def users_node(node: Any, scout: ScoutOpener = no_scout) -> AsyncGenerator[RclpyNode, None]:
     """Use the node of the user, which an executor of the user spins."""
-    ros = RclpyNode(node)
+    ros = RclpyNode(node, scout)
     try:
         ros.start()
         async with Background() as tasks:

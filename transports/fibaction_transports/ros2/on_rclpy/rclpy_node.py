@@ -7,11 +7,12 @@ thread waits for it any more.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, suppress
 from typing import Any, cast
 
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost, TransportError
+from fibaction_transports.ros2.node.graph_view import DiscoveryState, GraphView
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
@@ -22,6 +23,7 @@ from fibaction_transports.ros2.node.parts import (
     ServiceProvider,
 )
 from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.node.scouted_view import ScoutOpener, no_scout, scouted_view
 from fibaction_transports.ros2.on_rclpy.clock import NodeClock
 from fibaction_transports.ros2.on_rclpy.ends import (
     RclpyCaller,
@@ -57,16 +59,22 @@ SURE = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "r
 """Middlewares that tell of each sign of life. rmw_zenoh_cpp had no such event, and since
 https://github.com/ros2/rmw_zenoh/pull/934 it has one that does not occur."""
 
+UNSCOUTED_QUIET = 1.5
+"""Seconds without news after which no node is expected, if there is no scout: Fast DDS has longer
+pauses than one second while it finds ten nodes."""
+
 logger = clean_logger("fibaction.ros2")
 
 
 class RclpyNode(RosNode):
     """A node of rclpy with a `RosWaitable`, for as long as a block lasts."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Any, scout: ScoutOpener = no_scout) -> None:
         self.node = node
+        self._scout = scout
         self.types = RclpyTypes()
         self.clock = self._clock = NodeClock(node)
+        self.full_name: str = node.get_fully_qualified_name()
         self.namespace: str = node.get_namespace()
         self.tells_signs = middleware() in SURE
         self._logger = node.get_logger()
@@ -208,6 +216,18 @@ class RclpyNode(RosNode):
         self.wake()
 
     # The graph
+
+    def observed(self) -> AbstractAsyncContextManager[GraphView]:
+        open_scout = self._scout if middleware() in SURE else no_scout
+        domain = self.node.context.get_domain_id()
+        return scouted_view(self, self.full_name, domain, open_scout)
+
+    def discovery(self) -> DiscoveryState:
+        return DiscoveryState(len(self.topics()) + len(self.nodes()), 0, UNSCOUTED_QUIET)
+
+    def nodes(self) -> set[str]:
+        found = self.attempt(self.node.get_node_names_and_namespaces, otherwise=())
+        return {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
 
     def topics(self) -> list[tuple[str, str]]:
         found = self.attempt(self.node.get_topic_names_and_types, otherwise=())

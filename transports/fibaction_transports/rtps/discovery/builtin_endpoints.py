@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 from fibaction_transports.rtps.discovery import participant_data as bits
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
+from fibaction_transports.rtps.discovery.participant_data import ParticipantData
 from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
@@ -116,6 +117,16 @@ class BuiltinEndpoints:
         for pair in _PAIRS:
             self._writers[pair].unmatch(Guid(prefix + pair.reader), now)
             self._readers[pair].unmatch(Guid(prefix + pair.writer))
+
+    def has_all(self, data: ParticipantData) -> bool:
+        """Return whether all announcements of a participant's endpoints have come, as far as it
+        has told.
+        """
+        return all(
+            self._readers[pair].is_complete(Guid(data.prefix + pair.writer))
+            for pair in (PUBLICATIONS, SUBSCRIPTIONS)
+            if data.endpoints & pair.announcer
+        )
 
     def _checked(self, handler: SampleHandler) -> Callable[[Guid, Sample, float], None]:
         """Return a callback for samples, which drops and counts those that are broken."""

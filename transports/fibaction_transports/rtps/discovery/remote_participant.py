@@ -53,8 +53,8 @@ class RemoteParticipant:
         self._default = self._address(data.data_locators) or discovery
         self.expires = math.inf
         """The time at which it is gone, if it does not announce itself before."""
-        self.heard = now
-        """The time of its last announcement."""
+        self.found = self.heard = now
+        """The time of its last announcement; `found` is that of the first one."""
         self.answered = -math.inf
         """The time at which it was last sent an announcement of its own."""
         self.has_acknowledged = False

@@ -54,6 +54,13 @@ class DataReader:
         """
         return [guid for guid, proxy in self._writers.items() if proxy.is_confirmed]
 
+    def is_complete(self, writer: Guid) -> bool:
+        """Return whether a writer has told which samples it has, and all of them have come; False
+        if it is not matched.
+        """
+        proxy = self._writers.get(writer)
+        return proxy is not None and proxy.is_complete
+
     def is_matched(self, writer: Guid) -> bool:
         """Return whether samples of this writer are taken."""
         return writer in self._writers

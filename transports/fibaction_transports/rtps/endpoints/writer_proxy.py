@@ -87,6 +87,13 @@ class WriterProxy:
         """True if the writer is known to have found the reader, or does not tell."""
         return not self._is_reliable or self._next is not None
 
+    @property
+    def is_complete(self) -> bool:
+        """True if all samples that the writer has told of have come, or it does not tell."""
+        if not self._is_reliable:
+            return True
+        return self._next is not None and self._next > self._announced
+
     def start_reliable(self, heartbeat: WriterHeartbeat | None, now: float) -> None:
         """Take the first heartbeat of the writer, or ask for it until it comes."""
         self._is_reliable = True
