@@ -25,7 +25,7 @@ class DiscoveryState(NamedTuple):
 
 
 class GraphView(ABC):
-    """What is known of a graph."""
+    """A view of a graph: its topics, their ends, and the nodes."""
 
     @abstractmethod
     def discovery(self) -> DiscoveryState:
