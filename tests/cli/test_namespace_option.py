@@ -13,7 +13,16 @@ from fibaction.cli.verbs import top
 from tests.cli.conftest import Run
 from tests.cli.test_top import sys_with_terminals
 
-VERBS = [["list"], ["goals"], ["goals", "-w"], ["top"], ["bridge", "URL", "unix:///tmp/never"]]
+VERBS = [
+    ["list"],
+    ["goals"],
+    ["goals", "-w"],
+    ["top"],
+    ["bridge", "URL", "unix:///tmp/never"],
+    ["attach", "12ab"],
+    ["cancel", "12ab"],
+    ["cancel", "--all"],
+]
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +50,22 @@ def test_every_verb_rejects_what_is_not_a_namespace(here: Run, tcp: str, verb: l
 
     assert (code, out) == (ExitCode.USAGE, "")
     assert err == "Error: a namespace is like /robot1 or /robot1/arm, unlike '/robot 1'\n"
+
+
+def test_names_are_relative_to_the_namespace(here: Run, tcp: str) -> None:
+    goal_id = here("send_goal", "pick", "object_name: cup", "--detach", "-n", "/arm", url=tcp).out
+    assert here("attach", goal_id.strip(), "pick", "-n", "/arm", url=tcp).code == 0
+    assert here("attach", goal_id.strip(), "-n", "/arm", url=tcp).code == 0
+    assert here("info", "pick", "-n", "arm", url=tcp).lines[0] == "Action: /arm/pick"
+    assert here("info", "/wait", "-n", "arm", url=tcp).lines[0] == "Action: /wait"
+    done = here("cancel", "pick", goal_id.strip(), "-n", "/arm", url=tcp)
+    text = f"The goal {goal_id.strip()} of /arm/pick is not canceled: it has ended already\n"
+    assert (done.code, done.err) == (ExitCode.ABORTED, text)
+    assert here("cancel", "pick", "--all", "-n", "/arm", url=tcp).err == (
+        "There is no goal to cancel.\n"
+    )
+    _, _, err = here("echo", "pic", "-n", "/arm", url=tcp)
+    assert "the action /arm/pic is not served; did you mean /arm/pick?" in err
 
 
 # Completion

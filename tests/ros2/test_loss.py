@@ -269,6 +269,29 @@ async def test_a_server_that_was_killed_and_started_anew_does_not_know_the_goals
                 assert await client.call(Goal(2)) == Result([0, 1, 1])
 
 
+async def holds(look: Callable[[], bool]) -> None:
+    async def seen() -> bool:
+        return look()
+
+    await eventually(seen, bool)
+
+
+async def test_an_orderly_stop_after_a_crash_and_a_restart_is_not_taken_for_silence() -> None:
+    name = "loss_crashed"
+    async with peer("ours", "serve_it", name, "asyncio") as first:
+        async with connect("ros2://", action(name)) as client:
+            presence = client_of(client.endpoint).presence
+            await holds(lambda: presence.is_there() and presence._alive == 1)
+            first.process.kill()
+            await holds(lambda: not presence.is_there() and presence.may_return())
+            async with peer("ours", "serve_it", name, "asyncio") as second:
+                await holds(presence.is_there)
+                second.signal(signal.SIGTERM)
+                assert await second.ended() == 0
+                await holds(lambda: not presence.is_there())
+                assert not presence.may_return()
+
+
 async def test_without_reconnect_a_wait_ends_as_soon_as_the_server_is_silent() -> None:
     async with peer("ours", "serve_it", "loss_strict", "asyncio") as server:
         async with waiting_for(server, "loss_strict", rest="?reconnect=false") as (_, goal):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import uuid
 from collections.abc import AsyncGenerator
 from functools import partial
 from importlib import import_module
@@ -12,9 +13,12 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction import blocking
 from fibaction._runtime.tasks import Background
-from fibaction.words.errors import ConnectionLost, TransportError
+from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
+from fibaction_transports.ros2 import Ros2Transport
 from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.on_rclpy import rclpy_adapter
 from fibaction_transports.ros2.on_rclpy.mailbox import Mailbox
 from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
@@ -33,9 +37,11 @@ from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.ros2.spun import spun_node
 from tests.ros2.stock.process import PATIENCE
 from tests.ros2.stock.telling import spin
 from tests.ros2.stock.waiting import eventually
+from tests.support.fibonacci import FIBONACCI
 
 pytestmark = pytest.mark.anyio
 
@@ -173,6 +179,72 @@ async def test_a_node_that_is_not_spun_can_be_used_and_left(ros: RclpyNode) -> N
     async with users_node(mine) as made:
         assert made.is_up
     mine.destroy_node()
+
+
+async def test_a_node_that_nothing_spins_is_told_in_one_line(
+    ros: RclpyNode, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(rclpy_adapter, "UNSPUN", 0.0)
+    mine = rclpy.create_node("mine", context=ros.node.context)
+    with anyio.fail_after(10):
+        async with users_node(mine):
+            while not caplog.messages:  # noqa: ASYNC110  # a line of the log tells nobody
+                await anyio.sleep(0.01)
+            await anyio.wait_all_tasks_blocked()
+    (line,) = caplog.messages
+    assert line.startswith(
+        "the node /mine is not spun, so nothing arrives at it: spin its executor"
+    )
+    mine.destroy_node()
+
+
+async def test_a_node_that_is_spun_is_not_told(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(rclpy_adapter, "UNSPUN", 1.0)
+    with anyio.fail_after(10), spun_node("/spun") as mine:
+        async with users_node(mine) as made:
+            while not made.sources.is_spun:  # noqa: ASYNC110  # nothing tells of it
+                await anyio.sleep(0.01)
+            monkeypatch.setattr(rclpy_adapter, "UNSPUN", 0.0)
+            await rclpy_adapter._warn_if_unspun(made)
+    assert caplog.messages == []
+
+
+async def test_a_node_without_waitables_is_an_error_that_says_what_to_use() -> None:
+    class AsyncNode:
+        """A node to which no waitable can be added."""
+
+    with pytest.raises(
+        TransportError, match=r"type AsyncNode has no add_waitable.*use dds:// besi"
+    ):
+        async with users_node(AsyncNode()):
+            pass
+
+
+def test_a_wait_with_a_timeout_ends_in_a_callback_of_the_only_thread() -> None:
+    space, ends = f"/t{uuid.uuid4().hex}", list[str]()
+    context = Context()
+    rclpy.init(args=[], context=context)
+    node = rclpy.create_node("mine", context=context, namespace=space)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def wait() -> None:
+        timer.cancel()
+        with blocking.connect(Ros2Transport(node=node), FIBONACCI) as client:
+            try:
+                client.wait_for_server(timeout=0.2)
+            except ServerNotFound as exc:
+                ends.append(str(exc))
+
+    timer = node.create_timer(0.0, wait)
+    while not ends:
+        executor.spin_once(timeout_sec=10)
+    assert ends == ["the action 'fibonacci' was not served within 0.2 s"]
+    executor.shutdown()
+    node.destroy_node()
+    context.try_shutdown()
 
 
 async def test_a_spinner_may_be_stopped_twice(ros: RclpyNode) -> None:

@@ -1,4 +1,4 @@
-"""The option `--namespace` of the verbs that list actions or goals."""
+"""The option `--namespace` of the verbs that name or list actions or goals."""
 
 from __future__ import annotations
 
@@ -48,5 +48,5 @@ def namespace_option(function: FunctionT) -> FunctionT:
         metavar="NAMESPACE",
         type=NAMESPACE,
         default=ROOT.path,
-        help="Only the actions in this namespace, for example /robot1.",
+        help="Only the actions in this namespace, for example /robot1. Names are relative to it.",
     )(function)

@@ -9,6 +9,8 @@ import click
 from fibaction._api import connect
 from fibaction.cli.arguments.completion import ACTION, GOAL_ID
 from fibaction.cli.arguments.goal_lookup import ActionClients, find_goal, goal_digits
+from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.lines import note
 from fibaction.cli.output.render import goal_printer, print_goal
@@ -27,20 +29,32 @@ Examples:
 )
 @click.argument("goal_id", type=GOAL_ID)
 @click.argument("name", type=ACTION, required=False)
+@namespace_option
 @full_option
 @json_option
 @url_option
-def attach_command(goal_id: str, name: str | None, full: bool, as_json: bool, url: str) -> None:
+def attach_command(
+    goal_id: str, name: str | None, namespace: Namespace, full: bool, as_json: bool, url: str
+) -> None:
     """Follow a goal that was sent before: its feedback from now on, and its result. The exit code
     is that of send_goal. Ctrl-C leaves the goal running.
 
     The beginning of a GOAL_ID is enough, if no other goal's ID begins so. With the action's NAME
     the goal is not looked for at other actions.
     """
-    run(attach, url, goal_digits(goal_id), name, full=full, as_json=as_json)
+    name = None if name is None else namespace.absolute(name)
+    run(attach, url, goal_digits(goal_id), name, namespace, full=full, as_json=as_json)
 
 
-async def attach(url: str, digits: str, name: str | None, *, full: bool, as_json: bool) -> int:
+async def attach(
+    url: str,
+    digits: str,
+    name: str | None,
+    namespace: Namespace = ROOT,
+    *,
+    full: bool,
+    as_json: bool,
+) -> int:
     """Print the events of a goal until it ends, and return the exit code.
 
     Raises:
@@ -48,7 +62,8 @@ async def attach(url: str, digits: str, name: str | None, *, full: bool, as_json
     """
     codes = [ExitCode.INTERRUPTED]
     async with connect(url) as connection:
-        clients = await ActionClients(connection, name).now()
+        looked_at = namespace.narrow(connection) if name is None else connection
+        clients = await ActionClients(looked_at, name).now()
         action, goal_id = await find_goal(clients, digits)
         if await until_interrupted(
             partial(_attach, clients[action], goal_id, codes, full, as_json)

@@ -17,6 +17,8 @@ from fibaction.cli.arguments.goal_lookup import (
     goal_digits,
     goals_of,
 )
+from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow
@@ -67,10 +69,16 @@ Exit code 1: a goal was not canceled, since the server rejected that or the goal
     metavar="STAMP",
     help="Cancel the goals that were accepted at or before that time.",
 )
+@namespace_option
 @json_option
 @url_option
 def cancel_command(
-    words: tuple[str, ...], everything: bool, before: int | None, as_json: bool, url: str
+    words: tuple[str, ...],
+    everything: bool,
+    before: int | None,
+    namespace: Namespace,
+    as_json: bool,
+    url: str,
 ) -> None:
     """Cancel a goal of any client, or many, of the action NAME or of all actions.
 
@@ -86,24 +94,28 @@ def cancel_command(
     if not words and not many:
         raise click.UsageError("no goal is named: give a GOAL_ID, --all or --before STAMP")
     if many:
-        run(cancel_many, url, words[0] if words else None, before, as_json=as_json)
+        name = namespace.absolute(words[0]) if words else None
+        run(cancel_many, url, name, before, namespace, as_json=as_json)
     else:
-        name = words[0] if len(words) == 2 else None
+        name = namespace.absolute(words[0]) if len(words) == 2 else None
         try:
             digits = goal_digits(words[-1])
         except Failure as exc:
             raise Failure(f"{exc.message}; --all means all", ExitCode.USAGE) from exc
-        run(cancel_one, url, name, digits, as_json=as_json)
+        run(cancel_one, url, name, digits, namespace, as_json=as_json)
 
 
-async def cancel_one(url: str, name: str | None, digits: str, *, as_json: bool) -> int:
+async def cancel_one(
+    url: str, name: str | None, digits: str, namespace: Namespace = ROOT, *, as_json: bool
+) -> int:
     """Cancel the goal whose ID begins so, and return the exit code.
 
     Raises:
         Failure, ActionError: There is no such goal, or the server cannot be asked.
     """
     async with connect(url) as connection:
-        clients = await ActionClients(connection, name).now()
+        looked_at = namespace.narrow(connection) if name is None else connection
+        clients = await ActionClients(looked_at, name).now()
         action, goal_id = await find_goal(clients, digits)
         answer = await clients[action].cancel_goals(goal_id)
     if answer.return_code is CancelCode.UNKNOWN_GOAL_ID:
@@ -111,7 +123,9 @@ async def cancel_one(url: str, name: str | None, digits: str, *, as_json: bool) 
     return _print_answer(action, [goal_id], answer, as_json)
 
 
-async def cancel_many(url: str, name: str | None, before: int | None, *, as_json: bool) -> int:
+async def cancel_many(
+    url: str, name: str | None, before: int | None, namespace: Namespace = ROOT, *, as_json: bool
+) -> int:
     """Cancel all goals, or those up to a stamp, and return the exit code.
 
     Raises:
@@ -136,7 +150,8 @@ async def cancel_many(url: str, name: str | None, before: int | None, *, as_json
 
     limit = anyio.CapacityLimiter(MOST_AT_ONCE)
     async with connect(url) as connection:
-        clients = await ActionClients(connection, name).now()
+        looked_at = namespace.narrow(connection) if name is None else connection
+        clients = await ActionClients(looked_at, name).now()
         rows = await goals_of(clients)
         # Concurrently: a slow server must not delay the cancels at the others.
         async with anyio.create_task_group() as tasks:

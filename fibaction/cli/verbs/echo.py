@@ -11,6 +11,8 @@ import click
 from fibaction._api import ClientConnection, connect
 from fibaction.cli.arguments.action_names import find_action, shown
 from fibaction.cli.arguments.completion import ACTION
+from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow
@@ -34,14 +36,15 @@ REMEMBERED = 10_000
     "echo", epilog="\b\nExamples:\n  fibaction echo fibonacci\n  fibaction echo fibonacci --json"
 )
 @click.argument("name", type=ACTION)
+@namespace_option
 @full_option
 @json_option
 @url_option
-def echo_command(name: str, full: bool, as_json: bool, url: str) -> None:
+def echo_command(name: str, namespace: Namespace, full: bool, as_json: bool, url: str) -> None:
     """Print the feedback of all goals of the action NAME, and every change of their statuses, until
     Ctrl-C. The statuses of the goals that the server knows come first.
     """
-    run(echo, url, name, full=full, as_json=as_json)
+    run(echo, url, namespace.absolute(name), full=full, as_json=as_json)
 
 
 async def echo(url: str, name: str, *, full: bool, as_json: bool) -> int:

@@ -8,6 +8,8 @@ from fibaction._api import connect
 from fibaction.cli.arguments.action_names import no_action, shown
 from fibaction.cli.arguments.completion import ACTION
 from fibaction.cli.arguments.goal_template import GoalTemplate
+from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say, say_json
@@ -21,13 +23,17 @@ from fibaction.words.errors import ServerNotFound
 @click.argument("name", type=ACTION)
 @types_option
 @count_option
+@namespace_option
 @json_option
 @url_option
-def info_command(name: str, show_types: bool, count: bool, as_json: bool, url: str) -> None:
+def info_command(
+    name: str, show_types: bool, count: bool, namespace: Namespace, as_json: bool, url: str
+) -> None:
     """Show the servers and the clients of the action NAME, and its goal as a template to fill in.
     With --json, also the JSON Schemas of its goal, feedback and result.
     """
-    run(print_info, url, name, show_types=show_types, count=count, as_json=as_json)
+    options = {"show_types": show_types, "count": count, "as_json": as_json}
+    run(print_info, url, namespace.absolute(name), **options)
 
 
 async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_json: bool) -> int:

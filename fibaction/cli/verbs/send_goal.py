@@ -22,6 +22,8 @@ from fibaction.border.abc import Endpoint, GoalStream, Meta
 from fibaction.cli.arguments.action_names import find_action, shown
 from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL
 from fibaction.cli.arguments.goal_input import read_goal
+from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.goal_table import ordinal
 from fibaction.cli.output.lines import note, say
@@ -86,6 +88,7 @@ Ctrl-C cancels the goal and waits for its end; a second Ctrl-C leaves at once.""
     help="Cancel the goal if it has not ended by then.",
 )
 @click.option("--detach", is_flag=True, help="Print the goal's ID, and do not wait for its end.")
+@namespace_option
 @full_option
 @json_option
 @url_option
@@ -97,6 +100,7 @@ def send_goal_command(
     goal_file: Path | None,
     timeout: float | None,
     detach: bool,
+    namespace: Namespace,
     full: bool,
     as_json: bool,
     url: str,
@@ -111,7 +115,7 @@ def send_goal_command(
     if detach and feedback:
         raise click.UsageError("--detach does not wait for feedback: use attach instead")
     options = SendOptions(feedback, timeout, detach, as_json, full)
-    run(send, url, name, type_name, text, options)
+    run(send, url, namespace.absolute(name), type_name, text, options)
 
 
 def _type_and_text(rest: tuple[str, ...]) -> tuple[str, str | None]:

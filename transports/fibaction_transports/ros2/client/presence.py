@@ -69,6 +69,8 @@ class Presence:
         self._alive: int = 0
         self._not_alive: int = 0
         self._dead: bool = False
+        self._left: bool = False
+        """True if the last server that lived was not among those that fell silent."""
         self._unheard_since = self._looked = current_time()
         self._silent_since: float | None = None
         """The time at which a server was found silent; None if there is one that is not."""
@@ -110,7 +112,7 @@ class Presence:
 
     def _has_left(self) -> bool:
         """Return whether a server has left rather than fallen silent, and the graph is late."""
-        return self._dead and not self._not_alive
+        return self._dead and (self._left or not self._not_alive)
 
     def _note_look(self, matched: bool) -> None:
         """Note that a server is there without any sign of life: it may have died before its first
@@ -211,9 +213,12 @@ class Presence:
         news = self._watch.news()
         if news is None:
             return
+        # A server that was killed counts among those that do not live until its node's lease ends.
+        fell_silent = news.not_alive > self._not_alive
         self._not_alive = news.not_alive
         if news.alive != self._alive:
             self._alive, self._dead = news.alive, news.alive == 0
+            self._left = self._dead and not fell_silent
             self._tells_signs = True
 
     def _all_have_leases(self) -> bool:

@@ -10,7 +10,10 @@ from collections.abc import AsyncGenerator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
+import anyio
+
 from fibaction.border.event_loop import Background
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.adapter import RosAdapter
 from fibaction_transports.ros2.node.ros_node import RosNode
@@ -27,6 +30,11 @@ from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
 from fibaction_transports.ros2.settings import LAST_DOMAIN, NodeSettings
+
+UNSPUN = 2.0
+"""Seconds after which a node that no executor has spun is told in the log."""
+
+logger = clean_logger("fibaction.ros2")
 
 
 class RclpyAdapter(RosAdapter):
@@ -133,12 +141,33 @@ def _make(context: Any, settings: NodeSettings, name: str, scout: ScoutOpener) -
 
 @asynccontextmanager
 async def users_node(node: Any, scout: ScoutOpener = no_scout) -> AsyncGenerator[RclpyNode, None]:
-    """Use the node of the user, which an executor of the user spins."""
+    """Use the node of the user, which an executor of the user spins.
+
+    Raises:
+        TransportError: It is a node of another kind, to which nothing can be added.
+    """
+    if not hasattr(node, "add_waitable"):
+        raise TransportError(
+            f"a node of the type {type(node).__name__} has no add_waitable(), which actions need:"
+            " leave node= out, so that fibaction makes a node of its own, or use dds:// beside it"
+        )
     ros = RclpyNode(node, scout)
     try:
         ros.start()
         async with Background() as tasks:
             tasks.start_soon(ros.run, name="ros2 mailbox")
+            tasks.start_soon(_warn_if_unspun, ros, name="ros2 unspun node")
             yield ros
     finally:
         ros.close()
+
+
+async def _warn_if_unspun(ros: RclpyNode) -> None:
+    """Log once that a node is not spun, if it is not."""
+    await anyio.sleep(UNSPUN)
+    if not ros.sources.is_spun:
+        logger.warning(
+            "the node %s is not spun, so nothing arrives at it: spin its executor in another"
+            " thread, and do not wait for fibaction in a callback of a single-threaded executor",
+            ros.full_name,
+        )

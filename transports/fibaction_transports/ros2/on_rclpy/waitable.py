@@ -126,6 +126,8 @@ class RosWaitable(waitable.Waitable):  # type: ignore[misc]  # rclpy has no type
         self._sources: tuple[Source, ...] = ()
         self._entered: list[Source] = []
         self._ready: list[Source] = []
+        self.is_spun = False
+        """True if an executor has waited for it."""
 
     def add(self, *sources: Source, first: bool = False) -> None:
         """Take from these sources, too. It has an effect after the executor has been woken.
@@ -150,6 +152,7 @@ class RosWaitable(waitable.Waitable):  # type: ignore[misc]  # rclpy has no type
     # Methods that are called in the thread that spins, in this order
 
     def __enter__(self) -> RosWaitable:
+        self.is_spun = True
         self._entered = []
         for source in () if self.is_paused else self._sources:
             with suppress(InvalidHandle):  # it is being destroyed
