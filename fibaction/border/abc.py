@@ -180,6 +180,12 @@ class Transport(ABC):
             AuthenticationFailed: The server rejects this client.
         """
 
+    def served_as(self, name: str) -> str:
+        """Return the full name under which the last block of `serve` serves an action, if a setting
+        of the transport gives it another name; else its own.
+        """
+        return name
+
     async def diagnose(self, seconds: float, action: str = "") -> Diagnosis:
         """Find out what can be reached, or whether this action can be, and why not.
 

@@ -21,6 +21,7 @@ from fibaction import ActionServer, SqliteStore, connect
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import serve
+from fibaction_transports.inprocess import InProcessTransport
 from tests.cli.conftest import Invoke, Open, Run, Start, detached, eventually
 from tests.cli.robot_module import MODULE
 from tests.support.fibonacci import FIBONACCI, fibonacci
@@ -183,6 +184,20 @@ def test_a_signal_ends_it_with_code_0_and_the_log_is_as_before(
     assert result.stdout == f"serving /arm/tell at unix://{folder}/socket, Ctrl-C stops it\n"
     assert "action server 'arm/tell' has stopped" in result.stderr
     assert (root.level, root.handlers) == before
+
+
+def test_names_that_an_address_remaps_are_printed_with_it() -> None:
+    class Remapping(InProcessTransport):
+        """A transport with other names."""
+
+        def served_as(self, name: str) -> str:
+            return f"/robot/sum_of_{name}"
+
+    servers = [ActionServer(FIBONACCI, fibonacci)]
+    assert (
+        serve._with_names("ros2://", Remapping(), servers) == "ros2:// as /robot/sum_of_fibonacci"
+    )
+    assert serve._with_names("inproc://a", InProcessTransport("a"), servers) == "inproc://a"
 
 
 @pytest.mark.asyncio

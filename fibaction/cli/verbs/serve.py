@@ -6,6 +6,7 @@ import gc
 import os
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from itertools import repeat
 from typing import Literal
 
 import anyio
@@ -13,10 +14,12 @@ import click
 
 from fibaction._api import serve
 from fibaction._runtime.log import clean_logger
-from fibaction.border.abc import StatusStream
+from fibaction.border.abc import StatusStream, Transport
+from fibaction.border.urls import transport_for
 from fibaction.cli.arguments.action_names import names_of
 from fibaction.cli.arguments.import_target import AnyServer, import_servers
 from fibaction.cli.arguments.options import reject_inproc, url_of
+from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.process.last_seconds import LastSeconds
@@ -147,12 +150,21 @@ async def serve_servers(
             await stack.enter_async_context(metrics_of(servers, metrics))
         if record is not None:
             stack.enter_context(recorded(servers, record))
-        where = await stack.enter_async_context(served(servers, *urls))
-        say(f"serving {names_of(servers)} at {', '.join(where)}, Ctrl-C stops it")
+        transports = [transport_for(url) for url in urls]
+        where = await stack.enter_async_context(served(servers, *transports))
+        there = map(_with_names, where, transports, repeat(servers))
+        say(f"serving {names_of(servers)} at {', '.join(there)}, Ctrl-C stops it")
         with rare_collections():
             await stop.wait()
     at_end()
     return ExitCode.SUCCEEDED
+
+
+def _with_names(url: str, transport: Transport, servers: Sequence[AnyServer]) -> str:
+    """Return a URL, with the names of the actions that have others there."""
+    names = [server.action.name for server in servers]
+    others = [other for name in names if (other := transport.served_as(name)) != name]
+    return f"{url} as {', '.join(map(excerpt, others))}" if others else url
 
 
 @contextmanager
@@ -174,7 +186,9 @@ def rare_collections() -> Generator[None, None, None]:
 
 
 @asynccontextmanager
-async def served(servers: Sequence[AnyServer], *urls: str) -> AsyncGenerator[tuple[str, ...], None]:
+async def served(
+    servers: Sequence[AnyServer], *urls: str | Transport
+) -> AsyncGenerator[tuple[str, ...], None]:
     """Run `fibaction.serve` during the block, and log each change of a goal's status."""
     async with serve(servers, *urls) as where, anyio.create_task_group() as tasks:
         log_events()  # not sooner: if it cannot serve, it is of no interest that servers stop

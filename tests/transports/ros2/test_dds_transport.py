@@ -117,13 +117,22 @@ async def test_names_can_be_remapped_and_the_url_has_the_namespace() -> None:
         result=Result,
         type_name=FIBONACCI.type_name,
     )
+    transport = DdsTransport(arguments=arguments)
     with anyio.fail_after(PATIENCE):
         async with (
-            serve(ActionServer(FIBONACCI, fibonacci), "dds://", arguments=arguments) as (url,),
+            serve(ActionServer(FIBONACCI, fibonacci), transport) as (url,),
             connect(url, action) as client,
         ):
             assert url == f"dds://?namespace={space}"
+            assert transport.served_as("fibonacci") == f"{space}/sequence"
             assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+
+
+async def test_a_name_that_is_not_remapped_is_its_own() -> None:
+    transport = DdsTransport(namespace=f"/t{uuid.uuid4().hex}")
+    with anyio.fail_after(PATIENCE):
+        async with serve(ActionServer(FIBONACCI, fibonacci), transport):
+            assert transport.served_as("fibonacci") == "fibonacci"
 
 
 async def test_two_servers_of_one_name_are_an_error() -> None:

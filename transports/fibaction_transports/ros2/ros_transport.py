@@ -16,7 +16,8 @@ from fibaction.border.urls import unknown_setting, without_settings
 from fibaction.words.errors import InvalidURL, TransportError
 from fibaction_transports.ros2.adapter import RosAdapter
 from fibaction_transports.ros2.client.endpoint import connect_actions
-from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.names import ActionNames, action_names
+from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.node.ros_node import RosTypes
 from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
 from fibaction_transports.ros2.settings import EndSettings
@@ -58,6 +59,12 @@ class RosTransport(Transport):
         self._adapter = adapter
         self._ends = ends
         self._shared = shared
+        self._remapped: dict[str, str] = {}
+        """The full names of the actions that are served under other names than their own."""
+
+    def served_as(self, name: str) -> str:
+        """See `Transport.served_as`: a remapped name is the one in the graph."""
+        return self._remapped.get(name, name)
 
     @property
     def url(self) -> str:
@@ -81,9 +88,10 @@ class RosTransport(Transport):
         """See `Transport.serve`. First, the types of all actions are compared with those of ROS."""
         served = _served(endpoints, self._adapter.types)
         async with self._adapter.open() as ros:
-            full = [action_names(ros.resolve, endpoint.info.name) for endpoint in endpoints]
-            if len(set(full)) < len(full):
+            full = {one.info.name: action_names(ros.resolve, one.info.name) for one in endpoints}
+            if len(set(full.values())) < len(endpoints):
                 raise TransportError("two of the endpoints serve actions of the same name")
+            self._remapped = _remapped(ros.namespace, full)
             async with serve_actions(ros, served, self._ends):
                 yield self._url_in(ros.namespace)
 
@@ -95,6 +103,13 @@ class RosTransport(Transport):
             connect_actions(ros, self._ends) as connection,
         ):
             yield connection
+
+
+def _remapped(namespace: str, full: Mapping[str, ActionNames]) -> dict[str, str]:
+    """Return the full names of the actions that have others than their own in this namespace."""
+    found = {name: names.feedback.removesuffix(FEEDBACK) for name, names in full.items()}
+    space = namespace.rstrip("/")
+    return {name: one for name, one in found.items() if one not in (name, f"{space}/{name}")}
 
 
 def shared_settings(namespace: str, domain_id: int | None, ends: EndSettings) -> dict[str, Any]:
