@@ -110,6 +110,18 @@ async def test_a_goal_that_is_lost_on_the_way_is_sent_again_and_runs_once(
 
 
 @pytest.mark.promise("LOSS-5")
+async def test_a_goal_in_the_status_list_is_accepted_if_its_answer_is_lost(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service_client, "FIRST_TIMEOUT", 1000.0)
+    lost = lose(monkeypatch, "_answer_goal", answers=True)
+    async with both_ends(url, forever) as client:
+        goal = await client.send_goal(Goal(7))
+        assert goal.status.is_active
+    assert len(lost) == 1
+
+
+@pytest.mark.promise("LOSS-5")
 async def test_a_retry_that_is_rejected_because_of_the_first_request_is_an_acceptance(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

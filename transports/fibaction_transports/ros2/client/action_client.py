@@ -174,6 +174,7 @@ class RosActionClient:
                 stream.early_request = self._followed.request_result(stream)
 
         with ServiceCall(self._goals, request, sent) as call:
+            stream.when_listed = call.hasten
             self._pending.notify()
             while not await call.attempt():
                 # If it was the answer that was lost, the goal is in the list.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate, Notifier
@@ -68,6 +68,8 @@ class RosGoalStream(GoalStream):
         published since this stream has followed the goal."""
         self.awaits_server = False
         """True if several servers run the goal, and it is not yet known whose feedback to take."""
+        self.when_listed: Callable[[], None] = lambda: None
+        """Called if the goal is in a status list, and its acceptance has not arrived."""
         self.news = Notifier()
         self.reads = reads
         self._items: deque[tuple[FeedbackItem, bytes]] = deque(maxlen=depth)
@@ -150,7 +152,9 @@ class RosGoalStream(GoalStream):
 
     def set_status(self, status: GoalStatus) -> None:
         """Set the status, unless it is an earlier one: statuses only ever grow."""
-        if self.has_begun and status > self._status:
+        if not self.has_begun:
+            self.when_listed()
+        elif status > self._status:
             self._status = status
             if self.reads and status.is_active:
                 self._statuses.append(status)

@@ -52,6 +52,7 @@ class GraphLooks:
         Raises:
             ConnectionLost: ROS has been shut down.
         """
+        self.check()
         began = changed = current_time()
         async with self._view() as view:
             found, state = self.once(look, view), view.discovery()

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import anyio
+from anyio import current_time
 
 from fibaction.border.abc import Notifier
 from fibaction.words.errors import ConnectionLost
@@ -21,6 +22,10 @@ AT_ONCE = 8
 FIRST_TIMEOUT, LONGEST_TIMEOUT = 1.0, 30.0
 """Seconds until a request is sent again: the first time, and at most. The timeout doubles with each
 retry, because a server may just be slow to decide."""
+
+LISTED = 0.3
+"""Seconds for the answer to arrive after something else has shown that the request has. Servers of
+Fast DDS drop an answer after 0.1 s if they have not found the reader of the client by then."""
 
 
 class ServiceCall:
@@ -39,6 +44,7 @@ class ServiceCall:
         self._news = Notifier()
         self._timeout = FIRST_TIMEOUT
         self._is_due = False
+        self._scope = anyio.CancelScope()
         self._error: ConnectionLost | None = None
 
     def __enter__(self) -> ServiceCall:
@@ -73,11 +79,15 @@ class ServiceCall:
 
     async def wait(self, seconds: float) -> bool:
         """Wait for an answer without a retry, and return whether there is one."""
-        with anyio.move_on_after(seconds):
+        with anyio.move_on_after(seconds) as self._scope:
             while self.response is None and not self._is_due:
                 self._raise_error()
                 await self._news.wait()
         return self.response is not None
+
+    def hasten(self) -> None:
+        """Wait no longer than `LISTED` seconds for the answer, because the request has arrived."""
+        self._scope.deadline = min(self._scope.deadline, current_time() + LISTED)
 
     def set_response(self, response: Any) -> None:
         """Store an answer. After a retry there may be several; the last one counts."""

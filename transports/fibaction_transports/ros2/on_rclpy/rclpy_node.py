@@ -219,7 +219,7 @@ class RclpyNode(RosNode):
 
     def observed(self) -> AbstractAsyncContextManager[GraphView]:
         open_scout = self._scout if middleware() in SURE else no_scout
-        domain = self.node.context.get_domain_id()
+        domain = self.attempt(self.node.context.get_domain_id, otherwise=0)
         return scouted_view(self, self.full_name, domain, open_scout)
 
     def discovery(self) -> DiscoveryState:
