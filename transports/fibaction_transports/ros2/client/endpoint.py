@@ -218,9 +218,9 @@ class RosConnection(Connection):
         """See `Connection.peers`. Peers are named by their nodes. The clients are the nodes that
         subscribe to the feedback, as every client of an action does.
         """
-        full = action_names(self._ros.resolve, action)
 
         def look(view: GraphView) -> ActionPeers | None:
+            full = action_names(self._ros.resolve, action)
             servers = _nodes(view.publishers(full.status))
             clients = _nodes(view.subscriptions(full.feedback))
             return ActionPeers(servers, clients) if servers or clients else None
