@@ -26,11 +26,11 @@ BUSY = "while True: pass"
 
 
 async def one_list(url: str) -> tuple[str, float]:
-    """List the actions; return what was printed, and the seconds."""
+    """List the actions; return what was printed, an error too, and the seconds."""
     start = perf_counter()
     command = [sys.executable, "-m", "fibaction", "-u", url, "list", "-c"]
     done = await anyio.run_process(command, check=False)
-    return done.stdout.decode().strip(), perf_counter() - start
+    return (done.stdout + done.stderr).decode().strip(), perf_counter() - start
 
 
 async def measure(robots: int, lists: int, busy: int, url: str) -> dict[str, Any]:
