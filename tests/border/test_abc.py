@@ -352,6 +352,10 @@ class Nowhere(Connection):
         raise NotImplementedError
 
 
+def test_a_transport_serves_actions_under_their_own_names() -> None:
+    assert InProcessTransport().served_as("fibonacci") == "fibonacci"
+
+
 @pytest.mark.asyncio
 async def test_a_connection_need_not_know_its_peers() -> None:
     assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
