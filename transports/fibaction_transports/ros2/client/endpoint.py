@@ -195,7 +195,7 @@ class RosConnection(Connection):
         """See `Connection.interface_texts`. They are those of the version that the server has."""
         full = action_names(self._ros.resolve, action.name)
         await self._ros.learn([(full.feedback, action.type_name)])
-        self._check_ros()
+        self._looks.check()
         texts = self._ros.types.texts(action.type_name)
         if problem := self._version_problem(action):
             raise TransportError(problem)

@@ -31,8 +31,8 @@ from anyio import current_time
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.node.parts import AnswerSink, EndInfo, ErrorSink
-from fibaction_transports.ros2.node.ros_node import FEEDBACK
 from fibaction_transports.ros2.on_dds.descriptions.described_types import (
     UnusableDescription,
     described_action,
