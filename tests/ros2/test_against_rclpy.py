@@ -133,6 +133,17 @@ async def test_a_rejected_goal_is_unknown_afterwards(stock: Peer) -> None:
     assert cancel == {"code": UNKNOWN_ID, "goals": []}
 
 
+async def test_the_reason_of_a_rejection_is_in_the_log_of_ros(stock: Peer) -> None:
+    goal = (await send(stock, orders.REJECTED))["goal"]
+
+    async def lines() -> list[str]:
+        return [text for _, text in await stock.ask("log") if goal in text]
+
+    assert await eventually(lines, bool) == [
+        f"ours: goal {goal} rejected: a sequence has no negative length"
+    ]
+
+
 @pytest.mark.promise("ACCEPT-4")
 async def test_a_callback_that_raises_rejects_the_goal_and_the_server_goes_on(stock: Peer) -> None:
     assert not (await send(stock, orders.GOAL_RAISES))["accepted"]

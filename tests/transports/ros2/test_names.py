@@ -114,7 +114,10 @@ def test_parameters_are_read_and_what_does_not_concern_a_node_is_left_alone() ->
             "not of ROS",
         ]
     )
-    assert arguments == RosArguments((), (("", "use_sim_time", "true"), ("arm", "speed", "2.5")))
+    parameters = (("", "use_sim_time", "true"), ("arm", "speed", "2.5"))
+    assert arguments == RosArguments((), parameters, has_rosout=False)
+    more = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--enable-rosout-logs"]
+    assert read_arguments(more) == RosArguments()
 
 
 @pytest.mark.parametrize(

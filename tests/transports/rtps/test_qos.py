@@ -97,6 +97,7 @@ def test_what_is_announced_is_read(depth: int | None) -> None:
         deadline=0.5,
         liveliness=Liveliness.BY_TOPIC,
         liveliness_lease=1.25,
+        lifespan=10.0,
     )
     assert read_qos(Parameters(tuple(qos_items(qos))), is_writer=True) == qos
 

@@ -126,6 +126,25 @@ def test_a_late_reader_gets_the_samples_that_are_kept_for_it() -> None:
     assert writer.kept == 3
 
 
+def test_a_late_reader_gets_no_sample_whose_lifespan_is_over() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one, Qos(durability=LATE.durability, depth=3, lifespan=10.0))
+    for number in numbers(6):  # some are forgotten before, as the history keeps three
+        write(world, writer, number)
+        world.run(4.0)
+    reader = reader_of(world, other, LATE)
+    assert world.run_until(lambda: len(other.texts(reader)) == 2)
+    assert writer.kept == 2
+    write(world, writer, "6")
+    assert world.run_until(lambda: len(other.texts(reader)) == 3)
+    assert other.texts(reader) == numbers(4, 7)
+    assert other.all(SamplesLost) == []
+    world.run(20.0)
+    write(world, writer, "7")
+    assert writer.kept == 1
+
+
 def test_a_late_reader_that_wants_none_of_them_gets_new_ones_only() -> None:
     world = World()
     one, other = world.pair()

@@ -58,6 +58,8 @@ class Qos(Struct, frozen=True, kw_only=True):
     liveliness: Liveliness = Liveliness.AUTOMATIC
     liveliness_lease: float = math.inf
     """Seconds after which a silent writer is not alive."""
+    lifespan: float = math.inf
+    """Seconds after which a sample is not sent any more, nor kept for late readers."""
     ownership: int = _SHARED
     destination_order: int = 0
     partitions: tuple[str, ...] = ()
@@ -111,7 +113,7 @@ def _word(value: int) -> str:
 
 def qos_items(qos: Qos) -> list[tuple[int, bytes]]:
     """Return the parameters that announce a quality of service; most defaults are left out."""
-    return [
+    items = [
         (pids.RELIABILITY, struct.pack("<I", qos.reliability) + duration_bytes(_BLOCKING)),
         (pids.DURABILITY, struct.pack("<I", qos.durability)),
         (pids.HISTORY, struct.pack("<II", qos.depth is None, qos.depth or 0)),
@@ -122,6 +124,9 @@ def qos_items(qos: Qos) -> list[tuple[int, bytes]]:
         (pids.DEADLINE, duration_bytes(qos.deadline)),
         (pids.DATA_REPRESENTATION, _REPRESENTATION),
     ]
+    if qos.lifespan < math.inf:
+        items.append((pids.LIFESPAN, duration_bytes(qos.lifespan)))
+    return items
 
 
 def read_qos(parameters: Parameters, *, is_writer: bool) -> Qos:
@@ -141,6 +146,7 @@ def read_qos(parameters: Parameters, *, is_writer: bool) -> Qos:
         deadline=parameters.duration(pids.DEADLINE, math.inf),
         liveliness=Liveliness(parameters.u32(pids.LIVELINESS, Liveliness.AUTOMATIC)),
         liveliness_lease=parameters.duration(pids.LIVELINESS, math.inf, offset=4),
+        lifespan=parameters.duration(pids.LIFESPAN, math.inf),
         ownership=parameters.u32(pids.OWNERSHIP, _SHARED),
         destination_order=parameters.u32(pids.DESTINATION_ORDER, 0),
         partitions=tuple(parameters.texts(pids.PARTITION)),

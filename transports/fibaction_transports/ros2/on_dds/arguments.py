@@ -15,8 +15,9 @@ from fibaction_transports.ros2.on_dds.graph import NodeName
 
 _BEGIN, _END = "--ros-args", "--"
 _IGNORED_WITH_VALUE = ("--log-level", "--log-config-file", "-e", "--enclave")
-_LOGS = ("--enable-rosout-logs", "--disable-rosout-logs", "--enable-stdout-logs")
-_MORE_LOGS = ("--disable-stdout-logs", "--enable-external-lib-logs", "--disable-external-lib-logs")
+_ROSOUT_LOGS = {"--enable-rosout-logs": True, "--disable-rosout-logs": False}
+_STDOUT = ("--enable-stdout-logs", "--disable-stdout-logs")
+_OTHER_LOGS = ("--enable-external-lib-logs", "--disable-external-lib-logs")
 _NODE = ("__node", "__name")
 _NAMESPACE = "__ns"
 _SCHEMES = ("rostopic://", "rosservice://")
@@ -39,6 +40,8 @@ class RosArguments(NamedTuple):
     remaps: tuple[Remap, ...] = ()
     parameters: tuple[tuple[str, str, str], ...] = ()
     """Each with its node, which is empty for all, its name, and its value as YAML."""
+    has_rosout: bool = True
+    """True if the log goes to the topic `/rosout`, too."""
 
 
 def read_arguments(arguments: Sequence[str]) -> RosArguments:
@@ -49,6 +52,7 @@ def read_arguments(arguments: Sequence[str]) -> RosArguments:
     """
     remaps: list[Remap] = []
     parameters: list[tuple[str, str, str]] = []
+    has_rosout = True
     words = iter(_of_ros(arguments))
     for word in words:
         if word in ("-r", "--remap"):
@@ -58,12 +62,14 @@ def read_arguments(arguments: Sequence[str]) -> RosArguments:
             parameters.append(_rule(word, next(words, "")))
         elif word in _IGNORED_WITH_VALUE:
             next(words, None)
-        elif word not in (*_LOGS, *_MORE_LOGS):
+        elif word in _ROSOUT_LOGS:
+            has_rosout = _ROSOUT_LOGS[word]
+        elif word not in (*_STDOUT, *_OTHER_LOGS):
             raise TransportError(
                 f"{word!r} is not an argument of ROS that dds:// knows: use -r OLD:=NEW or"
                 " -p NAME:=VALUE after --ros-args"
             )
-    return RosArguments(tuple(remaps), tuple(parameters))
+    return RosArguments(tuple(remaps), tuple(parameters), has_rosout)
 
 
 def _of_ros(arguments: Sequence[str]) -> Iterator[str]:

@@ -73,6 +73,7 @@ class DdsAdapter(RosAdapter):
             self._types,
             network=self._settings.network,
             fragment_size=self._settings.fragment_size,
+            has_rosout=arguments.has_rosout,
         )
         async with opened as node:
             if (value := _simulated_time(full, arguments)) is not None:

@@ -38,6 +38,7 @@ from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, 
 from fibaction_transports.ros2.on_dds.messages.node_messages import CLOCK
 from fibaction_transports.ros2.on_dds.names import reply_topic, request_topic, topic_name
 from fibaction_transports.ros2.on_dds.parameters import DdsParameters
+from fibaction_transports.ros2.on_dds.rosout import LOG, ROSOUT, ROSOUT_QOS, RosoutLog
 from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds, provide
 from fibaction_transports.ros2.on_dds.topics import (
     DdsLifeWatch,
@@ -57,6 +58,7 @@ from fibaction_transports.rtps.events import (
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.network import ParticipantNetwork, open_network
 from fibaction_transports.rtps.ports import DomainSettings
+from fibaction_transports.rtps.qos import Qos
 
 logger = clean_logger("fibaction.ros2")
 
@@ -73,6 +75,8 @@ class DdsNode(RosNode):
         resolver: NameResolver,
         types: DdsTypes,
         tasks: TaskGroup,
+        *,
+        has_rosout: bool,
     ) -> None:
         self.types = types
         self.clock = self._clock = DdsClock()
@@ -94,6 +98,7 @@ class DdsNode(RosNode):
         self._in_use = TypeRegistry()
         self._learner = TypeLearner(self, types)
         self.parameters.serve(self, str(name))
+        self._rosout = self._open_rosout() if has_rosout else None
         provide(self, f"{name}/get_type_description", GET_TYPE_DESCRIPTION, self._in_use.answer)
         tasks.start_soon(self.graph.run, name="announcements of a ROS node")
 
@@ -143,7 +148,15 @@ class DdsNode(RosNode):
 
     def _log(self, level: int, text: str) -> None:
         if self.is_up:
-            logger.log(level, "%s", excerpt(text, MESSAGE))
+            line = excerpt(text, MESSAGE)
+            logger.log(level, "%s", line)
+            if self._rosout is not None:
+                self._rosout.write(level, line)
+
+    def _open_rosout(self) -> RosoutLog:
+        writer = self._writer(topic_name(self.resolve(ROSOUT)), LOG, ROSOUT_QOS)
+        publisher = DdsPublisher(writer, LOG, self.network.write)
+        return RosoutLog(self.name, publisher.publish)
 
     def _use_simulated_time(self, wanted: bool) -> None:
         self._clock.use_simulated(wanted)
@@ -154,7 +167,7 @@ class DdsNode(RosNode):
     # Parts
 
     def publisher(self, topic: str, message_type: MessageType, qos: EndQos) -> DdsPublisher:
-        writer = self._writer(topic_name(topic), message_type, qos)
+        writer = self._writer(topic_name(topic), message_type, dds_qos(qos))
         return DdsPublisher(writer, message_type, self.network.write)
 
     def subscription(
@@ -181,7 +194,7 @@ class DdsNode(RosNode):
     ) -> DdsCaller:
         # The reader first, so that a server that knows the writer knows where its answers go.
         reader = self._reader(reply_topic(service), service_type.Response, qos)
-        writer = self._writer(request_topic(service), service_type.Request, qos)
+        writer = self._writer(request_topic(service), service_type.Request, dds_qos(qos))
         self._in_use.add_service(service_type)
         ends = ServiceEnds(self.network, writer, reader)
         caller = DdsCaller(ends, service_type, take, take_unreadable)
@@ -200,7 +213,7 @@ class DdsNode(RosNode):
     def provider(
         self, service: str, service_type: ServiceType, qos: EndQos, take: RequestSink
     ) -> DdsProvider:
-        writer = self._writer(reply_topic(service), service_type.Response, qos)
+        writer = self._writer(reply_topic(service), service_type.Response, dds_qos(qos))
         reader = self._reader(request_topic(service), service_type.Request, qos)
         self._in_use.add_service(service_type)
         provider = DdsProvider(ServiceEnds(self.network, writer, reader), service_type, take)
@@ -218,10 +231,10 @@ class DdsNode(RosNode):
                 f"introspection={level!r} needs ROS itself: leave it out with dds://"
             )
 
-    def _writer(self, topic: str, message_type: MessageType, qos: EndQos) -> DataWriter:
+    def _writer(self, topic: str, message_type: MessageType, qos: Qos) -> DataWriter:
         self._in_use.add_messages(message_type)
         made = self.network.create_writer(
-            topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
+            topic, message_type.dds_name, qos, user_data=message_type.user_data
         )
         self.graph.add(made)
         return made
@@ -302,9 +315,10 @@ async def open_node(
     *,
     network: Sequence[str] = (),
     fragment_size: int = 63_000,
+    has_rosout: bool = True,
 ) -> AsyncGenerator[DdsNode, None]:
     """Open a node, and run it while the block is open; `network` and `fragment_size` are those of
-    `DdsTransport`.
+    `DdsTransport`. With `has_rosout`, its log is published on `/rosout` as well.
 
     Raises:
         TransportError: The sockets cannot be opened.
@@ -312,6 +326,6 @@ async def open_node(
     inbox = _Inbox()
     opened = open_network(domain, inbox.put, interfaces=network, fragment_size=fragment_size)
     async with opened as participant, Background() as tasks:
-        node = DdsNode(participant, name, resolver, types, tasks)
+        node = DdsNode(participant, name, resolver, types, tasks, has_rosout=has_rosout)
         inbox.open(node.handle)
         yield node

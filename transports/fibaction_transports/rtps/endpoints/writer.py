@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Sequence
 
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
@@ -40,6 +42,7 @@ class DataWriter:
         self._history = History(qos.depth, shared.limits)
         self._readers: dict[Guid, ReaderProxy] = {}
         self._pause = FIRST_HEARTBEAT
+        self._expiries: deque[tuple[float, int]] = deque()
 
     @property
     def readers(self) -> list[Guid]:
@@ -102,6 +105,8 @@ class DataWriter:
         """
         self._forget(now)
         number = self._history.add(sample)
+        if self.qos.lifespan < math.inf:
+            self._expiries.append((now + self.qos.lifespan, number))
         for proxy in self._readers.values():
             proxy.write(number, sample, now)
         self._pause = FIRST_HEARTBEAT
@@ -113,6 +118,7 @@ class DataWriter:
         """Send samples to a reader from now on, and those that are kept if it asks for them."""
         is_reliable = self.qos.is_reliable and qos.is_reliable
         is_late = self.qos.is_transient_local and qos.is_transient_local
+        self._forget(now)
         proxy = ReaderProxy(reader, route, self.guid.entity, self._history, self._shared)
         before = 0 if is_late else self.last
         proxy.start(before, is_reliable=is_reliable, is_late=is_late, now=now)
@@ -158,5 +164,16 @@ class DataWriter:
         self._shared.timers.cancel(self.on_heartbeat_due)
 
     def _forget(self, now: float) -> None:
+        if self._expiries:
+            self._forget_expired(now)
         is_volatile = not self.qos.is_transient_local
         self._history.forget_acknowledged(self.acknowledged(now), is_volatile=is_volatile)
+
+    def _forget_expired(self, now: float) -> None:
+        while self._expiries:
+            due, number = self._expiries[0]
+            if self._history.get(number) is not None:
+                if due > now:
+                    return
+                self._history.forget(number)
+            self._expiries.popleft()
