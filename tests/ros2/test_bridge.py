@@ -2,50 +2,26 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import uuid
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
 from pathlib import Path
-from signal import SIGTERM
 
 import anyio
 import pytest
-from anyio.abc import Process
-from anyio.streams.buffered import BufferedByteReceiveStream
 
 from fibaction import Action, ActionServer, ClientConnection, GoalStatus, connect, serve
 from fibaction.cli.bridge.ends import open_end
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import PATIENCE, peer
+from tests.support.bridging import bridge
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.ports import free_port
+from tests.transports.cyclone.dds_end import NINE, cyclone_client, cyclone_server, new_name
+from tests.transports.cyclone.partner import needs_cyclone
 from tests.transports.web.rosbridge.clients import SocketClient
 
 pytestmark = pytest.mark.asyncio
 
-
-@asynccontextmanager
-async def bridge(*arguments: str) -> AsyncGenerator[Process, None]:
-    """Run the command as a process until it bridges; stop it by SIGTERM at the end."""
-    command = Path(sys.executable).with_name("fibaction")
-    process = await anyio.open_process(
-        [str(command), "bridge", *arguments], stdin=subprocess.DEVNULL, stderr=None
-    )
-    async with process:
-        try:
-            assert process.stdout is not None
-            with anyio.fail_after(PATIENCE):
-                said = await BufferedByteReceiveStream(process.stdout).receive_until(b"\n", 1000)
-            assert said.startswith(b"bridging ")
-            yield process
-            process.send_signal(SIGTERM)
-            with anyio.fail_after(PATIENCE):
-                assert await process.wait() == 0
-        finally:
-            if process.returncode is None:
-                process.kill()
+FILES = Path(__file__).parents[2] / "examples/ros2"
 
 
 async def test_a_server_of_rclpy_is_reached_without_ros(tmp_path: Path) -> None:
@@ -148,3 +124,24 @@ async def test_actions_that_come_later_are_bridged_into_ros_and_those_that_leave
             await server.add(other)
             await listed(near, {"later"})
             assert (await near.client(later).call(Goal(order=2))).sequence == [0, 1, 1]
+
+
+@needs_cyclone
+async def test_a_gateway_without_ros_joins_robots_and_clients_of_both_middlewares() -> None:
+    near, cyclone_name = f"/n{uuid.uuid4().hex}", new_name()
+    names = ("/stock", f"/{cyclone_name}")
+    async with (
+        peer("server"),
+        cyclone_server(cyclone_name),
+        bridge(f"dds://gateway?search={FILES}", f"dds://?search={FILES}", *names, "--into", near),
+        peer("client") as stock,
+    ):
+        for name in names:
+            sent = await stock.ask("send", action=near + name, order=9)
+            answer = await stock.ask("result", goal=sent["goal"])
+            assert answer == {"status": GoalStatus.SUCCEEDED, "sequence": NINE}
+            async with cyclone_client((near + name)[1:]) as cyclone:
+                sent = await cyclone.ask("send", order=9)
+                answer = await cyclone.ask("result", goal=sent["goal"])
+                assert answer == {"status": GoalStatus.SUCCEEDED, "sequence": NINE}
+                assert await cyclone.ask("feedback", goal=sent["goal"], count=8)
