@@ -40,7 +40,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -140,6 +140,9 @@ kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes tw
 	FIBACTION_KILLS=100 $(BIN)/python -m pytest -q tests/stores/test_sqlite_store.py -k after_kills --timeout 600
 	$(BIN)/python -m tests.kills --seconds 120 --clients 20
 	$(BIN)/python -m tests.kills --seconds 120 --clients 20 --recovery rerun
+
+lossy: $(VENV)/.tools  ## Send thousands of goals over dds:// through a network that loses and reorders
+	$(BIN)/python -m tests.lossy
 
 fleet: $(VENV)/.tools  ## Kill and freeze workers and brokers of a fleet, ten times each
 	$(BIN)/python -m tests.fleet all --times 10

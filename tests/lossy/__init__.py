@@ -1,0 +1,1 @@
+"""Goals over `dds://` through a network that loses, delays, repeats and reorders."""

@@ -1,0 +1,69 @@
+"""Goals over `dds://` through a network that loses, delays, repeats and reorders datagrams.
+
+    python -m tests.lossy --goals 1000 --loss 5 20 PAIR ...      # all pairs if none is given
+
+Goals with eight messages of feedback, one after the other, between our ends and those of Cyclone
+DDS. It prints how many were lost, ran or were answered twice, or had feedback out of order or not
+complete, and the milliseconds of a goal. It fails if a goal is one of those; but feedback of other
+servers may be incomplete, because a client cannot know how much there was. The aim for the time of
+95 % of the goals is 50 ms with 5 % loss, and a second with 20 %; a busy machine takes longer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import anyio
+
+from tests.lossy.bad_network import Weather
+from tests.lossy.pairs import MAY_BE_INCOMPLETE, PAIRS, Findings, try_pair
+from tests.support.ros_domain import own_domain
+from tests.transports.cyclone.partner import IS_LEFT_OUT
+
+FILES = Path(__file__).parents[2] / "examples/ros2"
+HEAD = "pair              loss  goals  lost twice disordered incomplete    p50    p95    max"
+
+
+def is_right(pair: str, found: Findings) -> bool:
+    """Return whether everything has arrived that should have, once and in order."""
+    return found.is_right and (not found.incomplete or pair in MAY_BE_INCOMPLETE)
+
+
+def main(*words: str) -> int:
+    """Run as the arguments say, or those of the command line, and return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.lossy",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("pairs", nargs="*", help="parts of their names; all if not given")
+    parser.add_argument("--goals", type=int, default=1000, help="default: %(default)d")
+    parser.add_argument("--loss", type=int, nargs="+", default=[5, 20], help="percent, each way")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args(words or None)
+    pairs = [name for name in PAIRS if any(part in name for part in given.pairs or [""])]
+    if IS_LEFT_OUT:
+        pairs = [name for name in pairs if "cyclone" not in name]
+    broken = 0
+    print(HEAD)
+    with own_domain() as patch:
+        patch.setenv("FIBACTION_SEARCH", str(FILES))
+        for name in pairs:
+            for loss in given.loss:
+                weather = Weather(loss / 100)
+                found = anyio.run(try_pair, name, weather, given.goals, given.seed)
+                times = " ".join(f"{found.at(part) * 1000:6.1f}" for part in (0.5, 0.95, 1))
+                print(
+                    f"{name:16} {loss:4} % {given.goals:6} {found.lost:5} {found.twice:5}"
+                    f" {found.disordered:10} {found.incomplete:10} {times} ",
+                    "ok" if is_right(name, found) else "WRONG",
+                    flush=True,
+                )
+                broken += not is_right(name, found)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
