@@ -166,18 +166,26 @@ mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and che
 # that of `make test`, so what runs against it is what a wheel can lack: modules, entry points, files.
 # Of the contract two parts do, since each of them goes over each transport.
 test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the tests against the wheel
-	rm -rf dist build/checkout build/consumer build/wheel
+	rm -rf dist build/checkout build/consumer* build/wheel
 	$(BIN)/python -m build --quiet --outdir dist .
 	$(BIN)/python -m build --quiet --outdir build/checkout --wheel .
 	$(BIN)/python -m twine check --strict dist/*
 	$(call new_venv,build/consumer)
 	$(call install,build/consumer) dist/*.whl
+	@for version in $(PYTHONS); do \
+	    if python=$$(tests/tools/find_python.sh $$version); \
+	    then $(MAKE) --no-print-directory build/consumer$$version PYTHON=$$python || exit; fi; \
+	done
 	FIBACTION_BUILT=1 $(BIN)/python -m pytest tests/packaging
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -q -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache $(ways_elsewhere) $(addprefix ../,$(OF_A_WHEEL))
 OF_A_WHEEL := tests/contract/test_accepting.py tests/contract/test_scheduling.py tests/test_examples.py tests/test_init.py tests/test_main.py tests/transports/web/test_assets.py
+
+build/consumer%:
+	$(call new_venv,$@)
+	$(call install,$@) dist/*.whl
 
 # The versions in pyproject.toml that `make test` does not use.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
