@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from pathlib import Path
 
 import anyio
@@ -61,6 +62,8 @@ def main(*words: str) -> int:
                     "ok" if is_right(name, found) else "WRONG",
                     flush=True,
                 )
+                for error, number in Counter(found.errors).most_common(5):
+                    print(f"    {number} times {error}", flush=True)
                 broken += not is_right(name, found)
     return 1 if broken else 0
 

@@ -209,6 +209,9 @@ def test_a_participant_that_leaves_is_gone_at_once() -> None:
     assert list(one.participant.datagrams_to_send()) == []
 
 
+MANY, MOST_FOR_A_PAIR = 20, 20
+
+
 def test_a_participant_that_is_silent_for_its_lease_is_gone() -> None:
     world = World()
     one, other = world.join(lease=4.0), world.join()
@@ -222,6 +225,37 @@ def test_a_participant_that_is_silent_for_its_lease_is_gone() -> None:
     world.run(2.0)
     assert other.all(ParticipantLost) == [ParticipantLost(one.participant.prefix, has_left=False)]
     assert reader.writers == []
+
+
+def test_many_participants_all_find_each_other_with_few_datagrams() -> None:
+    world = World()
+    nodes = [world.join() for _ in range(MANY)]
+    for node in nodes:
+        reader_of(world, node)
+        node.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    world.run(0.5)
+    others = MANY - 1
+    assert [len(node.all(EndpointMatched)) for node in nodes] == [2 * others] * MANY
+    assert world.sent < MOST_FOR_A_PAIR * MANY * others
+
+
+@pytest.mark.parametrize("loss", [0, 0.05])
+def test_a_participant_that_was_killed_and_started_anew_is_found_within_a_second(
+    loss: float,
+) -> None:
+    for seed in range(20):
+        world = World(seed, loss=loss)
+        one, other = world.pair()
+        reader = reader_of(world, other)
+        one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+        world.run(3.0)
+        assert len(reader.confirmed_writers) == 1
+        world.kill(one)
+        world.run(3.0)
+        anew = world.join()
+        writer = anew.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+        world.run(1.0)
+        assert writer.guid in reader.confirmed_writers
 
 
 def test_a_participant_is_answered_until_it_knows_us() -> None:

@@ -64,12 +64,13 @@ class World:
         """A rule for losses of its own."""
         self._under_way: list[tuple[float, int, bytes, Address, Address]] = []
         self._order = itertools.count()
+        self._numbers = itertools.count(1)
 
     def join(
         self, *, lease: float = 20.0, fragment_size: int = 63_000, limits: RtpsLimits | None = None
     ) -> Node:
         """Add a participant."""
-        number = len(self.nodes) + 1
+        number = next(self._numbers)
         host = f"10.0.0.{number}"
         settings = ParticipantSettings(
             discovery_addresses=((host, 7410),),
