@@ -71,6 +71,7 @@ def test_every_long_trial_runs_each_night() -> None:
         "fleet",
         "fuzz",
         "kills",
+        "lossy",
         "mutants",
         "properties",
         "simulate",

@@ -227,6 +227,22 @@ def test_a_participant_that_is_silent_for_its_lease_is_gone() -> None:
     assert reader.writers == []
 
 
+def test_a_participant_whose_announcements_are_lost_stays_while_it_sends_anything() -> None:
+    world = World()
+    one, other = world.join(lease=4.0), world.join()
+    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    reader = reader_of(world, other)
+    world.run(1.0)
+    world.is_lost = lambda datagram, _: SPDP_WRITER in datagram
+    for number in range(10):
+        writer.write(payload(str(number)), world.now)
+        world.run(1.5)
+    assert other.texts(reader) == [str(number) for number in range(10)]
+    assert other.all(ParticipantLost) == []
+    world.run(3.0)
+    assert [lost.has_left for lost in other.all(ParticipantLost)] == [False]
+
+
 def test_many_participants_all_find_each_other_with_few_datagrams() -> None:
     world = World()
     nodes = [world.join() for _ in range(MANY)]

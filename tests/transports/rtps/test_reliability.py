@@ -130,7 +130,8 @@ def test_a_late_reader_gets_no_sample_whose_lifespan_is_over() -> None:
     world = World()
     one, other = world.pair()
     writer = writer_of(world, one, Qos(durability=LATE.durability, depth=3, lifespan=10.0))
-    for number in numbers(6):  # some are forgotten before, as the history keeps three
+    write(world, writer, *"abcde")  # the history forgets the first two of them before
+    for number in numbers(6):
         write(world, writer, number)
         world.run(4.0)
     reader = reader_of(world, other, LATE)

@@ -65,7 +65,7 @@ class MessageRouter:
         """
         prefix, vendor, size = packet.prefix, packet.vendor, packet.size
         self._counters.own += prefix == self._own
-        sender = self._participants.sender(prefix, source[0], size)
+        sender = self._participants.sender(prefix, source[0], size, now)
         time: float | None = None
         is_ours, of_discovery = True, 0
         for submessage in packet.submessages:
@@ -76,7 +76,7 @@ class MessageRouter:
                 continue
             if isinstance(submessage, SourceInfo):
                 prefix, vendor, size = submessage.prefix, submessage.vendor, 0
-                sender = self._participants.sender(prefix, source[0], size)
+                sender = self._participants.sender(prefix, source[0], size, now)
                 continue
             if isinstance(submessage, Timestamp):
                 time = submessage.time

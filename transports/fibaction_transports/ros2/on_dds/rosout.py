@@ -17,7 +17,7 @@ from fibaction_transports.rtps.qos import Durability, Qos
 
 ROSOUT: Final = "/rosout"
 ROSOUT_QOS: Final = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000, lifespan=10.0)
-"""That of ROS (`rmw_qos_profile_rosout_default`): who comes late reads the last ten seconds."""
+"""The QoS of ROS: a node that comes late reads the lines of the last ten seconds."""
 _BILLION = 10**9
 
 

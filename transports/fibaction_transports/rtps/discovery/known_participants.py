@@ -81,11 +81,17 @@ class KnownParticipants:
         """Return the participant of an endpoint that it has announced."""
         return self._found[endpoint.prefix]
 
-    def sender(self, prefix: bytes, host: str, size: int) -> RemoteParticipant | None:
-        """Return a known participant in whose name a datagram of this size came from a host."""
+    def sender(self, prefix: bytes, host: str, size: int, now: float) -> RemoteParticipant | None:
+        """Return a known participant in whose name a datagram of this size came from a host.
+
+        It renews the lease: Cyclone DDS announces itself once in most of a lease, so one lost
+        announcement would end a participant that sends all the time.
+        """
         remote = self._found.get(prefix)
-        if remote is not None and not remote.budget.is_proven and remote.is_at(host):
-            remote.budget.earn(size)
+        if remote is not None and remote.is_at(host):
+            remote.expires = now + remote.lease
+            if not remote.budget.is_proven:
+                remote.budget.earn(size)
         return remote
 
     def prove(self, remote: RemoteParticipant, host: str) -> None:
@@ -130,7 +136,8 @@ class KnownParticipants:
         if remote is None:
             return
         remote.heard = now
-        remote.expires = now + min(max(data.lease, SHORTEST_LEASE), LONGEST_LEASE)
+        remote.lease = min(max(data.lease, SHORTEST_LEASE), LONGEST_LEASE)
+        remote.expires = now + remote.lease
         self._shared.timers.set_earlier(self.on_leases_due, remote.expires)
         if not remote.has_acknowledged and now - remote.answered >= REPLY_PAUSE:
             remote.answered = now

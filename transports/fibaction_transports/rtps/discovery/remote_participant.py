@@ -51,8 +51,10 @@ class RemoteParticipant:
         self._hosts = {source, *(host for host, _ in _addresses(locators))}
         self._is_at_source = discovery[0] in (source, _LOCALHOST)
         self._default = self._address(data.data_locators) or discovery
+        self.lease = math.inf
+        """Seconds of silence after which it is gone."""
         self.expires = math.inf
-        """The time at which it is gone, if it does not announce itself before."""
+        """The time at which it is gone, if nothing of it arrives before."""
         self.found = self.heard = now
         """The time of its last announcement; `found` is that of the first one."""
         self.answered = -math.inf
