@@ -156,7 +156,7 @@ class DdsNode(RosNode):
     def _open_rosout(self) -> RosoutLog:
         writer = self._writer(topic_name(self.resolve(ROSOUT)), LOG, ROSOUT_QOS)
         publisher = DdsPublisher(writer, LOG, self.network.write)
-        return RosoutLog(self.name, publisher.publish)
+        return RosoutLog(self.full_name, publisher.publish)
 
     def _use_simulated_time(self, wanted: bool) -> None:
         self._clock.use_simulated(wanted)

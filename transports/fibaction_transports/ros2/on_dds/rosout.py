@@ -11,7 +11,6 @@ from typing import Final
 from msgspec import Struct, field
 
 from fibaction_transports.cdr.standard_messages import TimeMessage
-from fibaction_transports.ros2.on_dds.graph import NodeName
 from fibaction_transports.ros2.on_dds.messages.node_messages import node_message
 from fibaction_transports.rtps.qos import Durability, Qos
 
@@ -44,8 +43,8 @@ LOG: Final = node_message(
 class RosoutLog:
     """The log of one node, for other nodes."""
 
-    def __init__(self, node: NodeName, publish: Callable[[LogMessage], None]) -> None:
-        self._logger = str(node).removeprefix("/").replace("/", ".")
+    def __init__(self, full_name: str, publish: Callable[[LogMessage], None]) -> None:
+        self._logger = full_name.removeprefix("/").replace("/", ".")
         self._publish = publish
 
     def write(self, level: int, text: str) -> None:
