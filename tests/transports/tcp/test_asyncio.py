@@ -23,7 +23,7 @@ from fibaction.wire.frames import FrameReader, framed
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction_transports._socket_lines import on_asyncio, protocol_line
 from fibaction_transports._socket_lines.on_asyncio import accept, dial_tcp, dial_unix
-from fibaction_transports._socket_lines.protocol_line import ProtocolLine
+from fibaction_transports._socket_lines.protocol_line import PIECE, ProtocolLine
 from fibaction_transports._socket_lines.sockets import BATCH
 from tests.support.slices import SliceClock
 
@@ -263,6 +263,56 @@ async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progre
                 before = end.line.progress
         assert seen == wanted
         assert end.line.progress == len(wanted)
+
+
+async def test_of_a_large_message_the_socket_holds_a_piece_only() -> None:
+    async with beside_a_socket() as (end, peer):
+        end.say(bytes(2**24 - 4))
+        await until(lambda: end.line._is_full)
+        assert 0 < end.line._transport.get_write_buffer_size() <= PIECE
+        seen = 0
+        with anyio.fail_after(5):
+            while seen < 2**24:
+                await anyio.wait_readable(peer)
+                seen += len(peer.recv(2**20))
+        assert end.line._unsent.obj == b""  # the message itself is not held any longer
+
+
+class Parting(FrameReader):
+    """A form that has a goodbye, and expects none of the peer."""
+
+    def goodbye(self) -> bytes:
+        return framed([b"last"])
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize("closes", [False, True], ids=["send", "aclose"])
+async def test_the_last_word_comes_after_the_whole_of_a_large_message(closes: bool) -> None:
+    large = bytes(2**22)
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            peer.setblocking(False)
+            await until(lambda: ends)
+            end = ends[0]
+            end.line.begin(Parting(), b"")
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(end.line.run, end._on_frames, end.next_frames)
+                await until(lambda: end.fetched)
+                end.say(large)
+                await until(lambda: end.line._is_full)
+                tasks.cancel_scope.cancel()
+            wanted, seen = framed([large, b"last"]), b""
+            async with anyio.create_task_group() as tasks:
+                if closes:
+                    tasks.start_soon(end.line.aclose)
+                else:
+                    tasks.start_soon(end.line.send, [b"last"])
+                with anyio.fail_after(5):
+                    while len(seen) < len(wanted):
+                        await anyio.wait_readable(peer)
+                        seen += peer.recv(2**20)
+            assert seen == wanted
+            end.ended.set()
 
 
 def giving_back(end: End, most: int = 1) -> None:

@@ -24,8 +24,11 @@ from fibaction.wire.channel import CHUNK, LEAVE, Line, NextFrames, OnFrames
 from fibaction.wire.frames import Framing
 from fibaction.words.errors import ConnectionLost
 
+PIECE = 4 * CHUNK
+"""Bytes that the socket is given at once, at most: asyncio copies what it cannot send of them."""
 NEWS = 0.001
 """Seconds of a turn of the event loop in which lines handle as much news as a slice takes."""
+NOTHING = memoryview(b"")
 
 
 class LineTurns:
@@ -113,6 +116,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         self._on_frames: OnFrames | None = None
         self._next_frames: NextFrames
         self._early = early
+        self._unsent = NOTHING  # the rest of a large write, which the socket has not been given
         self._written = 0
         self._error: Exception | None = None
         self._due: asyncio.Handle | None = None  # the next write
@@ -162,6 +166,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         Raises:
             ConnectionLost: The connection has ended.
         """
+        data = self._take_rest() + data
         self._written += len(data)
         self._transport.write(data)
         while self._is_full and not self._transport.is_closing():
@@ -206,7 +211,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
             return
         framing.close()
         self._is_leaving = True
-        self._transport.write(last)
+        self._transport.write(self._take_rest() + last)
         if framing.ends_stream:
             self._transport.write_eof()
         framing.discard(self._early)
@@ -220,12 +225,20 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         size, ends = 0, perf_counter() + SLICE
         try:
             while self._error is None and not self._is_full:
-                self._is_fetching = True
-                frames = self._next_frames()
-                self._is_fetching = False
-                if not (frames or self._framing.has_answer):
-                    break
-                data = self._framing.encode(frames)
+                data: bytes | memoryview = self._unsent
+                if not data:
+                    self._is_fetching = True
+                    frames = self._next_frames()
+                    self._is_fetching = False
+                    if not (frames or self._framing.has_answer):
+                        break
+                    data = self._framing.encode(frames)
+                    del frames  # they may be large
+                if len(data) > PIECE:
+                    view = memoryview(data)
+                    data, self._unsent = view[:PIECE], view[PIECE:]
+                else:
+                    self._unsent = NOTHING
                 self._written += len(data)
                 self._transport.write(data)
                 size += len(data)
@@ -234,6 +247,11 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
                     break
         except Exception as exc:
             self._end(exc)
+
+    def _take_rest(self) -> bytes:
+        """Return the rest of a large write, since something else is to follow it."""
+        rest, self._unsent = bytes(self._unsent), NOTHING
+        return rest
 
     def _handle(self, data: bytes | None) -> None:
         """Handle what has arrived, or the rest of what had arrived before."""
