@@ -238,8 +238,7 @@ async def test_a_flood_from_one_address_pushes_out_no_connection_of_another(name
 
 
 @pytest.mark.asyncio
-# Not at rosbridge, whose goals keep the place of a client that has gone until a write fails.
-@pytest.mark.parametrize("name", ["tcp", "tls", "websocket"])
+@pytest.mark.parametrize("name", ["tcp", "tls", "websocket", "rosbridge"])
 async def test_an_address_has_no_more_connections_in_use_than_its_limit(name: str) -> None:
     door = DOORS[name]
     settings = Settings({"per_address": 2}, url=with_certificate(door.url))

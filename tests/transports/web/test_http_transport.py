@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ssl
 from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from typing import Any
 
 import anyio
@@ -328,6 +328,21 @@ async def test_an_address_at_its_limit_is_told_so_and_others_are_served() -> Non
         async with stream:
             await stream.send(b"GET /actions HTTP/1.1\r\nHost: [::1]\r\n\r\n")
             assert (await stream.receive()).startswith(b"HTTP/1.1 200 ")
+
+
+@pytest.mark.parametrize(
+    "limits", [Limits(connections=1), Limits(per_address=1)], ids=["all", "one"]
+)
+async def test_a_client_that_is_rejected_takes_no_place_while_it_reads_why(
+    limits: Limits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "LEAVE", 60.0)
+    async with served(limits=limits) as url, AsyncExitStack() as stack:
+        async with connect(url, FIBONACCI) as client:
+            await client.wait_for_server()
+            rejected = await stack.enter_async_context(client_of(url))
+            assert (await rejected.stream.receive(4)).startswith(b"HTTP")
+        await let_in(url)
 
 
 async def test_a_client_that_does_not_read_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:

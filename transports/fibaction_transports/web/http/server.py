@@ -96,31 +96,37 @@ class HttpServer:
     async def serve(self, stream: ByteStream) -> None:
         """Serve one client until its connection ends."""
         peer = peer_of(stream)
-        self._open += 1
         place = CountedPlace(self.server.addresses, peer)
         try:
             if reason := self._why_not(place.address):
+                place.leave()  # while it reads the answer it keeps no other client out
                 logger.warning("%s is rejected: %s", peer, reason)
                 await leave(stream, http_answer(503, reason, ("Retry-After", "1")))
             else:
-                await _Connection(self, stream, peer, place).run()
+                await self._serve(stream, peer, place)
         except BROKEN:
             pass
         except Exception as exc:
             # A bug of fibaction. It concerns this client only.
             logger.error("%s: the connection failed", peer, exc_info=exc)
         finally:
-            self._open -= 1
             place.leave()
             with CancelScope(shield=True), anyio.move_on_after(LEAVE), suppress(*BROKEN):
                 await stream.aclose()
+
+    async def _serve(self, stream: ByteStream, peer: str, place: CountedPlace) -> None:
+        self._open += 1
+        try:
+            await _Connection(self, stream, peer, place).run()
+        finally:
+            self._open -= 1
 
     def _why_not(self, address: str) -> str:
         """Return the reason for which a client of that address is not served; empty if it is."""
         addresses, most = self.server.addresses, self.server.settings.limits.connections
         if addresses.has_too_many(address) and not addresses.make_room(self._useless(), address):
             return too_many(address, addresses.most)
-        if self._open > most and not addresses.make_room(self._useless()):
+        if self._open >= most and not addresses.make_room(self._useless()):
             return f"the server is full: it has {most} connections"
         return ""
 
