@@ -207,6 +207,11 @@ class Outcome(msgspec.Struct, Generic[T], frozen=True):
     reason: str = ""
     """The reason of the abort or the cancel, or a likely reason of UNKNOWN, as text for people."""
 
+    def unreadable(self, error: Exception) -> Outcome[Any]:
+        """Return the outcome without its result, which cannot be read: the reason says so."""
+        reason = f"{self.reason}; " if self.reason else ""
+        return Outcome(self.status, None, f"{reason}its result cannot be read: {error}")
+
 
 UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN, reason=WHY_UNKNOWN)
 """The answer for a goal that the server never knew or has forgotten."""

@@ -101,6 +101,7 @@ CLEAN = Action("clean", goal=Cleaning, feedback=Cleaned, result=str)
 MISSION = Action("mission", goal=Goal, feedback=Feedback, result=Result)
 STUBBORN = Action("stubborn", goal=Goal, feedback=Feedback, result=Result)
 BREAK = Action("break", goal=Goal, feedback=Feedback, result=Result)
+ODD = Action("odd", goal=Goal, feedback=Feedback, result=msgspec.Raw)
 
 Items = AsyncGenerator[Any, None]
 
@@ -161,6 +162,12 @@ async def fail(goal: GoalHandle[Goal]) -> Items:
     raise GoalAborted("the arm is stuck", result=Result([goal.request.order]))
 
 
+async def be_odd(goal: GoalHandle[Goal]) -> Items:
+    """Give a result that is no value, such as one that was stored in another encoding."""
+    await anyio.sleep(0.05)
+    yield msgspec.Raw(b"\xc1")
+
+
 async def wait(goal: GoalHandle[Goal]) -> Items:
     """Wait for a while."""
     await anyio.sleep(goal.request.order)
@@ -196,6 +203,7 @@ def servers() -> list[ActionServer[Any, Any, Any]]:
         ActionServer(FLOOD, flood),
         ActionServer(CLEAN, clean, schedule=Schedule(concurrency=1, queue=10)),
         ActionServer(BREAK, fail),
+        ActionServer(ODD, be_odd),
         ActionServer(STUBBORN, wait, on_cancel=keep_on),
     ]
 

@@ -77,6 +77,16 @@ def test_an_aborted_goal_shows_its_reason_and_its_result(page: Page, robot: Robo
     expect(goal(page).get_by_label("Result", exact=True)).to_contain_text("3")
 
 
+def test_a_result_that_cannot_be_read_is_told_in_place_of_it(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "odd")
+    goal_id = send(page, order="3")
+    expect(goal(page).locator(".reason")).to_contain_text("its result cannot be read: ")
+    expect(goal(page).get_by_label("Result", exact=True)).to_have_text("none")
+    expect(row(page, goal_id)).to_contain_text("its result cannot be read: ")
+
+
 def test_the_form_has_every_kind_of_field_and_sends_what_was_entered(
     page: Page, robot: RobotProcess
 ) -> None:

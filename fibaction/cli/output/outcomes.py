@@ -68,8 +68,7 @@ def readable(raw: Outcome[bytes], decode: Callable[[bytes], Any]) -> Outcome[Any
     try:
         return Outcome(raw.status, decode(raw.result), raw.reason)
     except (ProtocolError, msgspec.DecodeError) as exc:
-        reason = f"{raw.reason}; " if raw.reason else ""
-        return Outcome(raw.status, None, f"{reason}its result cannot be read: {exc}")
+        return raw.unreadable(exc)
 
 
 def with_outcome(row: GoalRow, outcome: Outcome[Any] | None) -> GoalRow:

@@ -16,6 +16,7 @@ from fibaction import (
     Action,
     ActionServer,
     CancelRejected,
+    GoalAborted,
     GoalHandle,
     GoalID,
     GoalRejected,
@@ -549,6 +550,26 @@ async def test_what_json_cannot_express_is_a_failure() -> None:
     async with served(ActionServer(odd, execute)) as url:
         told = await fetch(url, "POST", "/actions/odd/goals", 1, accept=EVENTS)
         assert told.events[-1][0] == "failure"
+
+
+async def test_a_result_that_cannot_be_read_is_told_in_place_of_it() -> None:
+    odd = Action("odd", goal=int, feedback=str, result=msgspec.Raw)
+
+    async def execute(goal: GoalHandle[int]) -> AsyncGenerator[Any, None]:
+        if goal.request:
+            raise GoalAborted("it is worn", result=msgspec.Raw(b"\xc1"))
+        yield msgspec.Raw(b"\xc1")
+
+    async with served(ActionServer(odd, execute)) as url:
+        for request, before in ((0, ""), (1, "it is worn; ")):
+            told = await fetch(url, "POST", "/actions/odd/goals", request, accept=EVENTS)
+            end = told.events[-1][2]
+            kept = (
+                await fetch(url, "GET", f"/actions/odd/goals/{told.events[0][2]['goal_id']}")
+            ).json
+            for found in (end, kept):
+                assert found["result"] is None
+                assert found["reason"].startswith(f"{before}its result cannot be read: ")
 
 
 async def test_an_action_with_slashes_has_its_address() -> None:

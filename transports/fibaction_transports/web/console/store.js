@@ -276,7 +276,13 @@ export class Store {
         this.end(record, outcome);
       }
     } catch (error) {
-      record.reason = record.isActive ? error.message : record.reason;
+      if (record.isActive) {
+        record.reason = error.message;
+      } else if (error.name === "ProtocolError") { // its server may be of another version by now
+        record.reason = `its result cannot be read: ${error.message}`;
+        record.hasEnd = true;
+        this.keep(record);
+      }
     }
     if (record.handle === handle) {
       record.handle = null;
