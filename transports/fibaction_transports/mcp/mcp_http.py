@@ -11,8 +11,9 @@ import socket
 import ssl
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, MutableMapping
 from contextlib import asynccontextmanager, contextmanager
+from functools import partial
 from ipaddress import ip_address
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import uvicorn
@@ -22,7 +23,9 @@ from mcp.server.transport_security import TransportSecuritySettings
 from fibaction.border.http_access import HttpRules, Refused
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.auth import AccessPolicy
+from fibaction.wire.settings import Limits
 from fibaction.words.errors import TransportError
+from fibaction_transports.mcp.places import ConnectionPlaces, LimitedConnection
 
 PATH = "/mcp"
 LAST_ANSWERS = 1
@@ -114,11 +117,11 @@ class _Uvicorn(uvicorn.Server):
 
 @asynccontextmanager
 async def served_over_http(
-    app: App, host: str, port: int, tls: ssl.SSLContext | None
+    app: App, host: str, port: int, tls: ssl.SSLContext | None, limits: Limits
 ) -> AsyncGenerator[int, None]:
     """Serve an application during the block, which gets the port. It runs on asyncio only.
 
-    Port 0 is a free one.
+    Port 0 is a free one. Of the limits, those of connections hold.
 
     Raises:
         TransportError: Nothing can listen there.
@@ -126,7 +129,7 @@ async def served_over_http(
     listener = _listening(host, port)
     config = uvicorn.Config(
         app,
-        http="h11",
+        http=cast("Any", partial(LimitedConnection, ConnectionPlaces(limits))),
         ws="none",
         lifespan="on",
         log_config=None,

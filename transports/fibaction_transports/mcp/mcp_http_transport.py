@@ -34,7 +34,7 @@ class McpHttpTransport(McpTransport):
     Each client needs a token, so that no other user of the machine can move a robot.
     """
 
-    wire_settings = ("token", "tokens")
+    wire_settings = ("token", "tokens", "limits")
     own_settings: ClassVar[tuple[str, ...]] = (
         *McpTransport.own_settings,
         "tls",
@@ -77,7 +77,7 @@ class McpHttpTransport(McpTransport):
                 those that come from its own address; `*` permits all.
             settings: `allow`, `unasked`, `read_only` and `patience` are those of `AgentPolicy`.
                 `token` is the one that clients need, or `tokens` maps several to the names of their
-                owners.
+                owners. Of `limits`, `connections`, `per_address` and `handshake` hold here.
 
         Raises:
             TypeError: There is no such setting.
@@ -124,7 +124,9 @@ class McpHttpTransport(McpTransport):
             self._host, PATH, hosts=self._hosts, origins=self._origins, has_tls=tls is not None
         )
         app = http_app(server, self._host, admitted, access)
-        async with served_over_http(app, self._host, self._port, tls) as port:
+        async with served_over_http(
+            app, self._host, self._port, tls, self.server_settings.limits
+        ) as port:
             yield f"{'https' if tls else 'http'}://{self._netloc(port)}{PATH}"
 
     def _checked_access(self) -> AccessPolicy:

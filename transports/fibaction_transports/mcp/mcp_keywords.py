@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TypedDict
 
+from fibaction.wire.settings import Limits
+
 
 class PolicyKeywords(TypedDict, total=False):
     """The keyword arguments with the fields of an `AgentPolicy`."""
@@ -20,3 +22,4 @@ class McpHttpKeywords(PolicyKeywords, total=False):
 
     token: str
     tokens: Mapping[str, str] | None
+    limits: Limits | None
