@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from typing import TypeAlias
 
@@ -137,6 +137,44 @@ class StoreFull(RecordTooLarge):
     """
 
 
+class NoFleet(ValueError):
+    """A schedule has a limit for all workers of a fleet, and its server is in none."""
+
+    def __init__(self, limit: str) -> None:
+        super().__init__(
+            f"fleet_limit={limit!r} needs a fleet: serve the action at nats://, or leave it out"
+        )
+
+
+class KeyPlaces(ABC):
+    """The places for goals that run, of each key of a limit that several servers have together.
+
+    A server asks for a place before it begins a goal, and gives it back when the executor is gone.
+    Both show by the numbers that it notes. A key whose goals neither run nor wait takes nothing.
+    """
+
+    @abstractmethod
+    def open(self, granted: Callable[[bytes], None]) -> None:
+        """Use the places from now on. Call `granted` with a key each time one more of its goals may
+        run: before it returns, the goal is noted as one that runs, or the place is given back.
+
+        Raises:
+            ValueError: Another schedule of this worker uses them.
+        """
+
+    @abstractmethod
+    def note(self, key: bytes, running: int, asked: int) -> None:
+        """Note how many goals of a key run here, and for how many more there is to be a place."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Use the places no longer."""
+
+
+OpenKeyPlaces: TypeAlias = Callable[[str, int], Awaitable[KeyPlaces]]
+"""Returns the places of a limit of that name, of which each key has so many."""
+
+
 def no_obstacle(_goal: StoredGoal) -> str:
     """Return what keeps a server from running a goal if it runs every goal: nothing."""
     return ""
@@ -160,6 +198,16 @@ class GoalJournal(ABC):
         server calls it each time one of them becomes zero, or more than zero. A store that several
         servers share hands over goals by it.
         """
+
+    async def key_places(self, limit: str, most: int) -> KeyPlaces:
+        """Return the places of a limit of that name, which all servers of the store have together;
+        each key has at most so many. Goals that wait for one stay at this server.
+
+        Raises:
+            NoFleet: The store has one server for each action.
+            StoreError: It does not answer.
+        """
+        raise NoFleet(limit)
 
     @abstractmethod
     def accept(self, goal: StoredGoal, then: Then) -> None:

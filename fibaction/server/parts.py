@@ -126,7 +126,8 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         )
         await stack.enter_async_context(self.keeper.open(tasks, events))
         await self.recovery.check()
-        self.dispatcher.open(tasks, self.runs, self.keeper.look_at_room)
+        keeper = self.keeper
+        await self.dispatcher.open(tasks, self.runs, keeper.look_at_room, keeper.key_places)
         self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail from here on
         self.keeper.start(tasks, self.recovery.open, self.room.watch)
 

@@ -41,6 +41,7 @@ from fibaction.server.execution.executor import Executor
 from fibaction.server.execution.executor_check import check_is_executor
 from fibaction.server.parts import Parts
 from fibaction.server.scheduling.dispatcher import Dispatcher, NoScheduleDispatcher
+from fibaction.server.scheduling.fleet_dispatcher import FleetDispatcher
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.settings import ActionServerKeywords, ActionServerSettings, check_is_store
 from fibaction.server.watcher_group import WatcherGroup
@@ -152,8 +153,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             RuntimeError: It was started before, or a server in another thread has its schedule.
-            ValueError: Goals are to be kept at a stop, and there is no store; or servers that share
-                a schedule have not the same `shutdown_timeout`.
+            ValueError: Goals are to be kept at a stop, and there is no store; servers that share a
+                schedule have not the same `shutdown_timeout`; or the schedule has a `fleet_limit`,
+                and there is no fleet.
             StoreError: The store cannot be used, or has goals that cannot be read.
         """
         if not self.is_new:
@@ -333,6 +335,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
 
 def _dispatcher_of(action: str, settings: ActionServerSettings[GoalT]) -> Dispatcher[GoalT]:
-    if settings.schedule is None:
+    schedule, kill_after = settings.schedule, settings.shutdown_timeout
+    if schedule is None:
         return NoScheduleDispatcher()
-    return GoalDispatcher(settings.schedule, action=action, kill_after=settings.shutdown_timeout)
+    if schedule.fleet_limit:
+        return FleetDispatcher(schedule, action=action, kill_after=kill_after)
+    return GoalDispatcher(schedule, action=action, kill_after=kill_after)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fibaction import SqliteStore
-from fibaction.border.goal_store import no_obstacle
+from fibaction.border.goal_store import NoFleet, no_obstacle
 from fibaction.words.statuses import GoalStatus
 from tests.stores.made import a_goal
 
@@ -37,6 +37,14 @@ async def test_the_goals_of_a_store_without_leases_belong_to_their_server_for_ev
     store = SqliteStore(tmp_path / "goals.db")
     async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
         assert journal.valid_until == math.inf
+
+
+@pytest.mark.asyncio
+async def test_a_store_of_one_server_has_no_limits_for_a_fleet(tmp_path: Path) -> None:
+    store = SqliteStore(tmp_path / "goals.db")
+    async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
+        with pytest.raises(NoFleet, match="fleet_limit='arms' needs a fleet"):
+            await journal.key_places("arms", 1)
 
 
 def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:

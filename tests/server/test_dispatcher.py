@@ -24,6 +24,7 @@ from fibaction import (
     Schedule,
 )
 from fibaction.border.abc import FeedbackItem, GoalStream
+from fibaction.server.durability.keeper import NoStoreKeeper
 from fibaction.server.scheduling import goal_dispatcher
 from fibaction.server.scheduling.dispatcher import NoScheduleDispatcher
 from tests.support.executors import Items
@@ -894,12 +895,14 @@ async def test_without_a_schedule_a_goal_never_has_a_successor() -> None:
             assert scope.cancelled_caught
 
 
-def test_without_a_schedule_a_goal_begins_when_it_is_accepted_unless_the_server_stops() -> None:
+async def test_without_a_schedule_a_goal_begins_when_it_is_accepted_unless_the_server_stops() -> (
+    None
+):
     begun: list[GoalID] = []
     goals: Any = SimpleNamespace(begin=begun.append)
     tasks: Any = None  # it needs none
     dispatcher = NoScheduleDispatcher()
-    dispatcher.open(tasks, goals, lambda: None)
+    await dispatcher.open(tasks, goals, lambda: None, NoStoreKeeper("work").key_places)
     one, other = GoalID.random(), GoalID.random()
     dispatcher.accepted(one)
     dispatcher.close()

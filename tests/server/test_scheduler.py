@@ -401,6 +401,11 @@ TestFleet.settings = settings(stateful_step_count=40)
         (Schedule(concurrency=2, queue=1), 3, "busy: 2 of 2 running, 1 of 1 waiting"),
         (Schedule(total=2), 2, "busy: 2 of 2 running, 0 of 0 waiting"),
         (
+            Schedule(concurrency=1, queue=2, fleet_limit="arms"),
+            3,
+            "busy: 2 of 2 waiting at this worker",
+        ),
+        (
             Schedule(concurrency=2, total=3),
             2,
             "busy: 2 of 2 running (2 of 3 in all), 0 of 0 waiting",

@@ -42,6 +42,7 @@ from fibaction.border.goal_store import (
     GoalJournal,
     GoalStore,
     GoalTaken,
+    KeyPlaces,
     RecordTooLarge,
     StoredGoal,
     Then,
@@ -132,6 +133,9 @@ class GoalKeeper(Keeper):
 
     def set_room(self, running: float, waiting: float) -> None:
         self._journal.set_room(running, waiting)
+
+    async def key_places(self, limit: str, most: int) -> KeyPlaces:
+        return await self._journal.key_places(limit, most)
 
     @property
     def has_lease(self) -> bool:  # type: ignore[override]  # it can only be read

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 from fibaction._runtime.log import clean_logger
+from fibaction.border.goal_store import NoFleet
 from fibaction.server.life import LIFE_IN_MEMORY, Effect, Event, Phase, Step
 
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
-    from fibaction.border.goal_store import RecordTooLarge, StoredGoal
+    from fibaction.border.goal_store import KeyPlaces, RecordTooLarge, StoredGoal
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.errors import GoalKept, StoreError
     from fibaction.words.goals import GoalID, Outcome
@@ -111,6 +112,15 @@ class Keeper(ABC):
         """Tell the store how many more goals the server can run and queue."""
 
     @abstractmethod
+    async def key_places(self, limit: str, most: int) -> KeyPlaces:
+        """See `GoalJournal.key_places`.
+
+        Raises:
+            ValueError: There is no fleet.
+            StoreError: The store does not answer.
+        """
+
+    @abstractmethod
     def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
         """Return the functions that carry out the effects which write, and call `take` with what
         follows.
@@ -197,6 +207,9 @@ class NoStoreKeeper(Keeper):
 
     def set_room(self, running: float, waiting: float) -> None:
         """Do nothing, as above."""
+
+    async def key_places(self, limit: str, most: int) -> KeyPlaces:
+        raise NoFleet(limit)
 
     def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
         return {}

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from anyio.abc import TaskGroup
 
+    from fibaction.border.goal_store import OpenKeyPlaces
     from fibaction.server.goal_handle import GoalHandle
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import GoalID, Sender
@@ -39,11 +40,20 @@ class Dispatcher(Succession[GoalT]):
     """The turns of one server's goals."""
 
     @abstractmethod
-    def open(
-        self, tasks: TaskGroup, goals: DispatchedGoals[GoalT], changed: Callable[[], None]
+    async def open(
+        self,
+        tasks: TaskGroup,
+        goals: DispatchedGoals[GoalT],
+        changed: Callable[[], None],
+        key_places: OpenKeyPlaces,
     ) -> None:
         """Start, interrupt and end these goals from now on, in tasks of this group. Call `changed`
-        when a place has become free.
+        when a place has become free. A limit that other servers have as well gets its places from
+        `key_places`.
+
+        Raises:
+            RuntimeError, ValueError: The schedule cannot be shared with others.
+            StoreError: The store does not answer.
         """
 
     @abstractmethod
@@ -115,8 +125,12 @@ class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
         self._goals: DispatchedGoals[Any]
         self._is_closed = False
 
-    def open(
-        self, tasks: TaskGroup, goals: DispatchedGoals[Any], changed: Callable[[], None]
+    async def open(
+        self,
+        tasks: TaskGroup,
+        goals: DispatchedGoals[Any],
+        changed: Callable[[], None],
+        key_places: OpenKeyPlaces,
     ) -> None:
         self._goals = goals
 

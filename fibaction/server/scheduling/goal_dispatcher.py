@@ -38,6 +38,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt
+from fibaction.border.goal_store import OpenKeyPlaces
 from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.server.execution.executor import warn_of_kill
@@ -78,18 +79,27 @@ class GoalDispatcher(Dispatcher[GoalT]):
             or min(schedule.queue_timeout, schedule.run_timeout) < math.inf
         )
         self._skips_expired = schedule.skip_expired
+        self._as_key = _hashable
         self._successor_news: dict[GoalID, Notifier] = {}
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
         self._placed_at = -math.inf
         self._is_closed = False
 
-    def open(
-        self, tasks: TaskGroup, goals: DispatchedGoals[GoalT], changed: Callable[[], None]
+    async def open(
+        self,
+        tasks: TaskGroup,
+        goals: DispatchedGoals[GoalT],
+        changed: Callable[[], None],
+        key_places: OpenKeyPlaces,
     ) -> None:
         self._goals, self._changed = goals, changed
-        self._shared = SharedScheduler.join(self._schedule, self)
+        self._shared = await self._join(key_places)
         tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
+
+    async def _join(self, _key_places: OpenKeyPlaces) -> SharedScheduler:
+        """Return the scheduler of all servers with this schedule."""
+        return SharedScheduler.join(self._schedule, self)
 
     def close(self) -> None:
         self._is_closed = True
@@ -128,7 +138,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._shared.carry_out(orders)
 
     def failure_of(self, request: GoalT, sender: Sender) -> str:
-        functions = ("key", _hashable, self._key), ("priority", _number, self._priority)
+        functions = ("key", self._as_key, self._key), ("priority", _number, self._priority)
         for name, check, function in functions:
             if function is None:
                 continue
@@ -148,7 +158,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         key: Hashable = None
         urgency = 0.0
         if self._key is not None:
-            key = self._answer("key", _hashable, self._key, request, sender)
+            key = self._answer("key", self._as_key, self._key, request, sender)
         if self._priority is not None:
             urgency = self._answer("priority", _number, self._priority, request, sender)
         return key, urgency

@@ -57,6 +57,9 @@ class Group:
         self.key = key
         self.running: dict[GoalID, Entry] = {}  # in the order of their start
         self.queue: dict[GoalID, Entry] = {}  # in the order of their arrival
+        self.asked = 0
+        """Places that its waiting goals have been asked for at other servers: see `FleetScheduler`.
+        """
         self.listed: Urgency | None = None
         """The goal with which the group stands in the order of groups; None if it does not."""
         self._heap: list[tuple[Urgency, Entry]] = []
@@ -110,6 +113,8 @@ def _least_urgent_first(entry: Entry) -> tuple[float, int]:
 def busy_text(schedule: Schedule, group: Group, running: int) -> str:
     """Return why a goal of a group can neither run nor wait, while so many run in all groups."""
     waiting = f"{len(group.queue)} of {schedule.queue} waiting"
+    if schedule.fleet_limit:
+        return f"busy: {waiting} at this worker"  # it does not know how many run elsewhere
     in_all = f"{running} of {schedule.total}"
     if schedule.concurrency is None:
         return f"busy: {in_all} running, {waiting}"

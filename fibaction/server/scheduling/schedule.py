@@ -12,6 +12,8 @@ import msgspec
 from fibaction.server.admission.sender_argument import GoalFunction, with_sender
 
 WORDS = ("reject", "preempt", "replace")
+LONGEST_LIMIT_NAME = 50
+"""Characters of the name of a limit."""
 
 
 class Schedule(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,6 +61,10 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
     handover: float = 0.0
     """Seconds that a goal which is preempted has to take its successor over (`goal.take_over()`),
     before it is interrupted; `math.inf` never to interrupt it."""
+    fleet_limit: str = ""
+    """The name of a limit that all workers of a fleet have together: with it, `concurrency` counts
+    the goals of a key at all workers whose schedules have the same name. Empty for a limit of this
+    server alone."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -84,7 +90,10 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
         for name in ("queue_timeout", "run_timeout", "handover"):
             _check_is_time(name, getattr(self, name))
         _check_is_flag("skip_expired", self.skip_expired)
+        _check_is_text("fleet_limit", self.fleet_limit)
         self._check_has_effect()
+        if self.fleet_limit:
+            self._check_holds_in_a_fleet()
 
     def _check_has_effect(self) -> None:
         if self.concurrency is None and self.total is None:
@@ -109,6 +118,17 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
         if self.skip_expired and not self.queue:
             raise ValueError("skip_expired=True needs a queue of at least 1, not 0")
 
+    def _check_holds_in_a_fleet(self) -> None:
+        limit = f"fleet_limit={self.fleet_limit!r}"
+        if len(self.fleet_limit) > LONGEST_LIMIT_NAME:
+            raise ValueError(f"fleet_limit has at most {LONGEST_LIMIT_NAME} characters")
+        if self.concurrency is None:
+            raise ValueError(f"{limit} needs a number of goals: set concurrency, too")
+        if not self.queue:
+            raise ValueError(f"{limit} needs a queue of at least 1, not 0: each goal waits first")
+        if self.when_full == "preempt":
+            raise ValueError(f"{limit} cannot preempt: the goals that run may be at other workers")
+
 
 def _check_is_limit(name: str, limit: object, least: int) -> None:
     if limit is None and least:
@@ -117,6 +137,11 @@ def _check_is_limit(name: str, limit: object, least: int) -> None:
         raise TypeError(f"{name} is a whole number, not {limit!r}")
     if limit < least:
         raise ValueError(f"{name} is {least} or more, not {limit}")
+
+
+def _check_is_text(name: str, text: object) -> None:
+    if not isinstance(text, str):
+        raise TypeError(f"{name} is a text, not {text!r}")
 
 
 def _check_is_flag(name: str, flag: object) -> None:

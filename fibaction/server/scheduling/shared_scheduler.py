@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 from weakref import WeakValueDictionary
 
 from fibaction._runtime.notify import Notifier
@@ -53,8 +53,9 @@ class SharedScheduler:
         self._owners: dict[GoalID, Member] = {}
 
     @classmethod
-    def join(cls, schedule: Schedule, member: Member) -> SharedScheduler:
-        """Let a member use the scheduler of a schedule object from now on, and return it.
+    def join(cls, schedule: Schedule, member: Member, *parts: Any) -> Self:
+        """Let a member use the scheduler of a schedule object from now on, and return it. The first
+        one makes it, with these other parts.
 
         Raises:
             ValueError: The member kills executors after another time than those that are there.
@@ -62,7 +63,7 @@ class SharedScheduler:
         """
         shared = _shared.get(id(schedule))
         if shared is None or not shared._members:
-            shared = _shared[id(schedule)] = cls(schedule, member.kill_after)
+            shared = _shared[id(schedule)] = cls(schedule, member.kill_after, *parts)
         if shared._kill_after != member.kill_after:
             raise ValueError(
                 f"servers that share a schedule have the same shutdown_timeout, not"
@@ -73,6 +74,7 @@ class SharedScheduler:
                 "a server in another thread has the same Schedule object, and cannot share its"
                 " limits: give each thread a Schedule of its own"
             )
+        assert isinstance(shared, cls)
         shared._members.append(member)
         return shared
 
@@ -106,6 +108,11 @@ class SharedScheduler:
     def _check_is_free(self, goal_id: GoalID, member: Member) -> None:
         if self._owners.get(goal_id, member) is not member:
             raise Busy("busy: another action of the same schedule has a goal of this ID")
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no member uses it any longer."""
+        return not self._members
 
     def owns(self, member: Member, goal_id: GoalID) -> bool:
         """Return whether a goal here belongs to that member."""
