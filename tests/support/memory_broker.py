@@ -401,6 +401,10 @@ class MemoryBroker(Broker):
         """See `Broker.create_streams`."""
         await self.before("create_streams", "")
 
+    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """See `Broker.create_key_stream`."""
+        await self.before("create_key_stream", "")
+
     async def find_stream(self, stream: str) -> BrokerStream | None:
         """See `Broker.find_stream`."""
         with move_on_after(ANSWER_TIMEOUT):

@@ -153,6 +153,9 @@ class FakeBroker(Broker):
     async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
         """Do nothing."""
 
+    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """Do nothing."""
+
     def put(
         self, subject: str, data: bytes, *, expected: int, ttl: float | None = None, then: Stored
     ) -> None:

@@ -14,11 +14,16 @@ hexadecimal digits. IDs of goals are 32 hexadecimal digits.
     fib.<fleet>.worker.<worker>          lease of a worker, in the stream FIB_<fleet>_WORKERS
     fib.<fleet>.want.<action>            note of a goal that waits, in the stream FIB_<fleet>_NOTES
     fib.<fleet>.left.<action>            note of a goal without a worker, in that stream as well
+    fib.<fleet>.key.<limit>.<key>        places of a key, in the stream FIB_<fleet>_KEYS
+    fib.<fleet>.turn.<worker>            hint to a worker that it has a place of a key by now
+
+A fleet has the last stream only if a schedule has a `fleet_limit`. The key is a digest.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from hashlib import blake2b
 
 from fibaction.words.goals import GoalID
 
@@ -69,6 +74,9 @@ class FleetNames:
         self.notes = f"FIB_{token}_NOTES"
         """The stream of the notes, a work queue."""
 
+        self.keys = f"FIB_{token}_KEYS"
+        """The stream of the places of keys."""
+
     def offer(self, action: str) -> str:
         """Return the subject of offers to workers that can run a goal of the action now."""
         return f"{self.root}.offer.{token_of(action)}"
@@ -113,6 +121,18 @@ class FleetNames:
     def left(self, action: str) -> str:
         """Return the subject of notes of goals whose worker is gone, or has given them up."""
         return f"{self.root}.left.{token_of(action)}"
+
+    def key(self, limit: str, key: bytes) -> str:
+        """Return the subject of the places of a key of a limit."""
+        return f"{self.root}.key.{token_of(limit)}.{blake2b(key, digest_size=16).hexdigest()}"
+
+    def all_keys(self) -> str:
+        """Return the subject of the places of all keys."""
+        return f"{self.root}.key.{ANY}.{ANY}"
+
+    def turn(self, worker: str) -> str:
+        """Return the subject of hints to a worker that it has a place of a key by now."""
+        return f"{self.root}.turn.{token_of(worker)}"
 
     def all_want(self) -> str:
         """Return the subject of all notes of goals that wait."""

@@ -181,6 +181,15 @@ class Broker(ABC):
         """
 
     @abstractmethod
+    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """Make the stream of the places of keys, or check the one that is there: see
+        `create_streams`, which was called before.
+
+        Raises:
+            TransportError: A stream of this name is of something else, or cannot be made.
+        """
+
+    @abstractmethod
     async def find_stream(self, stream: str) -> BrokerStream | None:
         """Return a stream; None if it is missing.
 

@@ -191,7 +191,7 @@ async def find_stream(client: NatsClient, stream: str) -> BrokerStream | None:
 
 
 def _streams(names: FleetNames) -> list[dict[str, Any]]:
-    """Return the settings of the three streams of a fleet."""
+    """Return the settings of the streams of a fleet; that of the keys is the last one."""
     records = {
         "retention": "limits",
         "storage": "file",
@@ -207,6 +207,7 @@ def _streams(names: FleetNames) -> list[dict[str, Any]]:
         {"name": names.goals, "subjects": [names.all_goals()], **records},
         {"name": names.workers, "subjects": [names.worker()], **records},
         {"name": names.notes, "subjects": [names.all_want(), names.all_left()], **notes},
+        {"name": names.keys, "subjects": [names.all_keys()], **records},
     ]
 
 
@@ -224,7 +225,7 @@ async def create_streams(
     Raises:
         TransportError: A stream of this name is of something else, or cannot be made.
     """
-    goals, *others = _streams(names)
+    goals, *others, _keys = _streams(names)
     made: dict[str, Any] = {}
     size = GOAL_BYTES
     while not made:
@@ -242,6 +243,19 @@ async def create_streams(
         )
     for wanted in others:
         made = await _create_beside(made, client, wanted, replicas, brokers)
+
+
+async def create_key_stream(
+    client: NatsClient, names: FleetNames, replicas: int, brokers: int
+) -> None:
+    """Make the stream of the places of keys, or check the one that is there. The others are there.
+
+    Raises:
+        TransportError: A stream of this name is of something else, or cannot be made.
+    """
+    goals, *_others, keys = _streams(names)
+    made = await _create_stream(client, goals, replicas, brokers)
+    await _create_beside(made, client, keys, replicas, brokers)
 
 
 async def _create_beside(

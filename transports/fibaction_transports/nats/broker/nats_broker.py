@@ -78,6 +78,9 @@ class NatsBroker(Broker):
     async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
         await jetstream.create_streams(self._client, names, replicas, self.brokers)
 
+    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
+        await jetstream.create_key_stream(self._client, names, replicas, self.brokers)
+
     async def find_stream(self, stream: str) -> BrokerStream | None:
         return await jetstream.find_stream(self._client, stream)
 

@@ -15,29 +15,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 from anyio import sleep
-from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
-from fibaction.border.goal_store import GoalJournal, StoredGoal, Then
+from fibaction.border.goal_store import GoalJournal, KeyPlaces, StoredGoal, Then
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (
-    Broker,
     BrokerAway,
     BrokerRecord,
     PutError,
     PutFailure,
 )
-from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.worker.lease import Membership
 from fibaction_transports.nats.worker.outcomes import SECOND, KeptOutcomes
 from fibaction_transports.nats.worker.record_writes import (
     IS_STORED,
     AnswerQueue,
     HeldGoal,
+    JournalStore,
     Shortage,
     Write,
     taken,
@@ -46,16 +42,6 @@ from fibaction_transports.nats.worker.record_writes import (
 
 RESERVE = 512
 """Bytes by which the record of an active goal may grow, and those of its headers."""
-
-
-class JournalStore(Protocol):
-    """The part of a store that its journals use."""
-
-    broker: Broker
-    names: FleetNames
-    membership: Membership
-    tasks: TaskGroup
-    on_room: Callable[[], None]
 
 
 class FleetJournal(GoalJournal):
@@ -86,6 +72,7 @@ class FleetJournal(GoalJournal):
         self._held: dict[GoalID, HeldGoal] = {}
         self._shortage = Shortage(store.names)
         self.outcomes = KeptOutcomes(store.broker, max_results)
+        self._keeps_waiting = False  # True if goals wait for places in the fleet
         self._settled = Notifier()
         self._answers = AnswerQueue(self._settled.notify)
         self.begun = Notifier()
@@ -100,6 +87,11 @@ class FleetJournal(GoalJournal):
         """See `GoalJournal.set_room`."""
         self.running, self.waiting = running, waiting
         self._store.on_room()
+
+    async def key_places(self, limit: str, most: int) -> KeyPlaces:
+        """See `GoalJournal.key_places`."""
+        self._keeps_waiting = True
+        return await self._store.key_places(limit, most)
 
     # Writes
 
@@ -217,9 +209,11 @@ class FleetJournal(GoalJournal):
             self._send(held)
 
     def offer_to_others(self, goal_id: GoalID) -> None:
-        """Add a note for workers with room, if a goal waits here."""
+        """Add a note for workers with room, if a goal waits here for a place of this worker. One
+        that waits for a place in the fleet would wait as long at another worker, and go round.
+        """
         held = self._held.get(goal_id)
-        if held is not None and held.waits:
+        if held is not None and held.waits and not self._keeps_waiting:
             self._broker.add_note(self._names.want(self.action), bytes(goal_id))
 
     def _failed(self, held: HeldGoal, write: Write, error: StoreError) -> None:

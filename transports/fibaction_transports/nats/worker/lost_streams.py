@@ -10,12 +10,15 @@ fence itself. It makes those that are missing, and writes again what is its own:
 
 - its lease, so that other workers do not take its goals over;
 - the records of its goals, which go on meanwhile;
-- the notes of goals that wait at it, and of those that a scan finds without a worker.
+- the notes of goals that wait at it, and of those that a scan finds without a worker;
+- the places of keys that its goals have, if it has opened their stream (`open_keys`).
 
 What no living worker has in its memory is lost: outcomes, and goals that had no worker.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from anyio import sleep
 
@@ -54,7 +57,8 @@ class LostStreams:
         self._store = store
         self._takeover = takeover
         self._known: dict[str, str] = {}  # the identities of the streams
-        self._repairs = {
+        self._makers = [broker.create_streams]
+        self._repairs: dict[str, tuple[str, Callable[[], None]]] = {
             names.workers: ("the leases of workers", self._membership.rewrite),
             names.goals: ("outcomes, and goals that had no worker", self._rewrite_goals),
             names.notes: ("notes of goals that wait or are left", self._add_notes),
@@ -68,6 +72,20 @@ class LostStreams:
         """
         for stream in self._repairs:
             self._known[stream] = await self._identity(stream)
+
+    async def open_keys(self, repair: Callable[[], None]) -> None:
+        """Make the stream of the places of keys if it is missing, and look for it from now on: call
+        `repair` when it was lost, and is there again.
+
+        Raises:
+            BrokerAway: The brokers do not answer.
+            TransportError: The stream cannot be made.
+        """
+        stream = self._names.keys
+        await self._broker.create_key_stream(self._names, replicas=self._replicas)
+        self._known[stream] = await self._identity(stream)
+        self._makers = [self._broker.create_streams, self._broker.create_key_stream]
+        self._repairs[stream] = "the places of keys", repair
 
     async def run(self) -> None:
         """Look for the streams, until canceled."""
@@ -88,15 +106,17 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: A stream cannot be made again.
         """
-        found = {stream: await self._identity(stream) for stream in self._repairs}
-        lost = [stream for stream, known in self._known.items() if found[stream] != known]
+        known = dict(self._known)
+        found = {stream: await self._identity(stream) for stream in known}
+        lost = [stream for stream, one in known.items() if found[stream] != one]
         for stream in lost:
             if self._known[stream] != LOST:
                 what, _ = self._repairs[stream]
                 logger.error("the stream %s was lost, and with it %s", stream, what)
                 self._known[stream] = LOST
         if LOST in found.values():
-            await self._broker.create_streams(self._names, replicas=self._replicas)
+            for make in self._makers:
+                await make(self._names, replicas=self._replicas)
         for stream in lost:
             self._known[stream] = await self._identity(stream)
             if self._known[stream] != LOST:

@@ -53,7 +53,14 @@ class LostWorkers:
         Raises:
             BrokerAway: They do not answer, or cannot know it yet.
         """
-        incarnation, worker = entry.incarnation, entry.goal.worker
+        return await self.has_ended(entry.goal.worker, entry.incarnation)
+
+    async def has_ended(self, worker: str, incarnation: bytes) -> bool:
+        """Return whether an incarnation of a worker has no lease, as far as the brokers know.
+
+        Raises:
+            BrokerAway: They do not answer, or cannot know it yet.
+        """
         if not incarnation or incarnation in self._gone:
             return True
         if incarnation == self._membership.incarnation or self._workers.has(worker, incarnation):

@@ -22,15 +22,25 @@ import secrets
 from collections import deque
 from collections.abc import Callable
 from copy import copy
+from typing import Protocol
 
-from fibaction.border.goal_store import GoalTaken, RecordTooLarge, StoredGoal, StoreFull, Then
+from anyio.abc import TaskGroup
+
+from fibaction.border.goal_store import (
+    GoalTaken,
+    KeyPlaces,
+    RecordTooLarge,
+    StoredGoal,
+    StoreFull,
+    Then,
+)
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ProtocolError, StoreError
 from fibaction.words.goals import GoalID
-from fibaction_transports.nats.broker.broker import BrokerRecord
+from fibaction_transports.nats.broker.broker import Broker, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
-from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
+from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE, Membership
 
 ROOM_TO_GROW = {"accept": 512, "take": 448, "begin": 384, "cancel": 320}
 """Bytes that are added to a record of this kind. Each later record of the goal has fewer, so that a
@@ -39,6 +49,18 @@ IS_STORED = -1
 """Stands for a sequence: the write is stored already."""
 
 logger = clean_logger("fibaction.nats")
+
+
+class JournalStore(Protocol):
+    """The part of a store that its journals use."""
+
+    broker: Broker
+    names: FleetNames
+    membership: Membership
+    tasks: TaskGroup
+    on_room: Callable[[], None]
+
+    async def key_places(self, limit: str, most: int) -> KeyPlaces: ...
 
 
 class Write:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
 
 from anyio import CancelScope
 from anyio.abc import TaskGroup
 
 from fibaction.border.event_loop import Background
-from fibaction.border.goal_store import GoalStore, StoredGoal, no_obstacle
+from fibaction.border.goal_store import GoalStore, KeyPlaces, StoredGoal, no_obstacle
 from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
@@ -21,6 +22,9 @@ from fibaction_transports.nats.broker.broker import Broker
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import Membership
+
+if TYPE_CHECKING:
+    from fibaction_transports.nats.worker.limits.fleet_limits import FleetLimits
 
 
 def _ignore(_journal: FleetJournal, _tasks: TaskGroup, _ends_unreadable: bool) -> None:
@@ -38,6 +42,8 @@ class FleetStore(GoalStore):
         self.membership = membership
         self.tasks: TaskGroup
         """The tasks of the worker."""
+        self.limits: FleetLimits
+        """The limits that this worker has together with others."""
         self.journals: dict[str, FleetJournal] = {}
         """The journals that are open, by their actions."""
         self.has_goals_left = False
@@ -53,6 +59,10 @@ class FleetStore(GoalStore):
 
     def __len__(self) -> int:
         return sum(map(len, self.journals.values()))
+
+    async def key_places(self, limit: str, most: int) -> KeyPlaces:
+        """Return the places of a limit of all workers: see `GoalJournal.key_places`."""
+        return await self.limits.places(limit, most)
 
     def lose_all(self) -> None:
         """Let go of all goals: the lease has ended."""

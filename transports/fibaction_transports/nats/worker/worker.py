@@ -19,7 +19,9 @@ from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, ServedAction
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.limits.fleet_limits import FleetLimits
 from fibaction_transports.nats.worker.lost_streams import LostStreams
+from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.offers import Offers
 from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.worker.takeover import Takeover
@@ -70,6 +72,16 @@ class Worker:
             self._membership,
             self.store,
             self._takeover,
+        )
+        lost = LostWorkers(self._broker, self._names, self._membership, workers)
+        self.store.limits = FleetLimits(
+            self._broker,
+            self._names,
+            self._membership,
+            workers,
+            tasks,
+            has_ended=lost.has_ended,
+            open_stream=streams.open_keys,
         )
         try:
             await self._takeover.open()
@@ -132,6 +144,7 @@ class Worker:
     def _joined(self) -> None:
         self._room_changed()
         self._takeover.rescan.notify()
+        self.store.limits.look_at_all()
 
 
 @asynccontextmanager

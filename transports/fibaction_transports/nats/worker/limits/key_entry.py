@@ -1,0 +1,124 @@
+"""`KeyEntry`: the record of a key, which says which workers run its goals, and which wait.
+
+Theory of operation
+-------------------
+
+A key has so many places. A worker holds one for each goal that it runs, and waits for as many as it
+could begin goals. Whoever writes the record gives free places to the workers that wait, in the
+order in which they have come (`next_entry`). A worker gets one place at a time, and stands behind
+the others for the next one, so it cannot keep a key for itself.
+
+Workers whose lease has ended are left out of the next record. A worker that has more goals running
+than the record says, because the record was lost, is written with all of them, even if these are
+more than there are places: then nobody gets one before some of them have ended.
+
+Sans-I/O.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from typing import NamedTuple
+
+import msgspec
+
+from fibaction.words.errors import ProtocolError
+
+
+class KeyShare(msgspec.Struct, array_like=True, frozen=True):
+    """The places that one worker has, or waits for."""
+
+    worker: str
+    incarnation: bytes
+    count: int
+
+
+class KeyEntry(msgspec.Struct, array_like=True, frozen=True):
+    """The record of a key of a limit."""
+
+    key: bytes
+    """The beginning of the key, of which the subject has a digest only."""
+    holders: tuple[KeyShare, ...] = ()
+    waiting: tuple[KeyShare, ...] = ()
+    """The workers that wait, in the order of their turns."""
+    gives_none: bool = False
+    """True if it was written while its stream was new, so that places may be missing in it."""
+    nonce: bytes = b""
+    """Random bytes of this write: without a change, it is another record nevertheless."""
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no worker has or wants a place."""
+        return not (self.holders or self.waiting)
+
+    def asked_by(self, incarnation: bytes) -> int:
+        """Return the number of places that a worker waits for."""
+        return sum(one.count for one in self.waiting if one.incarnation == incarnation)
+
+    def held_by(self, incarnation: bytes) -> int:
+        """Return the number of places that a worker has."""
+        return sum(one.count for one in self.holders if one.incarnation == incarnation)
+
+    def says_the_same(self, other: KeyEntry) -> bool:
+        """Return whether another record has the same workers in the same order."""
+        return (self.holders, self.waiting) == (other.holders, other.waiting)
+
+
+class Demand(NamedTuple):
+    """The places that one worker has in use, and those that it wants."""
+
+    worker: str
+    incarnation: bytes
+    running: int
+    asked: int
+
+
+_decoder = msgspec.msgpack.Decoder(KeyEntry)
+
+
+def key_entry(data: bytes) -> KeyEntry:
+    """Return the record of a key.
+
+    Raises:
+        ProtocolError: The bytes are not one.
+    """
+    try:
+        return _decoder.decode(data)
+    except msgspec.MsgspecError as exc:
+        raise ProtocolError(f"the places of a key cannot be read: {exc}") from exc
+
+
+def next_entry(
+    entry: KeyEntry, demand: Demand, gone: Set[bytes], most: int, *, gives: bool
+) -> KeyEntry:
+    """Return the record that follows from what a worker wants, without those that are gone.
+
+    With `gives`, free places are given to the workers that wait, as long as fewer than `most` are
+    held.
+    """
+    me = demand.incarnation
+    left = gone | {me}
+    holders = {one.incarnation: one for one in entry.holders if one.incarnation not in left}
+    if demand.running:
+        holders[me] = KeyShare(demand.worker, me, demand.running)
+    waiting = [one for one in entry.waiting if one.incarnation not in gone]
+    mine = [KeyShare(demand.worker, me, demand.asked)] if demand.asked else []
+    at = next((at for at, one in enumerate(waiting) if one.incarnation == me), None)
+    if at is None:
+        waiting += mine
+    else:
+        waiting[at : at + 1] = mine
+    while gives and waiting and sum(one.count for one in holders.values()) < most:
+        first = waiting.pop(0)
+        held = holders.get(first.incarnation)
+        count = 1 if held is None else held.count + 1
+        holders[first.incarnation] = msgspec.structs.replace(first, count=count)
+        if first.count > 1:
+            waiting.append(msgspec.structs.replace(first, count=first.count - 1))
+    in_order = sorted(holders.values(), key=lambda one: one.incarnation)
+    return KeyEntry(entry.key, tuple(in_order), tuple(waiting), gives_none=not gives)
+
+
+def given(before: KeyEntry, after: KeyEntry) -> list[str]:
+    """Return the names of the workers that have more places in a record than in the one before."""
+    return [one.worker for one in after.holders if one.count > before.held_by(one.incarnation)]
