@@ -8,6 +8,8 @@ workers  one worker is killed, and one is frozen for longer than its lease
 broker   the only broker is killed, and back after a second; later it is frozen for two seconds
 leader   of three brokers, the one that leads a stream is killed
 drain    a worker is stopped in good order
+places   with three brokers and a limit for keys, a worker is killed
+keys     the same, and then the broker that leads the stream of the places
 
 Each is run with recovery="abort" and with "rerun". Of each run, the counts are printed as JSON. It
 fails if a goal has no end or two, if two clients were told different ends, if an executor took a
@@ -37,6 +39,8 @@ LOADS: dict[str, dict[str, Any]] = {
     "broker": {"steps": (4, 12), "pause": 0.5, "spread": 5.0},
     "leader": {"steps": (2, 6), "pause": 0.5, "late": 0.6, "spread": 15.0},
     "drain": {"steps": (4, 12), "pause": 0.5},
+    "places": {"steps": (1, 3), "pause": 0.1, "keys": 20},
+    "keys": {"steps": (1, 3), "pause": 0.1, "late": 0.6, "keys": 20},
 }
 """The goals of each scenario: see `Load`."""
 
@@ -46,6 +50,8 @@ RECOVERY: dict[str, tuple[Literal["abort", "rerun"], ...]] = {
     "rerun": ("rerun",),
     "both": ("abort", "rerun"),
 }
+LIMITS = {"places": 1, "keys": 1}
+"""The goals of each key that may run in the whole fleet, for scenarios with keys."""
 MOST_FAULTS = 30
 """Faults of a run that are printed; the others are counted."""
 
@@ -91,6 +97,7 @@ def main(*words: str) -> int:
                 lease=arguments.lease,
                 seed=arguments.seed + number,
                 stream="workers" if number % 2 else "goals",
+                limit=LIMITS.get(name, 0),
             )
             report = report_of(name, settings)
             bad, good = bad + bool(report.faults), good + (not report.faults)

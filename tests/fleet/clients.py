@@ -31,6 +31,8 @@ class Load(msgspec.Struct, frozen=True):
     """Seconds of a step."""
     late: float = 0.2
     """The share of the goals that are sent after the fault."""
+    keys: int = 1
+    """The number of keys that the goals have."""
     spread: float = 3.0
     """Seconds over which they are sent, both before and after the fault."""
 
@@ -117,6 +119,7 @@ class Crowd:
             steps=chance.randint(*self._load.steps),
             pause=self._load.pause,
             fails=chance.random() < 0.05,
+            key=chance.randrange(self._load.keys),
         )
 
 

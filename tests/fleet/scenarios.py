@@ -18,7 +18,9 @@ from tests.fleet.verdict import (
     Handover,
     Rules,
     faults_of,
+    faults_of_keys,
     handover,
+    key_pauses,
     longest_pause,
     moves,
     unseen,
@@ -48,6 +50,8 @@ class Run(msgspec.Struct, frozen=True):
     seed: int = 1
     stream: Literal["goals", "workers"] = "goals"
     """The stream whose leader is killed."""
+    limit: int = 0
+    """The goals of each key that may run in the whole fleet; 0 for any number."""
 
 
 class Report(msgspec.Struct):
@@ -72,6 +76,8 @@ class Report(msgspec.Struct):
     rejoined: list[str]
     """The workers that were fenced, and have joined the fleet again."""
     handovers: Mapping[str, Handover]
+    key_pauses: Mapping[str, Mapping[int, float]]
+    """For each lost worker and each key that a goal of it had, the seconds until the next one."""
     seconds: float
     faults: list[str]
 
@@ -113,12 +119,45 @@ Act: TypeAlias = Callable[[Scene], Awaitable[list[Loss]]]
 async def lose_workers(scene: Scene) -> list[Loss]:
     """Kill a worker, and freeze another for longer than its lease."""
     killed, frozen, _ = scene.workers
+    if scene.run.limit:
+        await _begins_a_goal(killed)
     losses = [Loss(one.name, time.time(), scene.lease + GRACE) for one in (killed, frozen)]
     killed.kill()
     frozen.freeze()
     scene.crowd.go_on()
     await anyio.sleep(scene.lease * 1.5 + 1)
     frozen.thaw()
+    return losses
+
+
+async def _begins_a_goal(worker: WorkerProcess) -> None:
+    """Wait until a worker has just begun a goal, which is some time after its acceptance: in a new
+    fleet, no goal with a limit begins before the time of a lease.
+    """
+    while (entries := [*entries_of(worker.diary)]) == [] or entries[-1].what != "began":  # noqa: ASYNC110
+        await anyio.sleep(0.02)
+
+
+async def lose_places(scene: Scene) -> list[Loss]:
+    """Kill a worker whose goals have places of keys."""
+    killed, *_ = scene.workers
+    await _begins_a_goal(killed)
+    losses = [Loss(killed.name, time.time(), scene.lease + GRACE)]
+    killed.kill()
+    scene.crowd.go_on()
+    await anyio.sleep(scene.lease + GRACE)
+    return losses
+
+
+async def lose_places_and_their_leader(scene: Scene) -> list[Loss]:
+    """Kill a worker, and then the broker that leads the stream of the places."""
+    losses = await lose_places(scene)
+    leader = await scene.witness.leader("keys")
+    await scene.witness.lead_elsewhere(leader)
+    killed = scene.servers.by_name[leader]
+    killed.kill()
+    await anyio.sleep(AWAY)
+    killed.start(wait=False)
     return losses
 
 
@@ -171,6 +210,8 @@ SCENARIOS = {
     "broker": Scenario(lose_the_broker),
     "leader": Scenario(lose_the_leader, brokers=3),
     "drain": Scenario(drain),
+    "places": Scenario(lose_places, brokers=3),
+    "keys": Scenario(lose_places_and_their_leader, brokers=3),
 }
 
 
@@ -212,13 +253,19 @@ async def run(name: str, settings: Run, folder: Path) -> Report:
         settings.recovery == "rerun",
         lost=frozenset(one.worker for one in losses if not one.is_released),
         released=frozenset(one.worker for one in losses if one.is_released),
+        limit=settings.limit,
     )
     handovers = {one.worker: handover(writes, one.worker, one.at) for one in losses}
     rejoined = [one for one, found in after.items() if found != before[one]]
-    faults = [*faults_of(Case(ledger, diary, writes, rules, epoch))]
+    case = Case(ledger, diary, writes, rules, epoch)
+    faults = [*faults_of(case), *faults_of_keys(case)]
     if len(ledger.goals) < settings.load.goals or crowd.answered < settings.load.goals:
         faults.append(f"{len(ledger.goals)} were accepted, and {crowd.answered} answered")
-    faults += _faults_of_time(losses, handovers, writes, scenario)
+    diaries = {one.name: one.diary for one in scene.workers}
+    pauses = {
+        one.worker: key_pauses(case, entries_of(diaries[one.worker]), one.at) for one in losses
+    }
+    faults += _faults_of_time(losses, handovers, writes, scenario, pauses if settings.limit else {})
     faults += [f"{one} was fenced" for one in rejoined if one not in rules.lost]
     return Report(
         scenario=name,
@@ -234,6 +281,7 @@ async def run(name: str, settings: Run, folder: Path) -> Report:
         longest_pause=round(longest_pause(writes), 2),
         rejoined=rejoined,
         handovers=handovers,
+        key_pauses=pauses if settings.limit else {},
         seconds=round(time.monotonic() - began, 1),
         faults=faults,
     )
@@ -244,12 +292,20 @@ def _faults_of_time(
     handovers: Mapping[str, Handover],
     writes: list[Write],
     scenario: Scenario,
+    pauses: Mapping[str, Mapping[int, float]],
 ) -> list[str]:
+    within = {one.worker: one.within for one in losses}
     found = [
+        f"key {key} of {worker} was free after {seconds} s, and {within[worker]:g} s are allowed"
+        for worker, of_worker in pauses.items()
+        for key, seconds in of_worker.items()
+        if seconds > within[worker]
+    ]
+    found += [
         f"goals of {one.worker} were safe after {handovers[one.worker].longest} s, and"
         f" {one.within:g} s are allowed"
         for one in losses
-        if handovers[one.worker].longest > one.within
+        if handovers[one.worker].longest > one.within and not pauses  # with keys, they wait
     ]
     if scenario.brokers > 1 and longest_pause(writes) > PAUSE:
         found.append(f"the fleet stood still for {longest_pause(writes):.1f} s")
@@ -269,6 +325,7 @@ async def _scene(
                 f"{_url(brokers)}?worker={name}{lease}",
                 str(folder / f"{name}.diary"),
                 settings.recovery,
+                limit=settings.limit,
             )
             for name in ("w1", "w2", "w3")
         ]

@@ -24,9 +24,14 @@ patient = pytest.mark.timeout(240)
 
 
 def trial(
-    name: str, folder: Path, recovery: Literal["abort", "rerun"], load: Load, lease: float | None
+    name: str,
+    folder: Path,
+    recovery: Literal["abort", "rerun"],
+    load: Load,
+    lease: float | None,
+    limit: int = 0,
 ) -> Report:
-    report = anyio.run(run, name, Run(recovery, load, lease), folder)
+    report = anyio.run(run, name, Run(recovery, load, lease, limit=limit), folder)
 
     assert report.faults == []
     assert report.goals == report.answered == load.goals
@@ -92,6 +97,30 @@ def test_a_worker_that_stops_hands_its_goals_over(
 
     assert report.handovers["w1"].goals > 0
     assert report.moves > 0
+
+
+@pytest.mark.promise("FLEET-12")
+@needs_nats
+@patient
+def test_a_limit_for_keys_holds_when_workers_are_killed_and_frozen(tmp_path: Path) -> None:
+    load = Load(60, steps=(1, 3), pause=0.3, spread=1.0, keys=3)
+
+    report = trial("workers", tmp_path, "rerun", load, lease=2.0, limit=1)
+
+    assert report.key_pauses["w1"]
+    assert report.rejoined == ["w2"]
+
+
+@pytest.mark.promise("FLEET-12")
+@needs_nats
+@patient
+def test_with_three_brokers_a_killed_worker_gives_its_places_back_in_time(tmp_path: Path) -> None:
+    load = Load(60, steps=(1, 3), pause=0.3, late=0.4, spread=1.0, keys=3)
+
+    report = trial("places", tmp_path, "rerun", load, lease=12.0, limit=1)
+
+    assert report.key_pauses["w1"]
+    assert report.rejoined == []
 
 
 def test_the_help_is_laid_out(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,9 @@ from tests.fleet.verdict import (
     Handover,
     Rules,
     faults_of,
+    faults_of_keys,
     handover,
+    key_pauses,
     longest_pause,
     moves,
     unseen,
@@ -201,3 +203,49 @@ def test_goals_of_others_and_ended_ones_need_no_handover() -> None:
 
     assert handover(writes, "w1", 5.0) == Handover(0)
     assert handover(ended, "w1", 5.0) == Handover(0)
+
+
+# Keys
+
+SECOND = 10**9
+
+
+def of_keys(*entries: tuple[float, What, int], limit: int = 1) -> Case:
+    """Return a case with goals 1 and 2 of one key, and goal 3 of another."""
+    ledger = Ledger()
+    for number, key in ((1, 0), (2, 0), (3, 1)):
+        ledger.note_acceptance(GoalID(bytes([number]) * 16), Work(4, 0.0, key=key), 7)
+    diary = [
+        Entry(int(at * SECOND), what, str(GoalID(bytes([number]) * 16)), 1, 0)
+        for at, what, number in entries
+    ]
+    return Case(ledger, diary, [], Rules(rerun=True, limit=limit))
+
+
+BESIDE: list[tuple[float, What, int]] = [
+    (1, "began", 1),
+    (2, "began", 2),
+    (3, "stepped", 1),
+    (4, "stepped", 2),
+]
+
+
+def test_a_goal_that_begins_beside_another_one_of_its_key_is_found() -> None:
+    (fault,) = faults_of_keys(of_keys(*BESIDE))
+    assert fault.endswith("began as one of 2 of key 0")
+    assert not [*faults_of_keys(of_keys(*BESIDE, limit=2))]
+    assert not [*faults_of_keys(of_keys(*BESIDE, limit=0))]
+
+
+def test_goals_of_other_keys_and_later_ones_may_begin() -> None:
+    other: list[tuple[float, What, int]] = [(2, "began", 3), (3, "stepped", 3)]
+    assert not [*faults_of_keys(of_keys((1, "began", 1), *other, (4, "stepped", 1)))]
+    later: list[tuple[float, What, int]] = [(3, "began", 2), (4, "stepped", 2)]
+    assert not [*faults_of_keys(of_keys((1, "began", 1), (2, "stepped", 1), *later))]
+    assert not [*faults_of_keys(of_keys((1, "began", 1), (9, "kept", 1), *later))]
+
+
+def test_the_pause_of_a_key_is_that_after_the_loss_of_the_worker_that_had_it() -> None:
+    found = of_keys((1, "began", 1), (1, "began", 3), (8, "began", 2), (9, "began", 2))
+    assert key_pauses(found, found.diary[:1], 2.0) == {0: 6.0}
+    assert key_pauses(found, found.diary[1:2], 2.0) == {}

@@ -25,6 +25,8 @@ class Rules(NamedTuple):
     """The names of workers that were killed, or frozen for longer than their lease."""
     released: frozenset[str] = frozenset()
     """The names of workers that were stopped in good order."""
+    limit: int = 0
+    """The goals of each key that may run at the same time; 0 for any number."""
 
 
 class Case(NamedTuple):
@@ -55,6 +57,53 @@ def faults_of(case: Case) -> Iterator[str]:
             *_faults_after_end(writes, entries, case.epoch),
         )
         yield from (f"{goal_id} {fault}" for fault in faults)
+
+
+class _Attempt(NamedTuple):
+    """An attempt at a goal, from its begin to its last step."""
+
+    key: int
+    began: int
+    ended: int
+
+
+def faults_of_keys(case: Case) -> Iterator[str]:
+    """Yield a line for each begin of a goal beside too many others of its key."""
+    works = {str(goal_id): told.work for goal_id, told in case.ledger.goals.items()}
+    attempts: dict[tuple[str, int], _Attempt] = {}
+    for entry in case.diary:
+        if entry.goal_id not in works or entry.what == "kept":
+            continue
+        one = entry.goal_id, entry.attempt
+        key, began = works[entry.goal_id].key, attempts.get(one)
+        attempts[one] = _Attempt(key, entry.at if began is None else began.began, entry.at)
+    for (goal_id, _), attempt in attempts.items():
+        beside = [
+            other
+            for other in attempts.values()
+            if other.key == attempt.key and other.began <= attempt.began <= other.ended
+        ]
+        if case.rules.limit and len(beside) > case.rules.limit:
+            yield f"{goal_id} began as one of {len(beside)} of key {attempt.key}"
+
+
+def key_pauses(case: Case, lost: Iterable[Entry], lost_at: float) -> dict[int, float]:
+    """Return the seconds from the loss of a worker, whose diary is given, to the next begin of a
+    goal of each key that a goal of the worker had at that time.
+    """
+    works = {str(goal_id): told.work for goal_id, told in case.ledger.goals.items()}
+    mine = {(entry.goal_id, entry.at) for entry in lost}
+    last: dict[int, Entry] = {}
+    pauses: dict[int, float] = {}
+    for entry in case.diary:
+        if entry.goal_id not in works:
+            continue
+        key, at = works[entry.goal_id].key, entry.at / 1e9 + case.epoch
+        if at <= lost_at:
+            last[key] = entry
+        elif entry.what == "began" and key in last and (last[key].goal_id, last[key].at) in mine:
+            pauses.setdefault(key, round(at - lost_at, 2))
+    return pauses
 
 
 def writes_by_goal(writes: Iterable[Write]) -> Mapping[GoalID, list[Write]]:

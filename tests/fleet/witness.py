@@ -81,8 +81,10 @@ class Witness:
                 await anyio.sleep(0.1)
 
     async def leader(self, stream: str) -> str:
-        """Return the name of the server that leads a stream: `goals`, `workers` or the witness."""
-        name = {"goals": self._names.goals, "workers": self._names.workers}.get(stream, stream)
+        """Return the name of the server that leads a stream of the fleet, or the witness."""
+        names = self._names
+        known = {"goals": names.goals, "workers": names.workers, "keys": names.keys}
+        name = known.get(stream, stream)
         info = await _answer(self._client.jetstream(timeout=10).stream_info, name)
         return info.cluster.leader or ""
 

@@ -16,7 +16,7 @@ from typing import Literal
 import anyio
 import msgspec
 
-from fibaction import ActionServer, serve
+from fibaction import ActionServer, Schedule, serve
 from tests.kills.harness import serving
 from tests.kills.victim import WORK, Diary, Worker
 
@@ -32,6 +32,15 @@ class Setup(msgspec.Struct):
     diary: str
     recovery: Literal["abort", "rerun"]
     at_stop: Literal["abort", "keep"] = "keep"
+    limit: int = 0
+    """The goals of each key that may run in the whole fleet; 0 for any number."""
+
+
+def schedule_of(limit: int) -> Schedule | None:
+    """Return a schedule with a limit for the whole fleet; None for no limit."""
+    if not limit:
+        return None
+    return Schedule(key=lambda work: work.key, concurrency=limit, queue=10_000, fleet_limit="trial")
 
 
 async def serve_until_stopped(setup: Setup, parent: Connection) -> None:
@@ -45,6 +54,7 @@ async def serve_until_stopped(setup: Setup, parent: Connection) -> None:
         result_timeout=float("inf"),
         max_results=1_000_000,
         max_goals=10_000,
+        schedule=schedule_of(setup.limit),
     )
     with anyio.open_signal_receiver(SIGTERM) as signals:
         async with serve(server, setup.url):

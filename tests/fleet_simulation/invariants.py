@@ -22,6 +22,7 @@ class Stretch:
     attempt: int
     restored: int
     began: float
+    key: int = 0
     ended: float = math.inf
     checkpoints: list[int] = field(default_factory=list)
     """The checkpoints whose call has returned."""
@@ -53,6 +54,8 @@ class Seen:
 
     lease: float
     max_attempts: int
+    most_of_key: float = math.inf
+    """The number of executors that may run at the same time for each key, in the whole fleet."""
     stretches: list[Stretch] = field(default_factory=list)
     told: list[Told] = field(default_factory=list)
     cuts: list[Cut] = field(default_factory=list)
@@ -75,6 +78,7 @@ def violations(seen: Seen) -> Iterator[str]:
         by_goal.setdefault(stretch.goal_id, []).append(stretch)
     for goal_id, stretches in by_goal.items():
         yield from _of_executors(goal_id, stretches, seen.max_attempts)
+    yield from _of_keys(seen.stretches, seen.most_of_key)
     for told in seen.told:
         yield from _of_clients(told, entries.get(told.goal_id, []))
     for cut in seen.cuts:
@@ -111,6 +115,17 @@ def _of_executors(goal_id: GoalID, stretches: Iterable[Stretch], most: int) -> I
         before = stretch
     if count > most:
         yield f"{goal_id}: it was run {count} times, and {most} are allowed"
+
+
+def _of_keys(stretches: Iterable[Stretch], most: float) -> Iterator[str]:
+    running: list[Stretch] = []
+    for stretch in sorted(stretches, key=lambda one: one.began):
+        running = [one for one in running if one.ended > stretch.began]
+        running.append(stretch)
+        others = [one for one in running if one.key == stretch.key]
+        if len(others) > most:
+            names = ", ".join(f"{one.goal_id} at {one.process}" for one in others)
+            yield f"at {stretch.began:.3f}, these goals of key {stretch.key} run: {names}"
 
 
 def _of_clients(told: Told, history: list[GoalEntry]) -> Iterator[str]:

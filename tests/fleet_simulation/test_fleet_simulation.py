@@ -11,6 +11,8 @@ import pytest
 from fibaction.border.goal_store import StoredGoal, Then
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.limits import key_turns
+from fibaction_transports.nats.worker.limits.key_entry import next_entry
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.term import Term
 from tests.fleet_simulation import __main__ as program
@@ -24,7 +26,7 @@ MANY = range(1000, 1200)
 """Seeds in which a mistake has to be found."""
 
 
-@pytest.mark.promise("FLEET-1", "FLEET-2", "FLEET-4", "FLEET-5")
+@pytest.mark.promise("FLEET-1", "FLEET-2", "FLEET-4", "FLEET-5", "FLEET-12")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_fleet_keeps_its_promises_whatever_happens(seed: int) -> None:
     assert simulate(seed).violations == []
@@ -98,6 +100,20 @@ def leaves_the_goals_of_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LostWorkers, "is_gone", is_gone)
 
 
+def gives_a_place_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    def next_one(entry: Any, demand: Any, gone: Any, most: int, *, gives: bool) -> Any:
+        return next_entry(entry, demand, gone, most + 1, gives=gives)
+
+    monkeypatch.setattr(key_turns, "next_entry", next_one)
+
+
+def leaves_places_to_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    def next_one(entry: Any, demand: Any, gone: Any, most: int, *, gives: bool) -> Any:
+        return next_entry(entry, demand, set(), most, gives=gives)
+
+    monkeypatch.setattr(key_turns, "next_entry", next_one)
+
+
 @pytest.mark.timeout(180)  # many seeds, on a busy machine
 @pytest.mark.parametrize(
     ("mistake", "known"),
@@ -108,6 +124,8 @@ def leaves_the_goals_of_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
         (says_too_early_that_a_checkpoint_is_kept, 1001),
         (takes_goals_of_workers_that_live, 1003),
         (leaves_the_goals_of_the_lost, 1001),
+        (gives_a_place_too_many, 1002),
+        (leaves_places_to_the_lost, 1001),
     ],
 )
 def test_a_mistake_is_found(mistake: Any, known: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import random
 from collections.abc import AsyncGenerator, Generator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from typing import Literal
 
 import anyio
 from anyio import CancelScope, current_time
+from msgspec.structs import replace
 
 from fibaction import (
     Action,
@@ -53,6 +55,11 @@ WORK = Action("work", goal=int, feedback=int, result=str, checkpoint=int)
 NAMES = FleetNames("simulated")
 
 
+def key_of(request: int) -> int:
+    """Return the key of a goal."""
+    return request % 2
+
+
 @dataclass
 class Report:
     """The result of one run."""
@@ -85,7 +92,7 @@ class Process:
             self.work,
             recovery=world.recovery,
             max_attempts=MAX_ATTEMPTS,
-            schedule=world.schedule,
+            schedule=world.schedule and replace(world.schedule),  # each worker has its own
             result_timeout=600,
             watchdog=0,  # each look of its thread at the clock lets virtual time pass
         )
@@ -115,7 +122,8 @@ class Process:
         """Count to the goal, with a checkpoint at each second step."""
         chance = self.world.chance
         restored = goal.restored or 0
-        stretch = Stretch(goal.goal_id, self.name, goal.attempt, restored, current_time())
+        key = key_of(goal.request)
+        stretch = Stretch(goal.goal_id, self.name, goal.attempt, restored, current_time(), key)
         if not self.is_dead:
             self.world.seen.stretches.append(stretch)
         try:
@@ -146,6 +154,16 @@ class World:
         self.schedule = chance.choice(
             [None, Schedule(concurrency=1, queue=20), Schedule(concurrency=2, queue=3)]
         )
+        limits = random.Random(f"limit {seed}")
+        if limits.random() < 0.5:
+            self.schedule = Schedule(
+                key=key_of,
+                concurrency=limits.choice([1, 1, 2]),
+                total=limits.choice([None, 1, 2]),
+                queue=20,
+                fleet_limit="simulated",
+            )
+            self.seen.most_of_key = self.schedule.concurrency or math.inf
         self.lives: dict[str, Process] = {}
         self.count = 0
         self.kills = 0

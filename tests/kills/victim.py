@@ -36,6 +36,8 @@ class Work(msgspec.Struct):
     """True if the goal ends as ABORTED after its last step."""
     tidying: float = 0.0
     """Seconds of the clean-up after a cancel."""
+    key: int = 0
+    """The thing that the goal needs for itself, where there is a limit for it."""
 
 
 class Done(msgspec.Struct):
