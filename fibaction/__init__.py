@@ -13,7 +13,7 @@ of the server.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fibaction._api import ClientConnection, Connecting, Serving, connect, serve
+    from fibaction._api import ClientConnection, Connecting, Serving, call, connect, serve
     from fibaction.border.abc import Endpoint, Transport
     from fibaction.border.goal_store import GoalStore
     from fibaction.border.watchers import Watcher
@@ -21,7 +21,16 @@ if TYPE_CHECKING:
     from fibaction.client.events import Events, GoalFeedback
     from fibaction.client.goal import ClientGoal, SendingGoal
     from fibaction.client.retry import Retry
-    from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
+    from fibaction.server import (
+        ActionServer,
+        Executor,
+        FunctionAction,
+        GoalFields,
+        GoalHandle,
+        Report,
+        Schedule,
+        action,
+    )
     from fibaction.stores.sqlite_store import SqliteStore
     from fibaction.types.action import Action, ActionInfo
     from fibaction.wire.auth import Peer, Permission
@@ -58,12 +67,13 @@ if TYPE_CHECKING:
         Sender,
         WorkerInfo,
     )
+    from fibaction.words.returned import Return
     from fibaction.words.statuses import GoalEvent, GoalStatus
 else:
     from importlib import import_module
 
     _NAMES = {
-        "_api": "ClientConnection Connecting Serving connect serve",
+        "_api": "ClientConnection Connecting Serving call connect serve",
         "border.abc": "Endpoint Transport",
         "types.action": "Action ActionInfo",
         "client.client": "ActionClient",
@@ -80,7 +90,10 @@ else:
             "ActionPeers CancelAnswer CancelCode GoalID GoalInfo Outcome Parent Sender WorkerInfo"
         ),
         "client.retry": "Retry",
-        "server": "ActionServer Executor GoalHandle Schedule",
+        "server": (
+            "ActionServer Executor FunctionAction GoalFields GoalHandle Report Schedule action"
+        ),
+        "words.returned": "Return",
         "words.statuses": "GoalEvent GoalStatus",
         "stores.sqlite_store": "SqliteStore",
         "border.watchers": "Watcher",
@@ -120,10 +133,12 @@ __all__ = [
     "Endpoint",
     "Events",
     "Executor",
+    "FunctionAction",
     "GoalAborted",
     "GoalCanceled",
     "GoalEvent",
     "GoalFeedback",
+    "GoalFields",
     "GoalHandle",
     "GoalID",
     "GoalInfo",
@@ -142,7 +157,9 @@ __all__ = [
     "Peer",
     "Permission",
     "ProtocolError",
+    "Report",
     "Retry",
+    "Return",
     "Schedule",
     "Sender",
     "SendingGoal",
@@ -156,6 +173,8 @@ __all__ = [
     "UnknownGoal",
     "Watcher",
     "WorkerInfo",
+    "action",
+    "call",
     "connect",
     "serve",
 ]

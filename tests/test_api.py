@@ -19,9 +19,12 @@ from fibaction import (
     GoalHandle,
     GoalInfo,
     Outcome,
+    Report,
     ServerNotFound,
     TransportError,
     Watcher,
+    action,
+    call,
     connect,
     serve,
 )
@@ -398,3 +401,26 @@ async def test_a_server_that_is_wrapped_is_started_served_and_stopped() -> None:
     assert info.client == str(sender) == sender.address != ""
     assert sender.owner != b""
     assert not server.is_running
+
+
+@action("drive")
+async def drive(meters: int, report: Report[int]) -> str:
+    await report(meters)
+    return f"drove {meters} m"
+
+
+@action("home")
+async def home() -> str:
+    return "at home"
+
+
+async def test_functions_that_are_actions_are_served_and_called() -> None:
+    found: list[int] = []
+    async with serve([drive, home], "inproc://functions", "tcp://127.0.0.1:0") as (here, there):
+        async with connect(here, drive) as client:
+            assert await client.call(1) == "drove 1 m"
+        assert await call(there, drive, 3, on_feedback=found.append) == "drove 3 m"
+        assert await call(there, home) == "at home"
+    assert found == [3]
+    async with serve(drive, "inproc://functions"):
+        assert await call("inproc://functions", drive, 1, timeout=5) == "drove 1 m"

@@ -5,12 +5,25 @@ makes the parts. `admission` decides on goals, and `cancels` on cancels. `regist
 and its rules, and `life` the table of a goal's phases. `scheduling` says which goal runs, waits or
 gives way; `execution` runs executors; `durability` writes to a store and takes over what it has.
 `goal_logs` has the streams that followers read; `watchers` and `watcher_group` call the watchers of
-a user, which `fibaction.border.watchers` defines.
+a user, which `fibaction.border.watchers` defines. `functions` makes executors of plain functions.
 """
 
 from fibaction.server.execution.executor import Executor
+from fibaction.server.functions.decorator import action
+from fibaction.server.functions.function_action import FunctionAction
+from fibaction.server.functions.report import Report
+from fibaction.server.functions.signature import GoalFields
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.server import ActionServer
 
-__all__ = ["ActionServer", "Executor", "GoalHandle", "Schedule"]
+__all__ = [
+    "ActionServer",
+    "Executor",
+    "FunctionAction",
+    "GoalFields",
+    "GoalHandle",
+    "Report",
+    "Schedule",
+    "action",
+]

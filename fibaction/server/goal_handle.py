@@ -12,6 +12,7 @@ from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.server.durability.checkpoints import Checkpoints
+    from fibaction.server.execution.running_goal import RunningGoal
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import GoalID, Sender
 
@@ -63,7 +64,7 @@ class GoalHandle(Generic[GoalT]):
             yield "arrived"
     """
 
-    __slots__ = ("_checkpoints", "_goal", "_succession", "request", "restored", "steps")
+    __slots__ = ("_checkpoints", "_goal", "_succession", "request", "restored", "running", "steps")
 
     def __init__(
         self,
@@ -82,6 +83,8 @@ class GoalHandle(Generic[GoalT]):
         self._succession = succession
         self.steps: GoalSteps | None = None
         """The steps of this attempt; None before the first."""
+        self.running: RunningGoal | None = None
+        """The run of the executor; None before it begins, and after its end."""
 
     @property
     def goal_id(self) -> GoalID:
@@ -117,6 +120,22 @@ class GoalHandle(Generic[GoalT]):
     def cancel_requested(self) -> bool:
         """True if the goal is to stop: its cancel was accepted, or the server ends it."""
         return self._goal.status is GoalStatus.CANCELING or bool(self._goal.stop_reason)
+
+    def check(self) -> None:
+        """Raise `GoalCanceled`, once, if a cancel has interrupted the executor, or the server ends
+        the goal.
+
+        This is for code that awaits nothing: a plain function, a thread, a callback. The `await`s
+        that follow are clean-up, and are not canceled.
+
+        Raises:
+            GoalCanceled: The goal is to stop.
+            RuntimeError: The executor does not run.
+        """
+        running = self.running
+        if running is None:
+            raise RuntimeError(f"the executor of goal {self.goal_id} does not run")
+        running.check()
 
     @property
     def is_kept(self) -> bool:

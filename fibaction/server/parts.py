@@ -26,6 +26,7 @@ from typing import Generic
 
 from anyio import move_on_after
 
+from fibaction._runtime.own_thread import HomeLoop
 from fibaction._runtime.tasks import Background
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
@@ -111,7 +112,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             StoreError: The store cannot be used, or has goals that cannot be read.
             RuntimeError, ValueError: The server cannot share its schedule with others.
         """
-        self._watch.open()
+        self._watch.open(HomeLoop())
         stack.callback(self._watch.close)
         tasks = await stack.enter_async_context(Background())
         tasks.start_soon(self.logs.forget_expired, name=f"expiry of {self._name}")

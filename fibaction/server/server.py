@@ -38,7 +38,7 @@ from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, STORE_FAILED, 
 from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
 from fibaction.server.durability.stored_ends import StoredEnds
 from fibaction.server.execution.executor import Executor
-from fibaction.server.execution.executor_check import check_is_executor
+from fibaction.server.functions.executor_check import check_is_executor, executor_of
 from fibaction.server.parts import Parts
 from fibaction.server.scheduling.dispatcher import Dispatcher, NoScheduleDispatcher
 from fibaction.server.scheduling.fleet_dispatcher import FleetDispatcher
@@ -69,20 +69,21 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     def __init__(
         self,
         action: Action[GoalT, FeedbackT, ResultT],
-        executor: Executor[GoalT, FeedbackT, ResultT],
+        executor: Executor[GoalT, FeedbackT, ResultT] | None = None,
         **settings: Unpack[ActionServerKeywords[GoalT]],
     ) -> None:
         """Set up a server; nothing runs yet.
 
         Args:
             action: The action that is served.
-            executor: An async generator function, called with a `GoalHandle` for each goal.
+            executor: An async generator function, called with a `GoalHandle` for each goal; None
+                for the function of which `@action` has made the action.
             settings: Keyword arguments, each of them optional: see `ActionServerSettings`.
 
         Raises:
-            TypeError: The action is untyped, or the executor is not callable, is a coroutine
-                function, or is a generator function that is not async; `on_goal` takes neither
-                one argument nor two; the schedule is not a `Schedule`; a watcher is not a
+            TypeError: The action is untyped, or the executor is missing, is not callable, is a
+                coroutine function, or is a generator function that is not async; `on_goal` takes
+                neither one argument nor two; the schedule is not a `Schedule`; a watcher is not a
                 `Watcher`; or there is no such setting.
             ValueError: A number is out of range; or `feedback`, `recovery`, `unreadable` or
                 `at_stop` is not one of its words.
@@ -92,6 +93,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 f"{action!r} is untyped, and a server needs types: define an Action with the types"
                 f" of goal, feedback and result"
             )
+        if executor is None:
+            executor = executor_of(action)
         check_is_executor(executor)
         self.action = action
         self._executor = executor

@@ -145,8 +145,8 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
     A type is any that msgspec can encode and decode strictly: a `msgspec.Struct`, a dataclass, an
     attrs class, a `TypedDict`, a builtin. It may also be a pydantic model, or have models in it,
-    which validate by their own rules. The types of feedback and result must differ at run time,
-    because an executor yields both.
+    which validate by their own rules. If feedback and result have one type, an executor that yields
+    both marks the result with `Return`.
 
     For example:
 
@@ -174,8 +174,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             ValueError: The name or the type name breaks that rule.
-            TypeError: One of them is not text, a type cannot be encoded, or feedback and result
-                cannot be told apart.
+            TypeError: One of them is not text, or a type cannot be encoded.
         """
         self.name = _checked(_NAME, name, "an action's name is like `arm/pick_up`")
         self.type_name = type_name
@@ -194,13 +193,13 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         if checkpoint is not None:
             self.checkpoint = _codec(checkpoint, f"the checkpoint {of_it}")
         self._info: ActionInfo | None = None
-        for one in self.feedback.classes:
-            for other in self.result.classes:
-                if issubclass(one, other) or issubclass(other, one):
-                    raise TypeError(
-                        f"action {name!r}: an executor yields feedback and result, and a value of"
-                        f" {one.__name__!r} could be either; give them types of their own"
-                    )
+        self.is_ambiguous = any(
+            issubclass(one, other) or issubclass(other, one)
+            for one in self.feedback.classes
+            for other in self.result.classes
+        )
+        """True if a value may be of the type of the feedback and of the result. Then a generator
+        marks its result with `Return`."""
 
     @property
     def info(self) -> ActionInfo:
@@ -224,6 +223,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         action.feedback = Codec(anything, f"feedback of action {info.name!r}")
         action.result = Codec(anything, f"the result of action {info.name!r}")
         action.checkpoint = None
+        action.is_ambiguous = True
         return action
 
     @classmethod

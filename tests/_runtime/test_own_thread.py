@@ -5,7 +5,7 @@ from threading import Thread
 import anyio
 import pytest
 
-from fibaction._runtime.own_thread import OwnThread
+from fibaction._runtime.own_thread import HomeLoop, OwnThread
 
 WRONG = "used in thread 'other': call it in its own thread, for example with anyio.from_thread.run"
 
@@ -42,3 +42,22 @@ def test_without_an_event_loop_it_is_the_thread_of_the_first_use() -> None:
     assert errors_in_another_thread(own) == []
     with pytest.raises(RuntimeError, match="thread 'one that has ended', and was used in thread"):
         own.check()
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_another_thread_calls_into_the_event_loop_as_long_as_it_runs(backend: str) -> None:
+    homes: dict[str, HomeLoop] = {}
+
+    async def here() -> bool:
+        return homes["main"].is_here
+
+    async def main() -> HomeLoop:
+        home = homes["main"] = HomeLoop()
+        assert home.is_here
+        assert await anyio.to_thread.run_sync(home.run, here)
+        assert not await anyio.to_thread.run_sync(lambda: home.is_here)
+        return home
+
+    home = anyio.run(main, backend=backend)
+    with pytest.raises(RuntimeError, match="the event loop of the action server has ended"):
+        home.run(here)

@@ -75,6 +75,21 @@ def test_servers_are_found(folder: Path, target: str) -> None:
     assert import_target.import_servers(target)[0].action.name == "count"
 
 
+def test_a_function_that_is_an_action_is_a_server(folder: Path, invoke: Invoke) -> None:
+    (folder / "functions.py").write_text(
+        "from fibaction import action\n"
+        "@action('arm/drive')\n"
+        "async def drive(meters: int) -> str:\n"
+        "    return 'there'\n"
+        "both = [drive, drive]\n"
+    )
+    for target, number in (("functions:drive", 1), ("functions:both", 2)):
+        servers = import_target.import_servers(target)
+        assert [server.action.name for server in servers] == ["arm/drive"] * number
+    result = invoke("serve", "functions:zzz", f"unix://{folder}/socket")
+    assert result.stderr == "Error: functions has no 'zzz'; there is drive\n"
+
+
 def test_the_current_folder_is_looked_at_first_and_once(folder: Path) -> None:
     import_target.import_servers("robot:server")
     import_target.import_servers("robot:server")

@@ -141,7 +141,7 @@ def test_a_coroutine_function_is_rejected_with_what_to_do(executor: Any, name: s
         ActionServer(FIBONACCI, executor)
     assert str(caught.value) == (
         f"the executor {name!r} is a coroutine function: yield its feedback, and yield its result"
-        f" last, instead of returning it"
+        f" last, instead of returning it, or make an action of it with @action"
     )
 
 
@@ -166,7 +166,7 @@ def test_a_generator_whose_async_was_forgotten_is_rejected_with_what_to_do(
     )
 
 
-@pytest.mark.parametrize("executor", [None, "fibonacci", Goal(1)])
+@pytest.mark.parametrize("executor", [3, "fibonacci", Goal(1)])
 def test_what_cannot_be_called_is_no_executor(executor: Any) -> None:
     with pytest.raises(TypeError) as caught:
         ActionServer(FIBONACCI, executor)

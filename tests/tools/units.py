@@ -10,6 +10,7 @@ SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/trans
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
 NOT_ELSEWHERE = [f"{ELSEWHERE}/on_dds", f"{ELSEWHERE}/dds_transport.py"]  # needs none
 UNITS = {
+    "fibaction/_api": ["tests/test_api.py"],
     "fibaction/words/action_error.py": ["tests/words/test_errors.py"],
     "fibaction/_runtime/connection_counts.py": ["tests/observe/test_metrics.py"],
     "fibaction/words/current_goal.py": ["tests/observe/test_log_records.py"],

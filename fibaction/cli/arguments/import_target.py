@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from fibaction.cli.arguments.action_names import nearest
 from fibaction.cli.process.exit_codes import ExitCode, Failure
-from fibaction.server import ActionServer
+from fibaction.server import ActionServer, FunctionAction
 
 AnyServer: TypeAlias = ActionServer[Any, Any, Any]
 
@@ -63,7 +63,8 @@ def import_servers(target: str) -> list[AnyServer]:
         raise _broken(found, exc) from exc
     value = _call(found, module, _attribute(found, module))
     several = issubclass(type(value), list | tuple)
-    servers: list[Any] = list(value) if several else [value]
+    given: list[Any] = list(value) if several else [value]
+    servers = [_server_of(one) for one in given]
     wrong = [type(one).__name__ for one in servers if not isinstance(one, ActionServer)]
     if wrong or not servers:
         place = "in the list " if several else ""
@@ -117,7 +118,7 @@ def _attribute(target: Target, module: ModuleType) -> Any:
 
 def _call(target: Target, module: ModuleType, value: Any) -> Any:
     """Return what the user's function returns; anything else as it is."""
-    if issubclass(type(value), ActionServer) or not callable(value):
+    if issubclass(type(value), ActionServer | FunctionAction) or not callable(value):
         return value
     if inspect.iscoroutinefunction(value) or inspect.isasyncgenfunction(value):
         text = "is an async function, and not an ActionServer or what gives one"
@@ -134,10 +135,17 @@ def _call(target: Target, module: ModuleType, value: Any) -> Any:
         raise _broken(target, exc) from exc
 
 
+def _server_of(value: Any) -> Any:
+    """Return the server of a function that is an action; anything else as it is."""
+    return ActionServer(value) if issubclass(type(value), FunctionAction) else value
+
+
 def _servers_of(module: Any) -> list[str]:
     """Return the names of the servers in a module."""
     names: dict[str, object] = getattr(module, "__dict__", {})
-    return [name for name, value in names.items() if isinstance(value, ActionServer)]
+    return [
+        name for name, value in names.items() if isinstance(value, ActionServer | FunctionAction)
+    ]
 
 
 def _no_server(target: Target, module: ModuleType, text: str) -> Failure:

@@ -46,6 +46,7 @@ logger = clean_logger(__name__)
 Examples:
   fibaction serve robot:server
   fibaction serve robot:make_servers tcp://127.0.0.1:7400 unix:///run/robot.sock ros2://
+  fibaction serve robot:drive tcp://127.0.0.1:7400
   fibaction serve robot:server --store goals.db
   fibaction serve robot:server --record today.jsonl --metrics :9464
   fibaction serve robot:server --reload""",
@@ -78,7 +79,8 @@ def serve_command(
 ) -> None:
     """Run the action servers of a module of yours, at one URL or at several at once.
 
-    SERVER is an ActionServer, a list of several, or a function without arguments that returns them.
+    SERVER is an ActionServer, a function that @action has made an action, a list of several, or a
+    function without arguments that returns them.
     The module is looked for in the current folder first.
 
     Ctrl-C or SIGTERM ends all goals, tells their clients and stops. A second one ends at once.

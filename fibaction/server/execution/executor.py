@@ -41,21 +41,24 @@ from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.log import clean_logger
+from fibaction.server.execution.executor_ends import Misuse, cause_of, failed, kind_of, partial_end
 from fibaction.server.execution.executor_life import (
     EXECUTOR_LIFE,
     ExecutorEvent,
     ExecutorPhase,
     ScopesEvent,
+    ScopesPhase,
 )
 from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.execution.watchdog import Watch
-from fibaction.server.execution.yielded_items import Misuse, a, is_feedback_message
+from fibaction.server.execution.yielded_items import is_feedback_message
 from fibaction.server.goal_handle import GoalHandle
-from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.current_goal import CurrentGoal, current_goal
-from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
+from fibaction.words.errors import GoalAborted, GoalCanceled
+from fibaction.words.returned import Return
 
 if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog
@@ -67,9 +70,12 @@ T = TypeVar("T")
 logger = clean_logger("fibaction.server")
 
 
-Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncIterator[FeedbackT | ResultT]]
+Executor: TypeAlias = Callable[
+    [GoalHandle[GoalT]], AsyncIterator[FeedbackT | ResultT | Return[ResultT]]
+]
 """An async generator function: it takes a goal, yields feedback, and yields the result last. Its
-return type is written as `AsyncIterator[Feedback | Result]`, or as an `AsyncGenerator`."""
+return type is written as `AsyncIterator[Feedback | Result]`, or as an `AsyncGenerator`. `Return`
+marks a result that could be feedback."""
 
 
 Fence: TypeAlias = Callable[["Execution[Any, Any, Any]"], bool]
@@ -79,7 +85,7 @@ Fence: TypeAlias = Callable[["Execution[Any, Any, Any]"], bool]
 PREPARED, INTERRUPTED = ExecutorPhase.PREPARED, ExecutorPhase.INTERRUPTED
 
 
-class Execution(Generic[GoalT, FeedbackT, ResultT]):
+class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
     """One run of one goal's executor."""
 
     __slots__ = (
@@ -110,6 +116,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         watch: Watch,
         context: Context | None = None,
     ) -> None:
+        self.home, self._waits = watch.home, ()
         self.handle = handle
         self.goal = log.goal
         """The record of the goal that it runs now."""
@@ -151,6 +158,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self.phase = EXECUTOR_LIFE[before, ExecutorEvent.INTERRUPT]
         if self.phase is not before and self._scopes is not None:
             self._steps.interrupt()
+            self.end_waits()
 
     def kill(self, *, for_good: bool = True) -> None:
         """Cancel every `await` from now on, those of the clean-up included, and discard feedback,
@@ -170,11 +178,13 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         """
         if self._result is not None:
             raise RuntimeError("take over a goal before the result of this one, not after it")
+        self.handle.running, handle.running = None, self
         self.handle, self.goal, self._log = handle, log.goal, log
         self._current.goal_id = log.goal.goal_id
         self._owner = log.goal.sender.owner
 
     async def _run(self) -> Ending:
+        self.handle.running = self
         if self.fence is not None:
             self._steps.fence = partial(self.fence, self)
         try:
@@ -189,12 +199,13 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             else:
                 ending = Ending(EndKind.RESULT, self._result)
                 if self._result is None:
-                    ending = self._failed(Misuse("it ended without yielding a result"))
+                    ending = failed(self._no_result(), self._action, self.goal)
             if self.handle.steps is not None:
                 await self.handle.steps.settle(is_over=ending.kind is not EndKind.CANCELED)
             return ending
         finally:
             assert self._scopes is not None
+            self.handle.running = None
             self._scopes.steps = None
             self._scopes = None
             self._watch.end(self._steps)
@@ -223,18 +234,18 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     def _ended_by(self, exc: BaseException) -> Ending:
         # In a frame of its own: a traceback references its frames. If one of those also referenced
         # the exception, the cycle would keep the goal alive until the garbage collector runs.
-        cause = _cause(exc)
+        cause = cause_of(exc)
         if cause is None:
             assert self._scopes is not None
             self._scopes.happen(ScopesEvent.INTERRUPT)  # the task itself may have been canceled
             return Ending(EndKind.CANCELED, self._result)
         if isinstance(cause, GoalCanceled):
-            return self._part(EndKind.CANCELED, cause)
+            return partial_end(EndKind.CANCELED, cause, self._action, self.goal, self._result)
         if isinstance(cause, GoalAborted):
-            return self._part(EndKind.FAILED, cause)
+            return partial_end(EndKind.FAILED, cause, self._action, self.goal, self._result)
         if isinstance(cause, (KeyboardInterrupt, SystemExit)):
             raise exc
-        return self._failed(cause)
+        return failed(cause, self._action, self.goal, self._result)
 
     def _start(self) -> AsyncGenerator[FeedbackT | ResultT, None]:
         items: Any = self._executor(self.handle)
@@ -242,7 +253,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         if not isinstance(items, (AsyncGeneratorType, AsyncGenerator)):
             if isinstance(items, Coroutine):
                 items.close()  # or Python warns that it was never awaited
-            raise Misuse(f"it is not an async generator: it returned {a(cast('object', items))}")
+            raise Misuse(
+                f"it is not an async generator: it returned {kind_of(cast('object', items))}"
+            )
         return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
@@ -257,8 +270,10 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                 del step  # it may reference the exception, which references this frame
                 raise
             if self._result is not None:
-                raise Misuse(f"it yielded {a(item)} after its result")
-            if feedback.holds(item) or (
+                raise Misuse(f"it yielded {kind_of(item)} after its result")
+            if isinstance(item, Return):
+                self._result = self._returned(cast("object", item.value))
+            elif feedback.holds(item) or (
                 not result.holds(item) and is_feedback_message(item, self._action)
             ):
                 log = self._log
@@ -279,46 +294,54 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
 
     async def _pause(self) -> None:
         assert self._scopes is not None
+        turns = self._scopes.turns  # the executor may end while others of its tasks are here
         if self._steps.pending or self._log.is_full:
             await checkpoint()
         else:  # its slice is over
-            await self._scopes.turns.pause(self._owner)
+            await turns.pause(self._owner)
         if self._log.is_full:
             await self._log.wait_for_room(self._stall_timeout)
-            await self._scopes.turns.pause(self._owner)  # very many may be woken at once
+            await turns.pause(self._owner)  # very many may be woken at once
 
-    def _part(self, kind: EndKind, exc: GoalCanceled | GoalAborted) -> Ending:
+    def _returned(self, value: object) -> bytes:
         result = self._action.result
-        if exc.result is None:
-            return Ending(kind, self._result, exc.reason)
-        if not result.accepts(exc.result):
-            # Usually the error of another goal that the executor sent, and did not catch.
-            left_out = f"its result is left out: {a(exc.result)} is not of the result's type"
-            reason = f"{exc.reason} ({left_out})" if exc.reason else left_out
-            self._log_failure(f"{type(exc).__name__}: {reason}", exc)
-            return Ending(kind, self._result, reason)
-        try:
-            return Ending(kind, result.encode(exc.result), exc.reason)
-        except Exception as bad:  # encoding runs the user's own code, which may raise anything
-            return self._failed(bad)
+        if not result.accepts(value):
+            raise Misuse(f"it returned {kind_of(value)}, which is not of the result's type")
+        return result.encode(value)
 
-    def _failed(self, exc: BaseException) -> Ending:
-        reason = text_of(exc)
-        if isinstance(exc, Misuse):
-            reason = f"the executor is wrong: {exc}"
-        self._log_failure(reason, exc)
-        return Ending(EndKind.FAILED, self._result, reason)
+    def _no_result(self) -> Misuse:
+        told = "it ended without yielding a result"
+        if self._log.count and self._action.is_ambiguous:
+            told += "; its feedback and its result have one type, so mark the result: `Return(...)`"
+        return Misuse(told)
 
-    def _log_failure(self, reason: str, exc: BaseException) -> None:
-        if self.goal.phase is Phase.LOST:
-            return  # it was interrupted, and could not keep its checkpoint
-        logger.error(
-            "goal %s of action %r failed: %s",
-            self.handle.goal_id,
-            self._action.name,
-            reason,
-            exc_info=exc,
-        )
+    # What executors report without a `yield`: see `RunningGoal`
+
+    @property
+    def is_interrupted(self) -> bool:
+        # Both are gone with the end, which may come while another thread is here.
+        steps, scopes = getattr(self, "_steps", None), self._scopes
+        if steps is None or scopes is None:
+            return False
+        return steps.pending or scopes.phase >= ScopesPhase.KILLED
+
+    def encode(self, feedback: object) -> bytes:
+        codec = self._action.feedback
+        if not codec.accepts(feedback):
+            what = f"feedback of action {self._action.name!r}"
+            raise TypeError(f"{what} is not of its type: it is {kind_of(feedback)}")
+        return codec.encode(feedback)
+
+    def append(self, payload: bytes) -> bool:
+        log, steps = self._log, self._steps
+        log.append(payload)
+        return steps.pending or log.is_full or perf_counter() >= steps.slice_end
+
+    async def pause(self) -> None:
+        await self._pause()
+
+    def arrive(self) -> None:
+        self._steps.arrive()
 
 
 def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:
@@ -340,18 +363,3 @@ def _first(items: AsyncGenerator[T, None]) -> Awaitable[T]:
         return items.__anext__()
     finally:
         sys.set_asyncgen_hooks(*hooks)
-
-
-def _cause(exc: BaseException) -> BaseException | None:
-    """Return the error, out of any exception group around it; None if it is a cancellation."""
-    canceled = get_cancelled_exc_class()
-    if isinstance(exc, canceled):
-        return None
-    if not isinstance(exc, BaseExceptionGroup):
-        return exc
-    group = cast("BaseExceptionGroup[BaseException]", exc)
-    rest = group.split(canceled)[1]
-    if rest is None:
-        return None
-    first, *others = rest.exceptions
-    return rest if others else _cause(first)

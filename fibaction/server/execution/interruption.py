@@ -269,6 +269,13 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             # The exception references the frames it passes, and those this one, since Python 3.12.
             del typ, error
 
+    def arrive(self) -> None:
+        """Let the cancellation arrive as an error of the caller: what follows is clean-up, whose
+        `await`s are not canceled before the coroutine is killed.
+        """
+        self.pending, self.fence = False, None
+        self._scopes.rest.shield = self._scopes.phase < ScopesPhase.KILLED
+
     def _wait_instead(self, value: Any) -> Any:
         """Let the task wait for the cancellation, in place of a step.
 

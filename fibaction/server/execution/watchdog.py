@@ -35,6 +35,7 @@ from types import FrameType
 from typing import Any, NamedTuple, Protocol
 
 from fibaction._runtime.log import clean_logger
+from fibaction._runtime.own_thread import HomeLoop
 from fibaction.server.execution.interruption import Current, Steps
 from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.goal_handle import GoalHandle
@@ -79,6 +80,8 @@ class Watch:
         """Watch nothing before `open()`; a limit of 0 or infinity never does."""
         self.current = Current()
         """The step that runs now in the server's thread, of any server."""
+        self.home: HomeLoop | None = None
+        """The event loop of the executors; None before `open()`."""
         self._action = action
         self._limit = limit if limit < math.inf else 0
         self._interval = min(max(limit / CHECKS, EXECUTOR_SLICE), TIMEOUT_MAX)
@@ -87,9 +90,10 @@ class Watch:
         self._thread = 0
         self._watchdog: Watchdog | None = None
 
-    def open(self) -> None:
-        """Watch the executors of this thread from now on."""
+    def open(self, home: HomeLoop | None = None) -> None:
+        """Watch the executors of this thread from now on; `home` is its event loop."""
         self._thread = get_ident()
+        self.home = home
         self.current = _here.current
         if self._limit:
             try:

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from fibaction.server.execution.executor_ends import Misuse, kind_of
 from fibaction.types.action import Action
-from fibaction.types.ros_classes import is_message, ros_type_of
-
-
-class Misuse(Exception):
-    """A rule of executors that the user's generator broke."""
 
 
 def is_feedback_message(item: object, action: Action[Any, Any, Any]) -> bool:
@@ -20,15 +16,10 @@ def is_feedback_message(item: object, action: Action[Any, Any, Any]) -> bool:
     """
     feedback, result = action.feedback.accepts(item), action.result.accepts(item)
     if feedback and result:
-        raise Misuse(f"it yielded {a(item)}, which could be feedback or a result")
+        raise Misuse(
+            f"it yielded {kind_of(item)}, which could be feedback or a result:"
+            " mark the result with `Return(...)`"
+        )
     if not feedback and not result:
-        raise Misuse(f"it yielded {a(item)}, which is neither feedback nor a result")
+        raise Misuse(f"it yielded {kind_of(item)}, which is neither feedback nor a result")
     return feedback
-
-
-def a(value: object) -> str:
-    """Return the type of a value with its article."""
-    if is_message(value):
-        return f"the ROS message {ros_type_of(type(value))}"
-    name = type(value).__qualname__
-    return f"an {name}" if name[0] in "AEIOUaeiou" else f"a {name}"

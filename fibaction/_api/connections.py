@@ -1,26 +1,22 @@
-"""`serve` and `connect`: serve actions at a URL, and open connections to it."""
+"""`connect`: open a connection to the actions at a URL."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Generator, Iterable
+from collections.abc import AsyncGenerator, Generator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, cast, overload
 
 import anyio
-from anyio import create_task_group
 
-from fibaction.border.abc import Connection, Endpoint, Startable, Transport
-from fibaction.border.goal_store import GoalStore
-from fibaction.border.urls import transport_for, without_settings
-from fibaction.border.watchers import Watcher
+from fibaction.border.abc import Connection, Endpoint, Transport
+from fibaction.border.urls import transport_for
 from fibaction.client.client import ActionClient
 from fibaction.client.goal import Blocks, leave_blocks
 from fibaction.client.goal_span import GoalTracer
 from fibaction.client.kept_connection import KeptConnection, keep_open
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.wire.settings import ConnectKeywords, ServeKeywords
-from fibaction.words.errors import TransportError
+from fibaction.wire.settings import ConnectKeywords
 from fibaction.words.goals import ActionPeers, WorkerInfo
 
 
@@ -216,135 +212,3 @@ async def _connected(
             yield connection
         finally:
             await connection.leave()
-
-
-class Serving(AbstractAsyncContextManager[tuple[str, ...], None]):
-    """Servers at their addresses, to be run by `async with`: see `serve`."""
-
-    def __init__(self, block: AbstractAsyncContextManager[tuple[str, ...]]) -> None:
-        self._block = block
-
-    async def __aenter__(self) -> tuple[str, ...]:
-        return await self._block.__aenter__()
-
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        await self._block.__aexit__(exc_type, exc, traceback)
-
-    # For type checkers, it could be awaited.
-    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
-
-        def __await__(self) -> NoReturn:
-            raise TypeError(
-                "serve() is not awaited, because it serves for as long as a block lasts: write"
-                " `async with serve(...):`, and `await anyio.sleep_forever()` in the block"
-            )
-
-
-def serve(
-    endpoints: Endpoint | Iterable[Endpoint],
-    *where: str | Transport,
-    watchers: Iterable[Watcher] = (),
-    **settings: Unpack[ServeKeywords],
-) -> Serving:
-    """Serve one endpoint or several, at one address or several, for as long as the block lasts.
-
-    An address is a URL or a transport. `settings` are those of the constructors of the URLs'
-    transports, for example `tokens={...}`. The block gets the URLs under which clients find the
-    endpoints. Servers that are not running are started, and stopped at the end, while their clients
-    can still be answered. `watchers` are added to each of the servers.
-
-        async with serve(ActionServer(DRIVE, drive), "tcp://127.0.0.1:7400"):
-            await anyio.sleep_forever()
-
-    Raises:
-        TransportError: An address cannot be used.
-        TypeError: A transport does not have such a setting, an argument is not a server or not an
-            address, the address is missing, or there are watchers and an endpoint is not an
-            `ActionServer`.
-        RuntimeError: A server has been stopped; each runs once.
-    """
-    return Serving(_served(endpoints, where, tuple(watchers), settings))
-
-
-@asynccontextmanager
-async def _served(
-    endpoints: Endpoint | Iterable[Endpoint],
-    where: tuple[str | Transport, ...],
-    watchers: tuple[Watcher, ...],
-    settings: ServeKeywords,
-) -> AsyncGenerator[tuple[str, ...], None]:
-    from fibaction.server import ActionServer  # here, since clients do not need it
-
-    chosen = _chosen(endpoints)
-    if not where:
-        raise TypeError(
-            "serve() needs at least one address: a URL such as tcp://127.0.0.1:7400, or a"
-            " transport; to use a server without an address, enter it with `async with`, and give"
-            " it to an ActionClient"
-        )
-    transports = [transport_for(one, **settings) for one in where]
-    for one in chosen if watchers else ():
-        if not isinstance(one, ActionServer):
-            raise TypeError(f"only an ActionServer can have watchers, and {one!r} is not one")
-        one.watch_by(watchers)
-    started: list[Startable] = []
-    async with AsyncExitStack() as stack:
-        for transport in transports:
-            store = await stack.enter_async_context(transport.goal_store())
-            if store is not None:
-                _keep_in(store, chosen)
-        for one in chosen:
-            if isinstance(one, Startable) and not one.is_running:
-                await stack.enter_async_context(one)
-                started.append(one)
-        urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
-        stack.push_async_callback(_stop, started)
-        yield tuple(urls)
-
-
-def _keep_in(store: GoalStore, endpoints: Iterable[Endpoint]) -> None:
-    """Let the servers among the endpoints keep their goals where their transport keeps them.
-
-    Raises:
-        TransportError: A server has a store of its own, or was started before.
-    """
-    from fibaction.server import ActionServer  # as above
-
-    for one in endpoints:
-        if not isinstance(one, ActionServer):
-            continue
-        if one.store is not None or not one.is_new:
-            how = "was started before" if one.store is None else "has a store"
-            raise TransportError(
-                f"{one!r} {how}, and this address keeps the goals of its servers itself: give it a"
-                f" server that is new and has no store"
-            )
-        one.keep_in(store)
-
-
-def _chosen(endpoints: Endpoint | Iterable[Endpoint]) -> tuple[Endpoint, ...]:
-    given: Iterable[object] = (endpoints,)
-    if isinstance(endpoints, Iterable) and not isinstance(endpoints, Endpoint | str):
-        given = endpoints
-    chosen: list[Endpoint] = []
-    for one in given:
-        if not isinstance(one, Endpoint):
-            # If the arguments are swapped, it is a URL, which may contain a token.
-            shown = without_settings(one) if isinstance(one, str) else one
-            raise TypeError(
-                f"serve() takes servers, such as ActionServer(action, executor), and then"
-                f" addresses; {shown!r} is not a server"
-            )
-        chosen.append(one)
-    return tuple(chosen)
-
-
-async def _stop(servers: Iterable[Startable]) -> None:
-    async with create_task_group() as tasks:
-        for server in servers:
-            tasks.start_soon(server.stop)

@@ -1,0 +1,63 @@
+"""`call`: one goal, from the connection to the result."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any, Unpack, overload
+
+from fibaction._api.connections import connect
+from fibaction.border.abc import Transport
+from fibaction.client.retry import Retry
+from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.wire.settings import ConnectKeywords
+
+
+@overload
+async def call(
+    where: str | Transport,
+    action: Action[None, FeedbackT, ResultT],
+    goal: None = None,
+    *,
+    on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
+    timeout: float | None = None,
+    retry: Retry | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> ResultT: ...
+
+
+@overload
+async def call(
+    where: str | Transport,
+    action: Action[GoalT, FeedbackT, ResultT],
+    goal: GoalT,
+    *,
+    on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
+    timeout: float | None = None,
+    retry: Retry | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> ResultT: ...
+
+
+async def call(
+    where: str | Transport,
+    action: Action[Any, Any, Any],
+    goal: Any = None,
+    *,
+    on_feedback: Callable[[Any], Awaitable[object] | object] | None = None,
+    timeout: float | None = None,
+    retry: Retry | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> Any:
+    """Connect to a URL, or by a transport, send one goal, and return its result.
+
+        print(await call("tcp://127.0.0.1:7400", DRIVE, 3, on_feedback=print))
+
+    A program that sends several goals keeps a connection: see `connect`, whose `settings` these
+    are. `on_feedback`, `timeout` and `retry` are those of `ActionClient.call`; neither of the last
+    two counts the time to connect.
+
+    Raises:
+        ActionError, TypeError, ValueError: As for `connect`, and for `ActionClient.call`.
+    """
+    async with connect(where, action, **settings) as client:
+        return await client.call(goal, on_feedback=on_feedback, timeout=timeout, retry=retry)

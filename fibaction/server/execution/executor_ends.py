@@ -1,0 +1,89 @@
+"""The ends of executors by an error: which error counts, and what becomes of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+from anyio import get_cancelled_exc_class
+
+from fibaction._runtime.log import clean_logger
+from fibaction.server.life import Phase
+from fibaction.server.registry.goal_record import Ending, EndKind
+from fibaction.types.ros_classes import is_message, ros_type_of
+from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
+
+if TYPE_CHECKING:
+    from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.types.action import Action
+
+logger = clean_logger("fibaction.server")
+
+
+class Misuse(Exception):
+    """A rule of executors that the user's generator broke."""
+
+
+def cause_of(exc: BaseException) -> BaseException | None:
+    """Return the error, out of any exception group around it; None if it is a cancellation."""
+    canceled = get_cancelled_exc_class()
+    if isinstance(exc, canceled):
+        return None
+    if not isinstance(exc, BaseExceptionGroup):
+        return exc
+    group = cast("BaseExceptionGroup[BaseException]", exc)
+    rest = group.split(canceled)[1]
+    if rest is None:
+        return None
+    first, *others = rest.exceptions
+    return rest if others else cause_of(first)
+
+
+def kind_of(value: object) -> str:
+    """Return the class of a value with its article, for the text of an error."""
+    if is_message(value):
+        return f"the ROS message {ros_type_of(type(value))}"
+    name = type(value).__qualname__
+    return f"an {name}" if name[0] in "AEIOUaeiou" else f"a {name}"
+
+
+def partial_end(
+    kind: EndKind,
+    exc: GoalCanceled | GoalAborted,
+    action: Action[Any, Any, Any],
+    goal: GoalRecord,
+    result: bytes | None,
+) -> Ending:
+    """Return the end of an executor that has handed a partial result over with its error.
+
+    `result` is what it has yielded as its result before; None if nothing.
+    """
+    codec = action.result
+    if exc.result is None:
+        return Ending(kind, result, exc.reason)
+    if not codec.accepts(exc.result):
+        # Usually the error of another goal that the executor sent, and did not catch.
+        left_out = f"its result is left out: {kind_of(exc.result)} is not of the result's type"
+        reason = f"{exc.reason} ({left_out})" if exc.reason else left_out
+        _log_failure(f"{type(exc).__name__}: {reason}", exc, action.name, goal)
+        return Ending(kind, result, reason)
+    try:
+        return Ending(kind, codec.encode(exc.result), exc.reason)
+    except Exception as bad:  # encoding runs the user's own code, which may raise anything
+        return failed(bad, action, goal, result)
+
+
+def failed(
+    exc: BaseException, action: Action[Any, Any, Any], goal: GoalRecord, result: bytes | None = None
+) -> Ending:
+    """Return the end of an executor by another error, and log it."""
+    reason = text_of(exc)
+    if isinstance(exc, Misuse):
+        reason = f"the executor is wrong: {exc}"
+    _log_failure(reason, exc, action.name, goal)
+    return Ending(EndKind.FAILED, result, reason)
+
+
+def _log_failure(reason: str, exc: BaseException, action: str, goal: GoalRecord) -> None:
+    if goal.phase is Phase.LOST:
+        return  # it was interrupted, and could not keep its checkpoint
+    logger.error("goal %s of action %r failed: %s", goal.goal_id, action, reason, exc_info=exc)

@@ -1,0 +1,1 @@
+"""Functions of users as executors: plain functions made actions, and the check of generators."""

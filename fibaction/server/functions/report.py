@@ -1,0 +1,134 @@
+"""`Report`: the feedback of a function, from anywhere in it.
+
+Theory of operation
+-------------------
+
+A report does what a `yield` of a generator does: `RunningGoal` appends the feedback to the goal's
+log, and says whether to pause. In the thread of the event loop, the call appends, and awaiting it
+pauses; so a callback, which cannot await, reports too. In another thread the call does both: it
+runs as a task of the event loop, and the thread waits for it. `RunningGoal.waiting` ends the wait
+at a cancel, which is then raised in the thread.
+
+Several tasks may report at once. While one of them waits for room, the feedback of the others is
+late: each of them waits for its turn, and appends then. So a slow reader loses nothing, and the
+order is that of the calls. Callbacks do not wait for their turn: the task that has the last one
+waits for theirs, too. Late feedback has a bound; over it, the oldest is appended at once, and
+pushes out what the reader has not read.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Awaitable, Generator
+from functools import partial
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from anyio import Lock
+
+if TYPE_CHECKING:
+    from fibaction.server.execution.running_goal import RunningGoal
+
+FeedbackT_contra = TypeVar("FeedbackT_contra", contravariant=True)
+
+MOST_LATE = 1000
+"""Feedback messages that wait for their turn; more tasks than that hardly report at once."""
+
+
+class Report(Generic[FeedbackT_contra]):
+    """Sends feedback of a function: `await report(feedback)`.
+
+    The call is what a `yield` is to a generator. The feedback is encoded and sent at once; the
+    `await` waits if the client is slow, lets other tasks run, and is where a cancel arrives.
+
+    It works wherever the function has it called: in helpers, in tasks that it has started, in
+    callbacks, which call it without `await` and so do not wait, and in threads. In a thread the
+    call waits itself, and raises `GoalCanceled` if the goal is to stop.
+    """
+
+    __slots__ = ("_late", "_running", "_turns")
+
+    def __init__(self, running: RunningGoal) -> None:
+        self._running: RunningGoal | None = running
+        self._late: deque[bytes] = deque()
+        self._turns = Lock(fast_acquire=True)
+
+    def __call__(self, feedback: FeedbackT_contra) -> Awaitable[None]:
+        """Send feedback.
+
+        Raises:
+            TypeError: It is not of the feedback's type, or cannot be encoded.
+            GoalCanceled: The goal is to stop, and this is not the thread of the event loop.
+            RuntimeError: The function has ended, or the event loop has.
+        """
+        running = self._open()
+        home = running.home
+        if home is not None and not home.is_here:
+            home.run(partial(self._in_thread, feedback))
+            return DONE
+        payload = running.encode(feedback)
+        if self._turns.locked():
+            self._late.append(payload)
+            if len(self._late) > MOST_LATE:
+                running.append(self._late.popleft())
+            return _Turn(self)
+        self._append_late(running)
+        return _Turn(self) if running.append(payload) else DONE
+
+    def close(self) -> None:
+        """Take no more feedback: the function has ended."""
+        running = self._open()
+        self._append_late(running)
+        self._running = None
+
+    async def turn(self) -> None:
+        """Wait for the turn of one message, and pause after it."""
+        async with self._turns:
+            running = self._open()
+            if self._late:
+                running.append(self._late.popleft())
+            await running.pause()
+            while self._late and not self._turns.statistics().tasks_waiting:
+                running.append(self._late.popleft())  # a callback's, which waits for no turn
+                await running.pause()
+
+    async def _in_thread(self, feedback: FeedbackT_contra) -> None:
+        """Send feedback for a thread that waits."""
+        running = self._open()
+        with running.waiting():
+            await self(feedback)
+        running.check()
+
+    def _append_late(self, running: RunningGoal) -> None:
+        """Append what callbacks have reported while others waited."""
+        while self._late:
+            running.append(self._late.popleft())
+
+    def _open(self) -> RunningGoal:
+        if self._running is None:
+            raise RuntimeError("this report is of a goal whose function has ended")
+        return self._running
+
+
+class _Turn:
+    """Awaits the turn of one message."""
+
+    __slots__ = ("_report",)
+
+    def __init__(self, report: Report[Any]) -> None:
+        self._report = report
+
+    def __await__(self) -> Generator[Any, Any, None]:
+        return self._report.turn().__await__()
+
+
+class _NoTurn:
+    """Awaits nothing."""
+
+    __slots__ = ()
+
+    def __await__(self) -> Generator[Any, Any, None]:
+        yield from ()
+
+
+DONE = _NoTurn()
+"""Awaited where there is nothing to wait for."""

@@ -1,0 +1,474 @@
+"""`action`: plain functions as executors, the types that are read from them, and their threads."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import AsyncGenerator, AsyncIterator, Generator
+from typing import Annotated, Any
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    FunctionAction,
+    GoalAborted,
+    GoalCanceled,
+    GoalFields,
+    GoalHandle,
+    GoalStatus,
+    Outcome,
+    Report,
+    Return,
+    action,
+)
+from fibaction.server.functions import function_action
+from fibaction.testing import run_executor
+from tests.support.memory_store import MemoryStore
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+class Pose(msgspec.Struct):
+    x: float
+
+
+@action("drive")
+async def drive(meters: int, report: Report[int]) -> str:
+    """Drive some meters."""
+    for done in range(1, meters + 1):
+        await report(done)
+    return f"drove {meters} m"
+
+
+@action("pick")
+async def pick(what: str, force: float, report: Report[float]) -> list[float]:
+    await report(force)
+    return [force, len(what)]
+
+
+@action("place")
+async def place(what: str, force: float = 1.0) -> list[float]:
+    return [force, len(what)]
+
+
+@action("home")
+async def home() -> None:
+    return
+
+
+@action("look")
+def look(goal: GoalHandle[Pose]) -> Pose:
+    return Pose(goal.request.x * 2)
+
+
+@action("move", type_name="my_robot/action/Move", checkpoint=int)
+async def move(pose: Pose, goal: GoalHandle[Pose], report: Report[Pose]) -> Pose:
+    assert goal.request is pose
+    await report(pose)
+    return pose
+
+
+async def outcome_of(function: Any, goal: Any) -> Outcome[Any]:
+    return (await run_executor(function, function.executor, goal)).outcome
+
+
+# The types
+
+
+@pytest.mark.parametrize(
+    ("function", "goal", "feedback", "result"),
+    [
+        (drive, int, int, str),
+        (home, type(None), type(None), type(None)),
+        (look, Pose, type(None), Pose),
+        (move, Pose, Pose, Pose),
+    ],
+)
+def test_the_types_are_those_of_the_signature(
+    function: Any, goal: Any, feedback: Any, result: Any
+) -> None:
+    assert (function.goal.type, function.feedback.type) == (goal, feedback)
+    assert function.result.type is result
+    assert function.checkpoint is None or function is move
+
+
+def test_several_parameters_are_the_fields_of_the_goal_with_their_defaults() -> None:
+    assert issubclass(pick.goal.type, GoalFields)
+    assert issubclass(place.goal.type, GoalFields)
+    assert place.info.goal["$defs"]["PlaceGoal"]["properties"] == {
+        "what": {"type": "string"},
+        "force": {"type": "number", "default": 1.0},
+    }
+    goal = pick.goal_of("cup", force=2)
+    assert repr(goal) == "PickGoal(what='cup', force=2)"
+    assert place.goal.decode(b"\x81\xa4what\xa3cup") == place.goal_of("cup", 1.0)
+    assert drive.goal_of(3) == 3
+    assert home.goal_of() is None
+    with pytest.raises(TypeError, match="missing a required argument: 'what'"):
+        pick.goal_of(force=1)
+
+
+async def test_a_parameter_may_have_any_type_that_an_action_can() -> None:
+    @action("count")
+    async def count(number: Annotated[int, msgspec.Meta(ge=0)], /) -> int | str:
+        return number
+
+    assert (await outcome_of(count, 3)).result == 3
+    assert count.info.goal == {"type": "integer", "minimum": 0}
+
+
+def test_it_is_named_and_documented_as_its_function() -> None:
+    assert (drive.name, drive.__doc__) == ("drive", "Drive some meters.")
+    assert getattr(drive, "__name__", "") == "drive"
+    assert move.type_name == "my_robot/action/Move"
+
+
+def of_no_type(meters) -> None: ...  # type: ignore[no-untyped-def]  # it is rejected for that
+def of_a_report_of_no_type(report) -> None: ...  # type: ignore[no-untyped-def]  # as above
+def without_a_result(meters: int): ...  # type: ignore[no-untyped-def]  # as above
+def of_any_feedback(meters: int, report: Report) -> None: ...  # type: ignore[type-arg]  # as above
+def of_two_reports(one: Report[int], two: Report[int]) -> None: ...
+def of_two_handles(one: GoalHandle[int], two: GoalHandle[int]) -> None: ...
+def of_any_goal(goal: GoalHandle) -> None: ...  # type: ignore[type-arg]  # as above
+def of_many(*meters: int) -> None: ...
+def of_names(**meters: int) -> None: ...
+def of_what_is_not_defined(meters: Metres) -> None: ...  # type: ignore[name-defined]  # noqa: F821  # pyright: ignore[reportUndefinedVariable]  # as above
+def of_a_changeable_default(meters: int, way: list[int] = [1]) -> None: ...  # noqa: B006  # as above
+def of_a_thread(thread: threading.Thread) -> None: ...
+async def yields(goal: GoalHandle[int]) -> AsyncIterator[int]:
+    yield 1
+
+
+def yields_without_async(goal: GoalHandle[int]) -> Generator[int, None, None]:
+    yield 1
+
+
+class Yields:
+    async def __call__(self, goal: GoalHandle[int]) -> AsyncGenerator[int, None]:
+        yield 1
+
+
+@pytest.mark.parametrize(
+    ("function", "text"),
+    [
+        (of_no_type, "has no type for its parameter 'meters': write `meters: int`"),
+        (of_a_report_of_no_type, "has no type for `report`: write `report: Report[int]`"),
+        (without_a_result, "has no type for what it returns: write `-> str`, or `-> None`"),
+        (of_any_feedback, "has no type of feedback for 'report': write `report: Report[int]`"),
+        (of_two_reports, "has a Report twice, 'one' and 'two'"),
+        (of_two_handles, "has a GoalHandle twice, 'one' and 'two'"),
+        (of_any_goal, "has no type for its goal: write `goal: GoalHandle[int]`"),
+        (of_many, "takes *meters: 'int', and the fields of a goal have names"),
+        (of_names, "takes **meters: 'int', and the fields of a goal have names"),
+        (
+            of_what_is_not_defined,
+            "has a type that its module does not define: name 'Metres' is not defined",
+        ),
+        (of_a_changeable_default, "cannot have its parameters as fields of a goal: "),
+        (yields, "is a generator function, and @action is for functions that report and return"),
+        (yields_without_async, "is a generator function, and @action is for functions"),
+        (Yields(), "is a generator function, and @action is for functions"),
+    ],
+)
+def test_a_signature_that_will_not_do_is_told_in_one_sentence(function: Any, text: str) -> None:
+    with pytest.raises(TypeError) as caught:
+        action("drive")(function)
+    name = getattr(function, "__name__", type(function).__name__)
+    assert str(caught.value).startswith(f"{name}() {text}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_type_that_cannot_be_encoded_is_told_as_for_an_action() -> None:
+    with pytest.raises(TypeError, match="the goal of action 'drive': Thread cannot be encoded"):
+        action("drive")(of_a_thread)
+
+
+def test_a_decorator_without_a_name_is_told_with_what_to_write() -> None:
+    wrong: Any = action
+    with pytest.raises(TypeError, match=r'write `@action\("drive"\)`'):
+        wrong(Robot.drive)
+    with pytest.raises(ValueError, match="an action's name is like"):
+        action("3 m")(Robot())
+
+
+def test_only_an_action_of_a_function_has_an_executor_of_its_own() -> None:
+    plain = Action("drive", goal=int, feedback=int, result=str)
+    with pytest.raises(TypeError, match=r"<Action 'drive'> has no executor: write ActionServer\("):
+        ActionServer(plain)
+    assert ActionServer(drive, result_timeout=1).action is drive
+
+
+# The run
+
+
+async def test_a_function_reports_feedback_and_returns_the_result() -> None:
+    trial = await run_executor(drive, drive.executor, 3)
+    assert trial.feedback == [1, 2, 3]
+    assert trial.outcome == Outcome(GoalStatus.SUCCEEDED, "drove 3 m", "")
+
+
+async def test_the_arguments_are_the_fields_the_handle_and_the_report() -> None:
+    trial = await run_executor(pick, pick.executor, pick.goal_of("cup", force=0.5))
+    assert (trial.feedback, trial.outcome.result) == ([0.5], [0.5, 3])
+    assert (await outcome_of(home, None)).status is GoalStatus.SUCCEEDED
+    assert (await outcome_of(look, Pose(1))).result == Pose(2)
+    trial_of_move = await run_executor(move, move.executor, Pose(1))
+    assert trial_of_move.feedback == [trial_of_move.outcome.result] == [Pose(1)]
+
+
+async def test_a_report_may_be_given_by_its_name_only() -> None:
+    async def weigh(what: str, force: float = 1.0, *, report: Report[float]) -> float:
+        await report(force)
+        return force
+
+    weighing = FunctionAction[Any, float, float, Any]("weigh", weigh)
+    trial = await run_executor(weighing, weighing.executor, weighing.goal_of("cup"))
+    assert (trial.feedback, trial.outcome.result) == ([1.0], 1.0)
+
+
+class Robot:
+    """Functions of other kinds."""
+
+    async def drive(self, meters: int, report: Report[int]) -> int:
+        await report(meters)
+        return meters
+
+    async def __call__(self, meters: int) -> int:
+        return meters + 1
+
+
+async def test_methods_and_objects_that_can_be_called_are_functions_too() -> None:
+    method = action("drive")(Robot().drive)
+    trial = await run_executor(method, method.executor, 3)
+    assert (trial.feedback, trial.outcome.result) == ([3], 3)
+    assert (await outcome_of(action("drive")(Robot()), 3)).result == 4
+
+
+async def test_a_result_of_another_type_is_told() -> None:
+    @action("drive")
+    async def wrong(meters: int) -> str:
+        return meters  # type: ignore[return-value]  # pyright: ignore[reportReturnType]  # that is wrong
+
+    outcome = await outcome_of(wrong, 1)
+    text = "the executor is wrong: it returned an int, which is not of the result's type"
+    assert outcome == Outcome(GoalStatus.ABORTED, None, text)
+
+
+async def test_an_error_or_an_abort_ends_the_goal_as_that_of_a_generator() -> None:
+    @action("drive")
+    async def fails(meters: int) -> str:
+        if meters:
+            raise GoalAborted("no way", result="a part")
+        raise ValueError("at once")
+
+    assert await outcome_of(fails, 1) == Outcome(GoalStatus.ABORTED, "a part", "no way")
+    assert (await outcome_of(fails, 0)).reason == "ValueError: at once"
+
+
+async def test_a_function_keeps_checkpoints_and_goes_on_from_them() -> None:
+    @action("drive", checkpoint=int)
+    async def kept(goal: GoalHandle[int]) -> int:
+        await goal.checkpoint(goal.request)
+        return goal.restored or goal.request
+
+    async with ActionServer(kept, store=MemoryStore()) as server:
+        assert await ActionClient(server, kept).call(5) == 5
+
+
+# Feedback and result of one type
+
+
+async def test_a_generator_marks_a_result_that_could_be_feedback() -> None:
+    count = Action("count", goal=int, feedback=int, result=int)
+
+    async def counts(goal: GoalHandle[int]) -> AsyncIterator[int | Return[int]]:
+        for number in range(goal.request):
+            yield number
+        yield Return(goal.request)
+
+    trial = await run_executor(count, counts, 3)
+    assert (trial.feedback, trial.outcome.result) == ([0, 1, 2], 3)
+
+
+async def test_a_mark_that_is_missing_is_told_with_what_to_write() -> None:
+    async def forgets(goal: GoalHandle[int]) -> AsyncIterator[int]:
+        yield 1
+
+    outcome = (
+        await run_executor(Action("count", goal=int, feedback=int, result=int), forgets, 3)
+    ).outcome
+    assert outcome.reason == (
+        "the executor is wrong: it ended without yielding a result; its feedback and its result"
+        " have one type, so mark the result: `Return(...)`"
+    )
+
+
+async def test_a_result_after_the_marked_one_is_told() -> None:
+    async def goes_on(goal: GoalHandle[int]) -> AsyncIterator[int | Return[int]]:
+        yield Return(1)
+        yield Return(2)
+
+    count = Action("count", goal=int, feedback=int, result=int)
+    outcome = (await run_executor(count, goes_on, 3)).outcome
+    assert outcome.reason == "the executor is wrong: it yielded a Return after its result"
+    assert outcome.result == 1
+
+
+# Called as functions
+
+
+async def test_it_is_called_as_the_function_that_it_was() -> None:
+    found: list[int] = []
+    assert await drive(3, report=found.append) == "drove 3 m"
+    assert found == [1, 2, 3]
+    assert await drive(2) == "drove 2 m"
+    assert await drive(1, found.append) == "drove 1 m"
+    assert found[3:] == [1]
+    assert await place("cup") == [1.0, 3]
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'meters'"):
+        await drive(report=print)
+    assert await pick("cup", 2.0) == [2.0, 3]
+
+
+async def test_its_report_may_be_an_async_function_or_a_report() -> None:
+    found: list[int] = []
+
+    async def note(number: int) -> None:
+        await anyio.lowlevel.checkpoint()
+        found.append(number)
+
+    @action("twice")
+    async def twice(meters: int, report: Report[int]) -> str:
+        return await drive(meters, report=report) + await drive(meters, report=note)
+
+    trial = await run_executor(twice, twice.executor, 2)
+    assert trial.feedback == found == [1, 2]
+
+
+def test_a_plain_function_is_called_without_a_thread() -> None:
+    @action("where")
+    def where(report: Report[int]) -> int:
+        report(1)
+        return threading.get_ident()
+
+    assert where(report=print) == threading.get_ident()
+
+
+# Threads
+
+
+async def test_a_plain_function_runs_in_a_thread_that_knows_its_goal() -> None:
+    @action("where")
+    def where(goal: GoalHandle[int]) -> list[int]:
+        goal.check()
+        return [threading.get_ident(), goal.request]
+
+    (thread, request) = (await outcome_of(where, 3)).result or []
+    assert thread != threading.get_ident()
+    assert request == 3
+
+
+async def test_a_cancel_arrives_at_the_next_check() -> None:
+    go = threading.Event()
+
+    @action("wait")
+    def wait(goal: GoalHandle[None]) -> str:
+        go.wait()
+        try:
+            goal.check()
+        except GoalCanceled:
+            goal.check()  # it came once
+            raise GoalCanceled("stopped", result="a part") from None
+        return "not canceled"
+
+    async with ActionServer(wait) as server:
+        async with ActionClient(server, wait).send_goal(None) as goal:
+            await anyio.wait_all_tasks_blocked()
+            assert (await goal.cancel()).accepted
+            go.set()
+            assert await goal.outcome() == Outcome(GoalStatus.CANCELED, "a part", "stopped")
+
+
+async def test_a_check_in_the_event_loop_is_where_a_cancel_arrives_too() -> None:
+    @action("spin")
+    async def spin(goal: GoalHandle[None], report: Report[int]) -> str:
+        with anyio.CancelScope(shield=True):
+            while not goal.cancel_requested:
+                await report(1)
+        try:
+            goal.check()
+        except GoalCanceled:
+            await anyio.lowlevel.checkpoint()  # clean-up is not canceled
+            raise GoalCanceled(result="a part") from None
+        return "not canceled"
+
+    trial = await run_executor(spin, spin.executor, None, cancel_after=2)
+    assert trial.outcome == Outcome(GoalStatus.CANCELED, "a part", "")
+
+
+async def test_a_function_that_never_looks_ends_when_it_returns() -> None:
+    go = threading.Event()
+
+    @action("wait")
+    def wait() -> str:
+        go.wait()
+        return "done"
+
+    async with ActionServer(wait) as server:
+        async with ActionClient(server, wait).send_goal(None) as goal:
+            await anyio.wait_all_tasks_blocked()
+            assert (await goal.cancel()).accepted
+            assert goal.status is GoalStatus.CANCELING
+            go.set()
+            assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, "done", "")
+
+
+async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> None:
+    seen: list[str] = []
+
+    @action("spin")
+    def spin(report: Report[int]) -> None:
+        try:
+            while True:
+                report(1)
+        except GoalCanceled:
+            seen.append("canceled")
+            raise
+
+    async with ActionServer(spin, feedback="latest") as server:
+        async with ActionClient(server, spin).send_goal(None) as goal:
+            async for _ in goal.feedback:
+                break
+            await server.stop()
+            outcome = await goal.outcome()
+    assert outcome == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert seen == ["canceled"]
+
+
+async def test_no_more_goals_than_the_most_run_in_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(function_action, "MOST_THREADS", 1)
+    running: list[int] = []
+    most = 0
+
+    @action("count")
+    def count(number: int) -> int:
+        nonlocal most
+        running.append(number)
+        most = max(most, len(running))
+        running.remove(number)
+        return number
+
+    async with ActionServer(count) as server:
+        client = ActionClient(server, count)
+        goals = [await client.send_goal(number) for number in range(5)]
+        assert [await goal.result() for goal in goals] == [*range(5)]
+    assert most == 1

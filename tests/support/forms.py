@@ -1,0 +1,61 @@
+"""The two forms of an executor: the generator, and a function that does the same by a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from fibaction import FunctionAction, GoalHandle, Report, action
+from fibaction.server.execution.executor import Executor
+from tests.support.executors import Items
+from tests.support.fibonacci import Feedback, Goal, Result
+
+FORMS = ("generator", "function")
+
+OF_GENERATORS = {
+    "ends_without_a_result",
+    "yields_after_the_result",
+    "yields_two_results",
+    "yields_a_wrong_type",
+    "raises_after_the_result",
+    "ignores_that_it_is_closed",
+    "is_no_generator",
+    "returns_its_feedback",
+}
+"""The executors that break rules which only a generator can break."""
+
+
+def as_function(executor: Callable[[GoalHandle[Goal]], Items]) -> Executor[Goal, Feedback, Result]:
+    """Return an executor of the same steps that is made of a function: it reports what the
+    generator yields, and returns its result.
+    """
+
+    @action("fibonacci")
+    async def fibonacci(goal: GoalHandle[Goal], report: Report[Feedback]) -> Result:
+        items = executor(goal)
+        results: list[Result] = []
+        step = anext(items)
+        try:
+            while True:
+                try:
+                    item = await step
+                except StopAsyncIteration:
+                    break
+                except BaseException:
+                    del step  # it may reference the exception, which references this frame
+                    raise
+                if isinstance(item, Result):
+                    results.append(item)
+                    step = anext(items)
+                    continue
+                try:
+                    await report(item)
+                except BaseException as exc:
+                    step = items.athrow(exc)
+                else:
+                    step = anext(items)
+        finally:
+            await items.aclose()
+        return results.pop()
+
+    assert isinstance(fibonacci, FunctionAction)
+    return fibonacci.executor
