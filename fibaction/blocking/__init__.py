@@ -1,4 +1,4 @@
-"""Clients for programs without an event loop: `with`, `for`, and plain calls.
+"""Clients and servers for programs without an event loop: `with`, `for`, and plain calls.
 
     from fibaction.blocking import connect
 
@@ -6,11 +6,21 @@
         print(client.call(3, on_feedback=print))
 
 A connection has an event loop of its own, in a thread that ends with the block. Ctrl-C cancels the
-goals of the block.
+goals of the block. `call` sends one goal, and `serve` serves functions.
 """
 
 from fibaction.blocking._blocking_client import BlockingClient, BlockingConnection
 from fibaction.blocking._blocking_goal import BlockingFeedback, BlockingGoal
-from fibaction.blocking._open_block import connect
+from fibaction.blocking._open_block import call, connect
+from fibaction.blocking._serving_block import BlockingServing, serve
 
-__all__ = ["BlockingClient", "BlockingConnection", "BlockingFeedback", "BlockingGoal", "connect"]
+__all__ = [
+    "BlockingClient",
+    "BlockingConnection",
+    "BlockingFeedback",
+    "BlockingGoal",
+    "BlockingServing",
+    "call",
+    "connect",
+    "serve",
+]

@@ -1,23 +1,23 @@
-"""`connect`: the block of a connection, with its thread."""
+"""`connect`: the block of a connection, with its thread; and `call`, for one goal."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from types import TracebackType
 from typing import Any, NoReturn, Unpack, overload
 
 import fibaction._api
-from fibaction._api import check_is_action
+from fibaction._api import ClientConnection, check_is_action
 from fibaction.blocking._blocking_client import (
     BlockingClient,
     BlockingConnection,
     client_or_connection,
 )
-from fibaction.blocking._interrupts import Interrupts
-from fibaction.blocking._loop_thread import LoopThread, check_is_no_loop
+from fibaction.blocking._loop_block import LoopBlock
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.client.goal_span import GoalTracer
+from fibaction.client.retry import Retry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.wire.settings import ConnectKeywords
 from fibaction.words.errors import TransportError
@@ -76,7 +76,7 @@ def connect(
     return _OpenBlock(transport, action, tracing)
 
 
-class _OpenBlock:
+class _OpenBlock(LoopBlock[ClientConnection, Any]):
     """The block of `connect`."""
 
     def __init__(
@@ -85,44 +85,64 @@ class _OpenBlock:
         action: Action[Any, Any, Any] | None,
         tracing: GoalTracer | None,
     ) -> None:
-        self._transport = transport
-        self._tracing = tracing
-        self._action = action
-        self._interrupts = Interrupts(
-            enter=_OpenBlock.__enter__.__code__, leave=_OpenBlock.__exit__.__code__
+        super().__init__(
+            lambda: fibaction._api.connect(transport, tracing=tracing),
+            lambda loop, connection: client_or_connection(loop, connection, action),
         )
-        self._loop = LoopThread(self._interrupts)
-
-    def __enter__(self) -> Any:
-        check_is_no_loop()
-        try:
-            self._interrupts.install()
-            with self._interrupts.held():
-                self._loop.start()
-                connecting = fibaction._api.connect(self._transport, tracing=self._tracing)
-                connection = self._loop.enter(connecting)
-            return client_or_connection(self._loop, connection, self._action)
-        except BaseException:
-            self._close()
-            raise
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._close()
-
-    def _close(self) -> None:
-        self._interrupts.hold()
-        try:
-            self._loop.stop()
-        finally:
-            self._interrupts.restore()
 
     def __getattr__(self, name: str) -> NoReturn:
         raise AttributeError(
             f"connect() has no attribute {name!r}: it is a block, so write"
             f" `with connect(...) as client`, and use the client"
         )
+
+
+@overload
+def call(
+    where: str | Transport,
+    action: Action[None, FeedbackT, ResultT],
+    goal: None = None,
+    *,
+    on_feedback: Callable[[FeedbackT], object] | None = None,
+    timeout: float | None = None,
+    retry: Retry | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> ResultT: ...
+
+
+@overload
+def call(
+    where: str | Transport,
+    action: Action[GoalT, FeedbackT, ResultT],
+    goal: GoalT,
+    *,
+    on_feedback: Callable[[FeedbackT], object] | None = None,
+    timeout: float | None = None,
+    retry: Retry | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> ResultT: ...
+
+
+def call(
+    where: str | Transport,
+    action: Action[Any, Any, Any],
+    goal: Any = None,
+    *,
+    on_feedback: Callable[[Any], object] | None = None,
+    timeout: float | None = None,
+    retry: Retry | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> Any:
+    """Connect to a URL, or by a transport, send one goal, and return its result.
+
+        print(call("tcp://127.0.0.1:7400", drive, 3, on_feedback=print))
+
+    Ctrl-C cancels the goal. `on_feedback`, `timeout` and `retry` are those of
+    `BlockingClient.call`, and `settings` those of `connect`.
+
+    Raises:
+        ActionError, TypeError, ValueError, RuntimeError: As for `connect`, and for
+            `BlockingClient.call`.
+    """
+    with connect(where, action, **settings) as client:
+        return client.call(goal, on_feedback=on_feedback, timeout=timeout, retry=retry)

@@ -20,6 +20,7 @@ from anyio.from_thread import start_blocking_portal
 import fibaction.blocking
 from fibaction import (
     Action,
+    ActionInfo,
     ActionServer,
     ConnectionLost,
     GoalAborted,
@@ -29,12 +30,16 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     GoalTimeout,
+    Report,
     Retry,
     ServerNotFound,
     TransportError,
+    Watcher,
+    action,
     serve,
 )
-from fibaction.blocking import BlockingClient, BlockingConnection, connect
+from fibaction.blocking import BlockingClient, BlockingConnection, call, connect
+from fibaction.blocking import serve as blocking_serve
 from fibaction.blocking._interrupts import Interrupts
 from fibaction.blocking._loop_thread import LoopThread
 from tests.support.one_worker import WORKER, OneWorker
@@ -481,3 +486,70 @@ def test_ctrl_c_at_any_line_cancels_the_goals_and_leaves_no_thread(served: Serve
     lines = interrupted_at(math.inf, served)
     for number in range(1, lines, 7):
         interrupted_at(number, served)
+
+
+@action("press")
+def press(times: int, report: Report[int]) -> str:
+    done = 0
+    try:
+        for done in range(1, times + 1):
+            report(done)
+    except GoalCanceled:
+        raise GoalCanceled(result=f"pressed {done} times") from None
+    return f"pressed {done} times"
+
+
+@action("home")
+def home() -> str:
+    return "at home"
+
+
+def test_a_plain_function_is_served_and_called_without_an_event_loop() -> None:
+    found: list[int] = []
+    with blocking_serve([press, home], "tcp://127.0.0.1:0") as (url,):
+        assert call(url, press, 3, on_feedback=found.append, timeout=5) == "pressed 3 times"
+        assert call(url, home) == "at home"
+        with connect(url, press) as client, client.send_goal(FOR_EVER) as goal:
+            for number in goal.feedback:
+                if number == 3:
+                    goal.cancel()
+            outcome = goal.outcome()
+    assert found == [1, 2, 3]
+    assert outcome.status is GoalStatus.CANCELED
+    assert str(outcome.result).startswith("pressed ")
+    assert THREAD not in [thread.name for thread in threading.enumerate()]
+
+
+def test_ctrl_c_ends_a_server_that_serves_for_ever() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    opened = threading.Event()
+
+    class Opens(Watcher):
+        """Presses Ctrl-C when the server runs."""
+
+        def opened(self, info: ActionInfo) -> None:
+            opened.set()
+
+    def press_ctrl_c() -> None:
+        opened.wait()
+        interrupt_soon(threading.main_thread())
+
+    threading.Thread(target=press_ctrl_c).start()
+    blocking_serve(press, "tcp://127.0.0.1:0", watchers=[Opens()]).forever()
+    assert signal.getsignal(signal.SIGINT) is before
+    assert THREAD not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_server_that_cannot_begin_leaves_no_thread() -> None:
+    with pytest.raises(TransportError, match="cannot serve at inproc://, whose clients share"):
+        blocking_serve(press, "inproc://press")
+    with pytest.raises(TypeError, match=r"serve\(\) needs at least one address"):
+        with blocking_serve(press):
+            raise AssertionError("the block must not run")
+    assert THREAD not in [thread.name for thread in threading.enumerate()]
+
+
+@pytest.mark.asyncio
+async def test_a_server_does_not_block_an_event_loop() -> None:
+    with pytest.raises(RuntimeError, match="would block the event loop"):
+        blocking_serve(press, "tcp://127.0.0.1:0").forever()
