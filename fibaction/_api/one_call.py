@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Any, Unpack, overload
 
+from fibaction._api.called_action import CalledAction
 from fibaction._api.connections import connect
 from fibaction.border.abc import Transport
 from fibaction.client.retry import Retry
-from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.action import FeedbackT, GoalT, ResultT
 from fibaction.wire.settings import ConnectKeywords
 
 
 @overload
 async def call(
     where: str | Transport,
-    action: Action[None, FeedbackT, ResultT],
+    action: CalledAction[None, FeedbackT, ResultT],
     goal: None = None,
     *,
     on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
@@ -28,7 +29,7 @@ async def call(
 @overload
 async def call(
     where: str | Transport,
-    action: Action[GoalT, FeedbackT, ResultT],
+    action: CalledAction[GoalT, FeedbackT, ResultT],
     goal: GoalT,
     *,
     on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
@@ -40,7 +41,7 @@ async def call(
 
 async def call(
     where: str | Transport,
-    action: Action[Any, Any, Any],
+    action: Any,
     goal: Any = None,
     *,
     on_feedback: Callable[[Any], Awaitable[object] | object] | None = None,

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from typing import Any, NoReturn, Unpack, overload
 
 import fibaction._api
-from fibaction._api import ClientConnection, check_is_action
+from fibaction._api import CalledAction, ClientConnection, check_is_action
 from fibaction.blocking._blocking_client import (
     BlockingClient,
     BlockingConnection,
@@ -100,7 +100,7 @@ class _OpenBlock(LoopBlock[ClientConnection, Any]):
 @overload
 def call(
     where: str | Transport,
-    action: Action[None, FeedbackT, ResultT],
+    action: CalledAction[None, FeedbackT, ResultT],
     goal: None = None,
     *,
     on_feedback: Callable[[FeedbackT], object] | None = None,
@@ -113,7 +113,7 @@ def call(
 @overload
 def call(
     where: str | Transport,
-    action: Action[GoalT, FeedbackT, ResultT],
+    action: CalledAction[GoalT, FeedbackT, ResultT],
     goal: GoalT,
     *,
     on_feedback: Callable[[FeedbackT], object] | None = None,
@@ -125,7 +125,7 @@ def call(
 
 def call(
     where: str | Transport,
-    action: Action[Any, Any, Any],
+    action: Any,
     goal: Any = None,
     *,
     on_feedback: Callable[[Any], object] | None = None,

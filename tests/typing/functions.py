@@ -138,6 +138,7 @@ async def main() -> None:
             assert_type(client, ActionClient[int, int, str])
             assert_type(await client.call(3), str)
     assert_type(await call("inproc://a", drive, 3, on_feedback=print, timeout=1), str)
+    print(await call("inproc://a", drive, 3), await call("inproc://a", COUNT, 3))
     assert_type(await call("inproc://a", home), None)
     assert_type(await call("inproc://a", wave, heartbeat=2.0), bool)
     assert_type(await call("inproc://a", pick, pick.goal_of("cup")), list[float])
