@@ -20,7 +20,6 @@ from anyio.from_thread import start_blocking_portal
 import fibaction.blocking
 from fibaction import (
     Action,
-    ActionInfo,
     ActionServer,
     ConnectionLost,
     GoalAborted,
@@ -34,7 +33,6 @@ from fibaction import (
     Retry,
     ServerNotFound,
     TransportError,
-    Watcher,
     action,
     serve,
 )
@@ -520,22 +518,18 @@ def test_a_plain_function_is_served_and_called_without_an_event_loop() -> None:
     assert THREAD not in [thread.name for thread in threading.enumerate()]
 
 
-def test_ctrl_c_ends_a_server_that_serves_for_ever() -> None:
+class Pressed:
+    """An event for which a program waits until Ctrl-C."""
+
+    def wait(self) -> None:
+        interrupt()
+        raise AssertionError("Ctrl-C must end the wait")
+
+
+def test_ctrl_c_ends_a_server_that_serves_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.getsignal(signal.SIGINT)
-    opened = threading.Event()
-
-    class Opens(Watcher):
-        """Presses Ctrl-C when the server runs."""
-
-        def opened(self, info: ActionInfo) -> None:
-            opened.set()
-
-    def press_ctrl_c() -> None:
-        opened.wait()
-        interrupt_soon(threading.main_thread())
-
-    threading.Thread(target=press_ctrl_c).start()
-    blocking_serve(press, "tcp://127.0.0.1:0", watchers=[Opens()]).forever()
+    monkeypatch.setattr("fibaction.blocking._serving_block.Event", Pressed)
+    blocking_serve(press, "tcp://127.0.0.1:0").forever()
     assert signal.getsignal(signal.SIGINT) is before
     assert THREAD not in [thread.name for thread in threading.enumerate()]
 

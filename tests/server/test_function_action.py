@@ -454,6 +454,32 @@ async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> 
     assert seen == ["canceled"]
 
 
+async def test_a_thread_that_was_abandoned_is_canceled_at_each_report() -> None:
+    go, gone = threading.Event(), threading.Event()
+    seen: list[str] = []
+
+    @action("stuck")
+    def stuck(goal: GoalHandle[None], report: Report[int]) -> None:
+        report(1)
+        go.wait()
+        for act in (goal.check, lambda: report(2), lambda: report(3)):
+            try:
+                act()
+            except GoalCanceled:
+                seen.append("canceled")
+        gone.set()
+
+    async with ActionServer(stuck, shutdown_timeout=0) as server:
+        async with ActionClient(server, stuck).send_goal(None) as goal:
+            async for _ in goal.feedback:
+                break
+            await server.stop()
+            assert (await goal.outcome()).reason == "server stopped"
+    go.set()
+    assert await anyio.to_thread.run_sync(gone.wait, 5)
+    assert seen == ["canceled"] * 3
+
+
 async def test_no_more_goals_than_the_most_run_in_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(function_action, "MOST_THREADS", 1)
     running: list[int] = []

@@ -285,6 +285,28 @@ async def test_a_cancel_arrives_in_a_thread_that_waits_in_its_report(own_thread:
     assert seen.errors == ["GoalCanceled"]
 
 
+async def test_a_cancel_ends_the_wait_of_a_thread_for_a_reader_that_does_not_read() -> None:
+    full, noted = threading.Event(), threading.Event()
+
+    @action("count")
+    def count(goal: int, report: Report[int]) -> str:
+        full.set()  # the first report fills the window
+        try:
+            report(1)
+        except GoalCanceled:
+            noted.set()
+            raise
+        return "done"
+
+    async with client_of(count, window=1) as client:
+        async with client.send_goal(1) as goal:
+            assert await to_thread.run_sync(full.wait, 5)
+            await anyio.wait_all_tasks_blocked()
+            assert (await goal.cancel()).accepted
+            assert await to_thread.run_sync(noted.wait, 5)
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
 async def test_a_cancel_that_a_thread_swallows_does_not_come_again() -> None:
     @action("count")
     def count(goal: int, report: Report[int]) -> str:

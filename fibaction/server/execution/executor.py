@@ -319,11 +319,11 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
 
     @property
     def is_interrupted(self) -> bool:
-        # Both are gone with the end, which may come while another thread is here.
+        # It is gone with the end, which may come while another thread is here.
         steps, scopes = getattr(self, "_steps", None), self._scopes
-        if steps is None or scopes is None:
+        if steps is None:
             return False
-        return steps.pending or scopes.phase >= ScopesPhase.KILLED
+        return steps.pending or scopes is None or scopes.phase >= ScopesPhase.KILLED
 
     def encode(self, feedback: object) -> bytes:
         codec = self._action.feedback
@@ -338,7 +338,8 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         return steps.pending or log.is_full or perf_counter() >= steps.slice_end
 
     async def pause(self) -> None:
-        await self._pause()
+        if self._scopes is not None:  # else it was abandoned, and its thread runs on
+            await self._pause()
 
     def arrive(self) -> None:
         self._steps.arrive()

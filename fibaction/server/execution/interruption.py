@@ -274,7 +274,8 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         `await`s are not canceled before the coroutine is killed.
         """
         self.pending, self.fence = False, None
-        self._scopes.rest.shield = self._scopes.phase < ScopesPhase.KILLED
+        if self._scopes.phase < ScopesPhase.KILLED:
+            self._scopes.rest.shield = True
 
     def _wait_instead(self, value: Any) -> Any:
         """Let the task wait for the cancellation, in place of a step.
