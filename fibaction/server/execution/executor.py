@@ -41,7 +41,14 @@ from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.log import clean_logger
-from fibaction.server.execution.executor_ends import Misuse, cause_of, failed, kind_of, partial_end
+from fibaction.server.execution.executor_ends import (
+    Misuse,
+    cause_of,
+    failed,
+    kind_of,
+    no_result,
+    partial_end,
+)
 from fibaction.server.execution.executor_life import (
     EXECUTOR_LIFE,
     ExecutorEvent,
@@ -199,7 +206,9 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             else:
                 ending = Ending(EndKind.RESULT, self._result)
                 if self._result is None:
-                    ending = failed(self._no_result(), self._action, self.goal)
+                    ending = failed(
+                        no_result(self._action, self._log.count), self._action, self.goal
+                    )
             if self.handle.steps is not None:
                 await self.handle.steps.settle(is_over=ending.kind is not EndKind.CANCELED)
             return ending
@@ -308,12 +317,6 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         if not result.accepts(value):
             raise Misuse(f"it returned {kind_of(value)}, which is not of the result's type")
         return result.encode(value)
-
-    def _no_result(self) -> Misuse:
-        told = "it ended without yielding a result"
-        if self._log.count and self._action.is_ambiguous:
-            told += "; its feedback and its result have one type, so mark the result: `Return(...)`"
-        return Misuse(told)
 
     # What executors report without a `yield`: see `RunningGoal`
 

@@ -23,6 +23,14 @@ class Misuse(Exception):
     """A rule of executors that the user's generator broke."""
 
 
+def no_result(action: Action[Any, Any, Any], feedback_count: int) -> Misuse:
+    """Return the error of an executor that has ended without a result."""
+    told = "it ended without yielding a result"
+    if feedback_count and action.is_ambiguous:
+        told += "; its feedback and its result have one type, so mark the result: `Return(...)`"
+    return Misuse(told)
+
+
 def cause_of(exc: BaseException) -> BaseException | None:
     """Return the error, out of any exception group around it; None if it is a cancellation."""
     canceled = get_cancelled_exc_class()
