@@ -9,7 +9,7 @@ from anyio import move_on_after
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
-from fibaction.server.execution.executor import warn_of_kill
+from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.server.execution.runs import Runs
 
 MOST_NAMED = 10

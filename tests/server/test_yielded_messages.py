@@ -7,7 +7,15 @@ from typing import Any
 
 import pytest
 
-from fibaction import Action, ActionClient, ActionServer, GoalAborted, GoalHandle, GoalStatus
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    GoalAborted,
+    GoalHandle,
+    GoalStatus,
+    Return,
+)
 from fibaction.ros_types import from_ros
 from tests.support.ros_classes import Dock_Feedback, Dock_Goal, Dock_Result, Point, Vector3
 
@@ -70,8 +78,13 @@ async def test_a_message_that_could_be_of_both_types_is_a_mistake() -> None:
     _, outcome = await outcome_of(LIKE, Point())
     assert outcome.reason == (
         "the executor is wrong: it yielded the ROS message like_msgs/msg/Point, which could be"
-        " feedback or a result"
+        " feedback or a result: mark the result with `Return(...)`"
     )
+
+
+async def test_a_marked_message_is_the_result() -> None:
+    _, outcome = await outcome_of(LIKE, Return(Point(x=2.0)))
+    assert outcome.status is GoalStatus.SUCCEEDED
 
 
 async def test_a_message_is_a_part_of_the_result() -> None:

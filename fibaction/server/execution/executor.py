@@ -45,6 +45,7 @@ from fibaction.server.execution.executor_ends import (
     Misuse,
     cause_of,
     failed,
+    is_feedback_message,
     kind_of,
     no_result,
     partial_end,
@@ -59,7 +60,6 @@ from fibaction.server.execution.executor_life import (
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.execution.watchdog import Watch
-from fibaction.server.execution.yielded_items import is_feedback_message
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
@@ -70,7 +70,6 @@ from fibaction.words.returned import Return
 if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog
     from fibaction.server.registry.goal_record import GoalRecord
-    from fibaction.words.goals import GoalID
 
 T = TypeVar("T")
 
@@ -206,9 +205,8 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             else:
                 ending = Ending(EndKind.RESULT, self._result)
                 if self._result is None:
-                    ending = failed(
-                        no_result(self._action, self._log.count), self._action, self.goal
-                    )
+                    error = no_result(self._action, self._log.count)
+                    ending = failed(error, self._action, self.goal)
             if self.handle.steps is not None:
                 await self.handle.steps.settle(is_over=ending.kind is not EndKind.CANCELED)
             return ending
@@ -346,13 +344,6 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
 
     def arrive(self) -> None:
         self._steps.arrive()
-
-
-def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:
-    """Log that a goal is killed, which was interrupted `timeout` seconds ago."""
-    logger.warning(
-        "goal %s of action %r did not stop in time (%g s), and is killed", goal_id, action, timeout
-    )
 
 
 def _first(items: AsyncGenerator[T, None]) -> Awaitable[T]:

@@ -1,4 +1,4 @@
-"""The ends of executors by an error: which error counts, and what becomes of it."""
+"""The ends of executors by an error: which breaks a rule, which counts, and what becomes of it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,30 @@ from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
 if TYPE_CHECKING:
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import Action
+    from fibaction.words.goals import GoalID
 
 logger = clean_logger("fibaction.server")
 
 
 class Misuse(Exception):
     """A rule of executors that the user's generator broke."""
+
+
+def is_feedback_message(item: object, action: Action[Any, Any, Any]) -> bool:
+    """Return whether an item that is of neither type is a ROS message for feedback, not a result.
+
+    Raises:
+        Misuse: It is for neither, or could be for both.
+    """
+    feedback, result = action.feedback.accepts(item), action.result.accepts(item)
+    if feedback and result:
+        raise Misuse(
+            f"it yielded {kind_of(item)}, which could be feedback or a result:"
+            " mark the result with `Return(...)`"
+        )
+    if not feedback and not result:
+        raise Misuse(f"it yielded {kind_of(item)}, which is neither feedback nor a result")
+    return feedback
 
 
 def no_result(action: Action[Any, Any, Any], feedback_count: int) -> Misuse:
@@ -95,3 +113,10 @@ def _log_failure(reason: str, exc: BaseException, action: str, goal: GoalRecord)
     if goal.phase is Phase.LOST:
         return  # it was interrupted, and could not keep its checkpoint
     logger.error("goal %s of action %r failed: %s", goal.goal_id, action, reason, exc_info=exc)
+
+
+def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:
+    """Log that a goal is killed, which was interrupted `timeout` seconds ago."""
+    logger.warning(
+        "goal %s of action %r did not stop in time (%g s), and is killed", goal_id, action, timeout
+    )

@@ -8,8 +8,8 @@ import uuid
 
 import pytest
 
+from fibaction_transports.ros2.on_dds.messages.rosout import LOG, LogMessage
 from fibaction_transports.ros2.on_dds.node import DdsNode
-from fibaction_transports.ros2.on_dds.rosout import LOG, LogMessage
 from fibaction_transports.ros2.qos import EndQos
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.transports.ros2.test_dds_node import opened, until

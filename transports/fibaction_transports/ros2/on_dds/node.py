@@ -36,9 +36,9 @@ from fibaction_transports.ros2.on_dds.graph import DdsGraph, NodeName, dds_qos
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
 from fibaction_transports.ros2.on_dds.messages.node_messages import CLOCK
+from fibaction_transports.ros2.on_dds.messages.rosout import LOG, ROSOUT, ROSOUT_QOS, RosoutLog
 from fibaction_transports.ros2.on_dds.names import reply_topic, request_topic, topic_name
 from fibaction_transports.ros2.on_dds.parameters import DdsParameters
-from fibaction_transports.ros2.on_dds.rosout import LOG, ROSOUT, ROSOUT_QOS, RosoutLog
 from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds, provide
 from fibaction_transports.ros2.on_dds.topics import (
     DdsLifeWatch,
