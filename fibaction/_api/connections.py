@@ -23,8 +23,10 @@ from fibaction.words.goals import ActionPeers, WorkerInfo
 class ClientConnection(Connection):
     """An open connection, as `connect` returns it: the source of clients of all its actions.
 
-    async with connect("tcp://127.0.0.1:7400") as connection:
-        drive, look = connection.client(DRIVE), connection.client(LOOK)
+    For example:
+
+        async with connect("tcp://127.0.0.1:7400") as connection:
+            drive, look = connection.client(DRIVE), connection.client(LOOK)
     """
 
     def __init__(self, connection: Connection, tracing: GoalTracer | None = None) -> None:

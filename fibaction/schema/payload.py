@@ -13,8 +13,9 @@ result is encoded as msgpack. If it does not match, a second pass finds all that
 error. The types of the action's server check the goal once more.
 
 The schema and the data may be hostile: nothing is fetched, no regular expression of a schema is
-run, data nests to 100 levels at most, and the work and the length of errors are limited: see
-`check`. Who takes documents of strangers works on large ones in a thread: see `turns`.
+run, data nests to 100 levels at most, and the length of errors and the work are limited: to 20,000
+steps and 50 more for each value, see `check`. Who takes documents of strangers works on large ones
+in a thread: see `turns`.
 """
 
 from __future__ import annotations

@@ -71,6 +71,8 @@ class _PayloadCodec:
     def holds(self, value: object) -> bool:
         return type(value) is self.kind
 
+    accepts = holds
+
     def encode(self, value: bytes) -> bytes:
         return bytes(value)
 

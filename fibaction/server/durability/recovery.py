@@ -18,9 +18,10 @@ on, and one of these happens:
 - Its cancel was accepted: it ends as CANCELED, and is not run again.
 - It is not running, because it waited for its turn, or was released by a server that has stopped:
   it runs, whatever else is set.
-- It was running when its process was gone: the attempt is lost. By the rule of the server, the goal
-  ends as ABORTED, or runs again, or a function decides. After too many lost attempts it ends in any
-  case, because it may be the goal that kills the server.
+- It was running when its process was gone: the attempt is lost. By the rule of the server
+  (`recovery`), the goal ends as ABORTED, which is the default, or runs again, or a function
+  decides. After `max_attempts` lost attempts (3) without a new checkpoint it ends in any case,
+  because it may be the goal that kills the server.
 - A function is asked in a task of its own, and the server starts meanwhile. Until it has answered,
   the goal is `undecided`: it waits without a place, clients can cancel it, and a server that stops
   and keeps its goals leaves it in the store as it was, so that the next one asks again.

@@ -43,10 +43,12 @@ def is_feedback_message(item: object, action: Action[Any, Any, Any]) -> bool:
 
 def no_result(action: Action[Any, Any, Any], feedback_count: int) -> Misuse:
     """Return the error of an executor that has ended without a result."""
-    told = "it ended without yielding a result"
     if feedback_count and action.is_ambiguous:
-        told += "; its feedback and its result have one type, so mark the result: `Return(...)`"
-    return Misuse(told)
+        return Misuse(
+            "it ended without yielding a result; its feedback and its result have one type, so mark"
+            " the result: `Return(...)`"
+        )
+    return Misuse("it ended without yielding a result")
 
 
 def cause_of(exc: BaseException) -> BaseException | None:

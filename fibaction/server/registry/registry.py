@@ -19,8 +19,8 @@ A goal that was sent is in one of four places:
   are more than `max_results` or too many bytes (`kept_results`), and `LEAST_TIME` at least if the
   client may not know of it. Sending it again gets `Verdict.REPEAT`. Later its ID is free again.
 
-The ID of a goal is made by its client. If it comes twice, the digest of the payload decides: with
-the same digest it is a retry, and runs once; with another one it is a clash, and is rejected.
+The ID of a goal, 16 bytes and not all zero, is its client's choice. With the same payload (by its
+digest) it is a retry, and runs once; with another one it is a clash, and is rejected.
 
 A registry has two limits for all clients together: of the goals that are undecided or active, and
 of the bytes that are held (`budget`): goals until they end, feedback, and results. A new goal is

@@ -1,7 +1,10 @@
 """Quality of service of an action's parts: that of rcl_action (`rcl_action/default_qos.h`), unless
 a setting changes it.
 
-The depths are larger than those of rcl_action. They need not match at the two ends: a depth is
+Services and feedback are reliable and volatile, the status topic is reliable and transient local,
+with a lease of 2 s that its publisher renews.
+
+Most depths are larger than those of rcl_action. They need not match at the two ends: a depth is
 only the length of the queue of one reader or writer.
 """
 

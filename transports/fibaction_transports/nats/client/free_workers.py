@@ -1,7 +1,8 @@
 """`RoomFinder`: finds workers that have room for the new goals of a client.
 
 A client that has new goals asks all workers of the action at once (`RoomQuestion`), and one of
-those that have room answers with the number of goals that it takes (`RoomOffer`). There is one
+those that have room answers with the number of goals that it takes (`RoomOffer`): by chance, one of
+those that can run a goal now, and only if there is none, one with room in its queue. There is one
 question at a time for each action, for as many goals as wait by then: a hundred goals that are sent
 at once cost few questions.
 

@@ -3,11 +3,12 @@
 Theory of operation
 -------------------
 
-A worker whose lease has ended is cleared up after by one of the others: whoever puts a `LeaseEntry`
-without an incarnation over the marker. It reads the records of all goals, and adds a note to `left`
-for each active one whose owner is gone. That claim ends like a lease, and then another one clears
-up: the first one may be lost, too. Whoever has read all records says that it is done, over the
-newest claim.
+A worker whose lease has ended, by default 5 s after it was renewed last, or 15 s where three
+brokers or more keep the records, is cleared up after by one of the others: whoever puts a
+`LeaseEntry` without an incarnation over the marker. It reads the records of all goals, and adds a
+note to `left` for each active one whose owner is gone. That claim ends like a lease, and then
+another one clears up: the first one may be lost, too. Whoever has read all records says that it is
+done, over the newest claim.
 
 Each worker also scans now and then for the actions that it serves, and when it has joined: a worker
 may have been lost while nobody watched, or have had a write under way when it was cleared up after.
