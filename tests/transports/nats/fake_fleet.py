@@ -104,6 +104,7 @@ class FakeBroker(Broker):
         """The answer about each stream."""
         self.sequence = 0
         self.is_away = False
+        self.returned_at = -math.inf
         self.before: Before = nothing
         """What happens before a stream is looked for, or a record is read."""
         self.news = Notifier()
@@ -116,6 +117,10 @@ class FakeBroker(Broker):
     @property
     def is_connected(self) -> bool:
         return not self.is_away
+
+    @property
+    def reconnected_at(self) -> float:
+        return self.returned_at
 
     async def find_stream(self, stream: str) -> BrokerStream | None:
         await self.before("find_stream", stream)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
@@ -428,7 +429,9 @@ async def test_messages_wait_for_a_broker_that_is_away_in_bounded_memory(
         with anyio.move_on_after(0.01):
             await broker.subscribe(f"fib.{fleet}.x", lambda message: heard.append(0))
         own_broker.start()
+        assert broker.reconnected_at == -math.inf
         await log.until("is back")
+        assert 0 <= anyio.current_time() - broker.reconnected_at < 10
         await broker.flush()
         assert heard == [len(large)] * (MAX_QUEUED // len(large) + 1)
 

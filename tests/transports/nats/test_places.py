@@ -15,6 +15,7 @@ from fibaction._runtime.tasks import Background
 from fibaction_transports.nats.client.free_workers import (
     FIRST_WAIT,
     OFFER_LIFE,
+    RETURN_WAIT,
     ROOM_WAIT,
     RoomFinder,
 )
@@ -257,6 +258,27 @@ async def test_a_worker_that_has_room_by_its_lease_is_waited_for_a_moment(
             await anyio.sleep(ROOM_WAIT / 2)
             a.listen(NAMES.offer("count"))
             assert (await taking.answer()).worker == "a"
+
+
+async def test_workers_are_waited_for_that_come_back_to_the_brokers_later_than_the_client(
+    fleet: FakeFleet,
+) -> None:
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.worker("b").serve(server()) as b,
+        places_of(fleet) as places,
+    ):
+        a.deafen()
+        b.deafen()
+        fleet.broker.returned_at = anyio.current_time()
+        async with Running(lambda: places.take("count")) as taking:
+            await anyio.sleep(2 * ROOM_WAIT)
+            a.listen(NAMES.offer("count"))
+            assert (await taking.answer()).worker == "a"
+        a.deafen()
+        fleet.broker.returned_at -= RETURN_WAIT
+        with pytest.raises(GoalRejected, match="busy"):
+            await places.take("count")
 
 
 async def test_an_error_is_that_of_each_goal_that_was_asked_for(fleet: FakeFleet) -> None:

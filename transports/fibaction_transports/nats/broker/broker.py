@@ -126,6 +126,11 @@ class Broker(ABC):
 
     @property
     @abstractmethod
+    def reconnected_at(self) -> float:
+        """The time at which a lost connection was made again last; `-math.inf` if none was."""
+
+    @property
+    @abstractmethod
     def is_connected(self) -> bool:
         """True if there is a connection to a broker now. It is made again by itself."""
 

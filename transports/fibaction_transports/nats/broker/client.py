@@ -10,17 +10,16 @@ Theory of operation
 - Its way to connect again keeps commands of the lost connection, may wait for ever until the lost
   one is closed, and ends for good after some errors. Here `keep_connected` connects again, and
   subscribes to everything again.
-- Its `close` waits for a broker that is frozen. Here the messages before are flushed within a limit
-  of time, and then the socket is closed at once.
+- Its `close` waits for a broker that is frozen. Here the messages before have a limited time.
 
-Answers to all requests come to one subject, `_INBOX.<random>.<number>`, so a request needs neither
-a subscription nor a task of its own.
+All answers come to one subject, `_INBOX.<random>.<number>`: a request needs no subscription.
 """
 
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # callbacks of its loop, which anyio has not
 import itertools
+import math
 import secrets
 from collections import deque
 from collections.abc import Callable
@@ -120,6 +119,7 @@ class NatsClient:
         """The INFO of the broker."""
         self.connections = 0
         """The number of connections that were made."""
+        self.reconnected_at = -math.inf  # see `Broker.reconnected_at`
         self.to_notify: set[Notifier] = set()
         """Notified when the connection is lost, and when it is made again."""
 
@@ -278,6 +278,7 @@ class NatsClient:
             self._notify()
             await socket.cut()
             await self._connect_again()
+            self.reconnected_at = anyio.current_time()
             logger.warning("the connection to %s is back", self.url)
 
     def _give_up_answers(self) -> None:

@@ -54,6 +54,10 @@ class NatsBroker(Broker):
     def is_connected(self) -> bool:
         return self._client.is_connected
 
+    @property
+    def reconnected_at(self) -> float:
+        return self._client.reconnected_at
+
     # Messages
 
     def publish(self, subject: str, data: bytes, reply: str = "") -> None:

@@ -48,6 +48,9 @@ OFFER_LIFE = 0.25
 """Seconds after an offer in which the places of goals that have ended are used again."""
 ROOM_WAIT = 0.25
 """Seconds in which a worker that has room by its lease must be found by questions."""
+RETURN_WAIT = 2.5
+"""Seconds after this client has its connection to the brokers back in which a worker may not have
+its own back: longer than its pauses between two attempts."""
 ROOM_PAUSE = 0.02
 """Seconds between two questions without a subscriber, within that time."""
 MOST_LEFT = 256
@@ -219,8 +222,9 @@ class RoomFinder:
             raise self._workers.not_served(action)
         if len(serving) == 1:
             return serving[0].worker  # it says itself how busy it is
-        # A worker that has room again, or is new, listens again in a moment.
-        if waited < ROOM_WAIT and any(lease.has_room for lease in serving):
+        # A worker that has room again, is new, or has lost the brokers listens again in a moment.
+        is_early = waited < ROOM_WAIT or current_time() < self._broker.reconnected_at + RETURN_WAIT
+        if is_early and any(lease.has_room for lease in serving):
             return ""
         raise GoalRejected(
             f"busy: all {len(serving)} workers of action {excerpt(action)!r} are busy"
