@@ -107,13 +107,14 @@ async def test_a_goal_reaches_servers_of_both_forms_and_is_answered_by_either() 
         while not (ours and theirs):  # one of the two may be found later
             assert await client.call(Goal(9)) == Result(NINE)
             theirs = await cyclone.ask("offered")
-        found = len(ours), len(theirs)
+        found = len(theirs)
         for _ in range(10):
-            assert await client.call(Goal(9)) == Result(NINE)
+            assert await client.call(Goal(8)) == Result(NINE[:-1])
 
         async def offered() -> tuple[int, int]:
             theirs = await cyclone.ask("offered")
             assert len(theirs) == len(set(theirs))
-            return len(ours), len(theirs)
+            return ours.count(8), len(theirs)
 
-        await eventually(offered, lambda now: now == (found[0] + 10, found[1] + 10))
+        # The last goal before these may have been answered by one, and come to the other later.
+        await eventually(offered, lambda now: now in ((10, found + 10), (10, found + 11)))
