@@ -16,6 +16,7 @@ import msgspec
 
 from fibaction.border.peer_text import excerpt
 from fibaction.types.action import ActionInfo
+from fibaction.types.schemas import schema_of
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.ros2.convert.fields import Unfit
@@ -121,7 +122,7 @@ class RosAction:
 
     def info(self, name: str) -> ActionInfo:
         """Return the description of an action, for users without types of their own."""
-        return ActionInfo(name, self.type_name, *map(msgspec.json.schema, self.types))
+        return ActionInfo(name, self.type_name, *map(schema_of, self.types))
 
     def texts(self) -> dict[str, str]:
         """Return the texts of interface files that define the type: see `interface_texts`."""
