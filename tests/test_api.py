@@ -135,7 +135,11 @@ async def test_the_servers_and_the_clients_of_an_action_are_those_that_the_trans
         async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
             return {action.type_name: "---\n---\n"}
 
+        async def nodes(self) -> set[str]:
+            return {"/robot1/arm"}
+
     async with connect(Told()) as connection:
+        assert await connection.nodes() == {"/robot1/arm"}
         assert await connection.peers("fibonacci") == ActionPeers(("who serves fibonacci",))
         assert await connection.interface_texts(ActionInfo("a", "b")) == {"b": "---\n---\n"}
     async with connect(InProcessTransport()) as connection:

@@ -10,6 +10,7 @@ from fibaction.schema.conversion import (
     bytes_of,
     converted,
     converted_default,
+    left_out,
     size_in_bytes,
 )
 from fibaction.schema.json_schema import JsonSchema, SchemaError
@@ -85,3 +86,16 @@ def test_a_value_is_sent_in_the_form_of_its_schema(schema: Any, value: Any, sent
             converted(check_of(schema), value, schema)
     else:
         assert converted(check_of(schema), value, schema) == sent
+
+
+def test_the_fields_that_a_value_leaves_out_are_named_at_any_depth() -> None:
+    stop: Any = {"type": "object", "properties": {"x": {"default": 0}, "id": {}}}
+    schema: Any = {
+        "type": "object",
+        "properties": {"stops": {"type": "array", "items": stop}, "by": {"type": "string"}},
+        "additionalProperties": stop,
+    }
+    value = {"stops": [{"x": 1, "id": 2}, {"x": 1}], "other": {"id": 3}, "1": 5}
+
+    assert list(left_out(check_of(schema), value, schema)) == [".by", ".stops[1].id", ".other.x"]
+    assert list(left_out(check_of(schema), {"by": "me", "stops": []}, schema)) == []

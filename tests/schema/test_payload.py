@@ -397,3 +397,10 @@ def test_a_schema_is_not_changed() -> None:
     JsonCodec(schema).complete({"object_name": "cup"})["tags"]["a"] = 1
 
     assert json.dumps(schema) == before
+
+
+def test_what_a_message_leaves_to_the_server_is_named_up_to_a_hundred_fields() -> None:
+    codec = JsonCodec({"properties": {f"a{i}": {"type": "object"} for i in range(200)}})
+
+    assert codec.left_out({}) == [f"a{i}" for i in range(100)]
+    assert JsonCodec({}).left_out({"a": 1}) == []

@@ -202,3 +202,10 @@ def test_the_id_of_a_child_follows_from_its_parent_its_action_and_its_step() -> 
     assert child == GoalID(uuid.uuid5(uuid.UUID(bytes=bytes(GOAL_ID)), name).bytes)
     others = child_id(child, "pick", "cup"), child_id(GOAL_ID, "pickc", "up")
     assert child not in others
+
+
+@pytest.mark.parametrize(("reason", "begin"), [("", ""), ("stuck", "stuck; ")])
+def test_an_outcome_whose_result_cannot_be_read_says_so(reason: str, begin: str) -> None:
+    outcome = Outcome(GoalStatus.ABORTED, b"?", reason).unreadable(ValueError("it is cut"))
+    told = f"{begin}its result cannot be read: it is cut"
+    assert outcome == Outcome(GoalStatus.ABORTED, None, told)
