@@ -591,6 +591,24 @@ async def test_an_action_without_servers_and_clients_has_no_peers(url: str) -> N
             assert await connection.peers("fibonacci") == ActionPeers()
 
 
+@pytest.mark.parametrize("is_scouted", [True, False])
+async def test_the_nodes_are_those_of_others(
+    url: str, is_scouted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not is_scouted:  # as with a middleware that our own DDS cannot look at
+        monkeypatch.setattr(rclpy_node, "middleware", lambda: "rmw_zenoh_cpp")
+    place = url.partition("=")[2]
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), url.replace("//", "//robot")),
+            connect(url.replace("//", "//onlooker")) as connection,
+        ):
+            found: set[str] = set()
+            while f"{place}/robot" not in found:
+                found = await connection.nodes()
+            assert f"{place}/onlooker" not in found
+
+
 async def test_a_new_client_sees_the_goals_that_there_are(url: str) -> None:
     async with both_ends(url, forever) as client:
         assert await client.goals() == []
