@@ -455,12 +455,13 @@ async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> 
 
 
 async def test_a_thread_that_was_abandoned_is_canceled_at_each_report() -> None:
-    go, gone = threading.Event(), threading.Event()
+    reported, go, gone = threading.Event(), threading.Event(), threading.Event()
     seen: list[str] = []
 
     @action("stuck")
     def stuck(goal: GoalHandle[None], report: Report[int]) -> None:
         report(1)
+        reported.set()
         go.wait()
         for act in (goal.check, lambda: report(2), lambda: report(3)):
             try:
@@ -473,6 +474,7 @@ async def test_a_thread_that_was_abandoned_is_canceled_at_each_report() -> None:
         async with ActionClient(server, stuck).send_goal(None) as goal:
             async for _ in goal.feedback:
                 break
+            assert await anyio.to_thread.run_sync(reported.wait, 5)
             await server.stop()
             assert (await goal.outcome()).reason == "server stopped"
     go.set()
