@@ -71,7 +71,9 @@ class ActionServer:
             self._node.start(self._execute(goal))
 
     def _give_result(self, request: Any, answer: Callable[..., None]) -> None:
-        goal = self._goals[bytes(request.goal_id.uuid).hex()]
+        goal = self._goals.get(bytes(request.goal_id.uuid).hex())
+        if goal is None:
+            return  # it was sent before this server was found: another one has it
         if goal.status > CANCELING:
             answer(goal.status, idl.Result(goal.result))
         else:
