@@ -23,10 +23,12 @@ from fibaction_transports.nats.broker.jetstream import (
     NO_PEERS,
     NO_ROOM_FOR_REPLICAS,
     STREAM_NOT_FOUND,
+    check_account,
     create_streams,
     find_stream,
     outcome,
 )
+from fibaction_transports.nats.broker.login import BrokerInfo
 from fibaction_transports.nats.broker.nats_broker import NatsBroker
 from fibaction_transports.nats.broker.note_queue import NoteQueue
 from fibaction_transports.nats.broker.record_watch import RecordWatch, delivery
@@ -269,6 +271,46 @@ async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None)
     client = ScriptedClient(STREAM_INFO=[NO_RESPONDERS, away, failed(NO_LEADER, 503), *made()])
     await create(client)
     assert len(client.asked) == 6
+
+
+@pytest.mark.asyncio
+async def test_an_account_is_asked_again_while_the_brokers_of_a_cluster_elect(
+    no_pause: None,
+) -> None:
+    away, ready = BrokerAway("no answer"), {"api": {"level": 1}}
+    client: Any = ScriptedClient(API_INFO=[NO_RESPONDERS, away, failed(NO_LEADER, 503), ready])
+    client.info = BrokerInfo(cluster="c")
+    await check_account(client)
+    assert len(client.asked) == 4
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        (NO_RESPONDERS, "JetStream of the broker .* is not enabled: start nats-server with -js"),
+        (BrokerAway("no answer"), "the broker .* does not answer"),
+        (
+            failed(10039, 503, "not for you"),
+            "JetStream of the broker .* cannot be used: not for you",
+        ),
+        ({"api": {"level": 0}}, "JetStream of .* is older than 2.11: update all brokers"),
+    ],
+)
+async def test_an_account_without_jetstream_is_one_sentence(answer: Any, sentence: str) -> None:
+    client: Any = ScriptedClient(API_INFO=[answer])
+    with pytest.raises(TransportError, match=sentence):
+        await check_account(client)
+    assert len(client.asked) == 1
+
+
+@pytest.mark.asyncio
+async def test_a_cluster_that_never_elects_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.05)
+    client: Any = ScriptedClient(API_INFO=[failed(NO_LEADER, 503, "no leader")])
+    client.info = BrokerInfo(cluster="c")
+    with pytest.raises(TransportError, match="cannot be used: no leader"):
+        await check_account(client)
 
 
 @pytest.mark.asyncio
