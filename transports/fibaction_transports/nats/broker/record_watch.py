@@ -9,6 +9,9 @@ one. It counts what it delivers; a number that is left out is a gap. Nothing of 
 place: after a gap, after heartbeats that did not come, and after each reconnection, there is a new
 consumer and a new inbox, and all records come again.
 
+In a cluster the consumer may be at a broker that lags: what was written a moment before may come
+after the end of the first records, as a change.
+
 The broker asks now and then whether what it has delivered was taken (flow control); it is told so
 when `next` has returned it. So a reader that is slow holds the broker back, and not the memory.
 """
