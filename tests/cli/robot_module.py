@@ -17,12 +17,19 @@ def on_goal(goal: int) -> None:
         raise GoalRejected("one cannot count down")
 
 
+def sleep_in_thread() -> None:
+    print("it is at work", flush=True)
+    time.sleep(3600)
+
+
 async def count(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
     try:
         for number in range(goal.request):
             yield number
         if goal.request == 668:
-            await anyio.to_thread.run_sync(time.sleep, 3600, abandon_on_cancel=True)
+            await anyio.to_thread.run_sync(sleep_in_thread, abandon_on_cancel=True)
+        if goal.request in (666, 667):
+            print("it is at work", flush=True)
         await anyio.sleep(0 if goal.request < 100 else 3600)
     finally:
         if goal.request in (666, 667):

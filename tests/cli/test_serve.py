@@ -86,6 +86,7 @@ def test_a_second_ctrl_c_ends_at_once_and_quietly(
     server = terminal("serve", "robot:server", unix)
     server.until("Ctrl-C stops it")
     assert here("send_goal", "count", order, "--detach", url=unix).code == 0
+    server.until("it is at work")
     server.press("\x03")
     server.until(sign)
     # Ctrl-C twice within a moment would count as one.
