@@ -24,7 +24,9 @@ ROS ?= kilted
 ROS_GROUP := $(if $(filter kilted,$(ROS)),ros,ros-$(ROS))
 ROS_VENV := .venv-$(ROS_GROUP)
 ROS_BIN := $(ROS_VENV)/bin
-INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs
+# A package comes before those that need it.
+INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs \
+    $(addprefix tests/ros2/interfaces/,nav2_msgs trajectory_msgs control_msgs moveit_msgs)
 # The tests use this environment, and not a ROS that was sourced in the shell.
 no_other_ros = env -u AMENT_PREFIX_PATH -u PYTHONPATH -u RMW_IMPLEMENTATION
 
@@ -330,6 +332,6 @@ $(ROS_VENV)/.interfaces: $(ROS_VENV)/.wheels examples/ros2/build_interfaces.py \
     $(shell find $(INTERFACES) -type f)
 	@which cc c++ >/dev/null || [ "$$(id -u)" != 0 ] || ! which apt-get >/dev/null || \
 	    { apt-get update -qq && apt-get install -yqq g++; }
-	@echo "building the interfaces $(notdir $(INTERFACES)): a minute"
+	@echo "building the interfaces $(notdir $(INTERFACES)): some minutes"
 	$(no_other_ros) $(ROS_BIN)/python examples/ros2/build_interfaces.py $(INTERFACES)
 	@touch $@
