@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import shutil
 import subprocess
 import sys
 import uuid
@@ -13,6 +15,7 @@ from typing import Any
 import anyio
 import pytest
 import setuptools
+import yaml
 from catkin_pkg.package import parse_package
 
 from fibaction import connect
@@ -41,6 +44,36 @@ def test_the_manifest_is_valid_and_agrees_with_what_is_installed(setup: dict[str
     assert installed == {f"resource/{NAME}", "package.xml", "launch/two_robots.launch.py"}
     for file in installed:
         assert (PACKAGE / file).exists()
+
+
+def test_the_manifest_names_fibaction_and_rosdep_has_a_rule_for_it() -> None:
+    needed = {one.name for one in parse_package(str(PACKAGE)).exec_depends}
+    rules = yaml.safe_load((PACKAGE.parent / "rosdep.yaml").read_text(encoding="utf-8"))
+
+    assert "fibaction" in needed
+    assert rules["fibaction"]["ubuntu"] == {"pip": {"packages": ["fibaction"]}}
+
+
+def test_the_installed_node_is_run_by_the_python_of_the_environment(tmp_path: Path) -> None:
+    source, prefix, python = tmp_path / "source", tmp_path / "install", tmp_path / "bin/python3"
+    shutil.copytree(PACKAGE, source)
+    # As colcon does it, with the Python that runs colcon.
+    command = ["setup.py", "-q", "build", "install", "--prefix", str(prefix), "--record", "record"]
+    subprocess.run(
+        [sys.executable, *command, "--single-version-externally-managed"],
+        cwd=source,
+        check=True,
+        capture_output=True,
+    )
+    python.parent.mkdir()
+    python.write_text('#!/bin/sh\necho "this Python runs $1"\n', encoding="utf-8")
+    python.chmod(0o755)
+    node = prefix / "lib" / NAME / "fibonacci_node"
+    path = os.pathsep.join((str(python.parent), os.environ["PATH"]))
+    run = subprocess.run(
+        [node], env={**os.environ, "PATH": path}, check=True, capture_output=True, text=True
+    )
+    assert run.stdout == f"this Python runs {node}\n"
 
 
 async def call(url: str) -> Result:
