@@ -23,7 +23,7 @@ from tests.test_docs import DOCS
 
 pytestmark = pytest.mark.anyio
 HOWTO = DOCS / "howto"
-ROBOTS = {"nav2": ["nav2"], "arm": ["ros2_control", "moveit"]}
+ROBOTS = {"nav2": ["nav2"], "arm": ["ros2_control", "moveit", "behavior_tree"]}
 """The modules in `tests/ros2/stock` with servers, and the pages whose programs use them."""
 both_ways = pytest.mark.parametrize("url", ["ros2://", "dds://"])
 
