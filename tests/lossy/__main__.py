@@ -5,8 +5,9 @@
 Goals with eight messages of feedback, one after the other, between our ends and those of Cyclone
 DDS. It prints how many were lost, ran or were answered twice, or had feedback out of order or not
 complete, and the milliseconds of a goal. It fails if a goal is one of those; but feedback of other
-servers may be incomplete, because a client cannot know how much there was. The aim for the time of
-95 % of the goals is 50 ms with 5 % loss, and a second with 20 %; a busy machine takes longer.
+servers may be incomplete, because the first loss after a quiet time may not be noticed. The aim for
+the time of 95 % of the goals is 50 ms with 5 % loss, and a second with 20 %; a busy machine takes
+longer.
 """
 
 from __future__ import annotations

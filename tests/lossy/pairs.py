@@ -140,7 +140,8 @@ PAIRS = {
 }
 """Each with whether one of the two is in another process."""
 MAY_BE_INCOMPLETE = ("ours to cyclone",)
-"""Other servers do not tell how many messages there were, so feedback after the result is lost."""
+"""Other servers do not tell how many messages there were: the first loss after a quiet time may be
+the last feedback of a goal, and not be noticed."""
 
 
 async def try_pair(pair: str, weather: Weather, count: int, seed: int) -> Findings:

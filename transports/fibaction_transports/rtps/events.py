@@ -25,6 +25,12 @@ class SamplesLost(Struct, frozen=True):
     count: int
 
 
+class CaughtUp(Struct, frozen=True):
+    """A reader has the samples that it was missing, as far as its writers have told."""
+
+    reader: Guid
+
+
 class EndpointMatched(Struct, frozen=True):
     """An endpoint of this participant and one of another exchange samples from now on."""
 
@@ -76,6 +82,7 @@ class ParticipantLost(Struct, frozen=True):
 Event: TypeAlias = (
     SampleReceived
     | SamplesLost
+    | CaughtUp
     | EndpointMatched
     | EndpointUnmatched
     | QosMismatch

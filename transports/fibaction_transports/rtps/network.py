@@ -118,6 +118,12 @@ class ParticipantNetwork:
         self.settle()
         return number
 
+    def catch_up(self, reader: DataReader) -> bool:
+        """Get the samples that a reader is missing, as `DataReader.catch_up` describes."""
+        takes_time = reader.catch_up(anyio.current_time())
+        self.settle()
+        return takes_time
+
     def settle(self) -> None:
         """Send what the participant wants to send, hand over its events, and note its deadline."""
         self._send()

@@ -32,8 +32,8 @@ ID (GID) in the graph: goals that were accepted by servers that are all gone end
 *A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
 status list (`FollowedGoals`). Feedback that is late or lost is noticed at the end of the goal, if
 its server is one of fibaction, which tells how many messages there were (`ReceivedCounts`). The
-stream then waits a while for those that are missing. With another server, lost feedback is not
-noticed, as in every client of ROS; feedback that arrives after the result is logged.
+stream then waits a while for those that are missing. With another server, only the middleware can
+notice it (`TopicSubscription.when_caught_up`); feedback after the stream's end is logged.
 """
 
 from __future__ import annotations
@@ -111,6 +111,7 @@ class RosActionClient:
             services,
             self.known,
             is_reliable=qos.are_reliable(settings.feedback_qos),
+            catch_up=feedback.when_caught_up,
         )
         callers = (self._goals.caller, self._cancels.caller, self._followed.results)
         ros.introspect(settings.introspection, *callers)

@@ -11,15 +11,18 @@ A server of fibaction publishes the feedback, then the number of its messages (`
 then the terminal status, and then it answers with the result. Feedback may still arrive after the
 result, if the middleware had to send it again. If the server tells the number, the stream of a goal
 goes on until all messages are there, for `LATE_FEEDBACK` seconds (4) at most; what is missing then
-is lost, and is counted. A server of rclpy tells none: feedback after its result is dropped.
+is lost, and is counted. Another server tells none. Then the middleware is asked whether messages
+are missing that were published before (`TopicSubscription.when_caught_up`): over DDS without ROS
+the stream goes on until they are there, and with rclpy, feedback after the result is dropped.
 Where several servers run the goal, it goes on until it is known which of them has accepted it, for
 `LATE` seconds at most.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from anyio import current_time
@@ -61,10 +64,12 @@ class FollowedGoals:
         known: ReceivedStatuses,
         *,
         is_reliable: bool,
+        catch_up: Callable[[Callable[[], None]], None],
     ) -> None:
         """Make the client of the service for results.
 
-        `is_reliable` says that the middleware sends lost feedback again.
+        `is_reliable` says that the middleware sends lost feedback again. `catch_up` is called when
+        a goal has ended, and calls back when no feedback from before is on its way any more.
 
         Raises:
             TransportError: ROS does not allow it.
@@ -74,6 +79,7 @@ class FollowedGoals:
         self._request_type = service_type.Request
         self._known = known
         self._patience = LATE_FEEDBACK if is_reliable else 0.0
+        self._catch_up = catch_up
         self._streams: dict[bytes, list[RosGoalStream]] = {}
         self._requested: dict[int, RosGoalStream] = {}
         self._overdue: dict[GoalID, float] = {}
@@ -136,6 +142,11 @@ class FollowedGoals:
     def _finish_if_complete(self, stream: RosGoalStream) -> None:
         if stream in self._unfinished and stream.missing == 0:
             self._finish(stream)
+
+    def _take_rest(self, stream: RosGoalStream) -> None:
+        """Note that all feedback of a stream has arrived, as far as that can be known."""
+        stream.awaits_rest = False
+        self._finish_if_complete(stream)
 
     def finish_overdue(self) -> None:
         """End the streams whose missing feedback has not arrived in time: it is lost."""
@@ -246,7 +257,11 @@ class FollowedGoals:
                 one.set_outcome(one.decoder.outcome(response))
             except ProtocolError as exc:
                 one.fail(exc)
-            if one.is_over or one.missing == 0 or response.status == GoalStatus.UNKNOWN:
+            is_over = one.is_over or response.status == GoalStatus.UNKNOWN
+            if not is_over and one.reads and not one.is_counted:
+                one.awaits_rest = True
+                self._catch_up(partial(self._take_rest, one))
+            if is_over or one.missing == 0:
                 self._finish(one)
             else:
                 patience = LATE if one.awaits_server else self._patience

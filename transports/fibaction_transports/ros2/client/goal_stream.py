@@ -68,6 +68,8 @@ class RosGoalStream(GoalStream):
         published since this stream has followed the goal."""
         self.awaits_server = False
         """True if several servers run the goal, and it is not yet known whose feedback to take."""
+        self.awaits_rest = False
+        """True if the middleware is finding out whether feedback is missing."""
         self.when_listed: Callable[[], None] = lambda: None
         """Called if the goal is in a status list, and its acceptance has not arrived."""
         self.news = Notifier()
@@ -104,7 +106,7 @@ class RosGoalStream(GoalStream):
     @property
     def missing(self) -> int | None:
         """The number of feedback messages that have yet to arrive; None if it is not yet known."""
-        if self.reads and self.awaits_server:
+        if self.reads and (self.awaits_server or self.awaits_rest):
             return None
         if not (self.reads and self.is_counted):
             return 0

@@ -67,6 +67,12 @@ class TopicSubscription(ABC):
     def publisher_count(self) -> int:
         """Return the number of publishers that are connected."""
 
+    def when_caught_up(self, then: Callable[[], None]) -> None:
+        """Call `then` when all messages have been taken that were published before now, as far as
+        the middleware can find out; at once if it cannot, as by default, or if it need not ask.
+        """
+        then()
+
 
 class ServiceCaller(ABC):
     """A client of a service."""

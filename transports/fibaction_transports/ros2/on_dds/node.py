@@ -50,6 +50,7 @@ from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import (
+    CaughtUp,
     Event,
     LivelinessChanged,
     ParticipantLost,
@@ -94,6 +95,7 @@ class DdsNode(RosNode):
             self.graph.reader.guid: self.graph.receive
         }
         self._watches: dict[Guid, DdsLifeWatch] = {}
+        self._subscriptions: dict[Guid, DdsSubscription] = {}
         self._simulated_time: DdsSubscription | None = None
         self._in_use = TypeRegistry()
         self._learner = TypeLearner(self, types)
@@ -108,6 +110,8 @@ class DdsNode(RosNode):
         """Handle an event of the participant."""
         if isinstance(event, SampleReceived):
             self._handle_sample(event.reader, event.sample)
+        elif isinstance(event, CaughtUp) and event.reader in self._subscriptions:
+            self._subscriptions[event.reader].note_caught_up()
         elif isinstance(event, ParticipantLost):
             self.graph.forget(event.prefix)
         elif isinstance(event, LivelinessChanged) and event.reader in self._watches:
@@ -180,7 +184,8 @@ class DdsNode(RosNode):
         is_first: bool = False,
     ) -> DdsSubscription:
         reader = self._reader(topic_name(topic), message_type, qos)
-        subscription = DdsSubscription(reader, take)
+        subscription = DdsSubscription(reader, take, self.network.catch_up)
+        self._subscriptions[reader.guid] = subscription
         self._takers[reader.guid] = subscription.receive
         return subscription
 

@@ -53,9 +53,13 @@ class DdsPublisher(TopicPublisher):
 class DdsSubscription(TopicSubscription):
     """A subscription to a topic."""
 
-    def __init__(self, reader: DataReader, take: MessageSink) -> None:
+    def __init__(
+        self, reader: DataReader, take: MessageSink, catch_up: Callable[[DataReader], bool]
+    ) -> None:
         self._reader = reader
         self._take = take
+        self._catch_up = catch_up
+        self._waiting: list[Callable[[], None]] = []
 
     def receive(self, sample: Sample) -> None:
         """Take a message."""
@@ -64,6 +68,19 @@ class DdsSubscription(TopicSubscription):
     def publisher_count(self) -> int:
         # Without those that have not found the reader yet, and would lose the first messages.
         return len(self._reader.confirmed_writers)
+
+    def when_caught_up(self, then: Callable[[], None]) -> None:
+        if self._catch_up(self._reader):
+            self._waiting.append(then)
+        else:
+            then()
+
+    def note_caught_up(self) -> None:
+        """Note that the reader has caught up, unless it has been asked again meanwhile."""
+        if not self._reader.is_catching_up:
+            waiting, self._waiting = self._waiting, []
+            for then in waiting:
+                then()
 
 
 class DdsLifeWatch(LifeWatch):

@@ -8,6 +8,7 @@ from typing import TypeAlias
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
+from fibaction_transports.rtps.events import CaughtUp
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.submessages import (
     Data,
@@ -76,7 +77,9 @@ class DataReader:
     ) -> None:
         """Take the samples of a writer from now on, which may have sent a heartbeat before."""
         is_reliable = self.qos.is_reliable and qos.is_reliable
-        proxy = WriterProxy(writer, route, vendor, self.guid, self._shared, self._deliver)
+        proxy = WriterProxy(
+            writer, route, vendor, self.guid, self._shared, self._deliver, self._tell_caught_up
+        )
         self._writers[writer] = proxy
         if is_reliable:
             proxy.start_reliable(heartbeat, now)
@@ -96,6 +99,25 @@ class DataReader:
         """
         for proxy in self._writers.values():
             proxy.ask(now)
+
+    @property
+    def is_catching_up(self) -> bool:
+        """True if writers have been asked by `catch_up`, and `CaughtUp` is still to come."""
+        return any(proxy.is_catching_up for proxy in self._writers.values())
+
+    def catch_up(self, now: float) -> bool:
+        """Find out whether samples are missing that were written before, and get them.
+
+        Return True if that takes time: the event `CaughtUp` tells when all of them have come, as
+        `catch_up` describes. Return False if there is no need to ask, or no way.
+        """
+        for proxy in self._writers.values():
+            proxy.catch_up(now)
+        return self.is_catching_up
+
+    def _tell_caught_up(self) -> None:
+        if not self.is_catching_up:
+            self._shared.emit(CaughtUp(self.guid))
 
     def receive_data(self, writer: Guid, data: Data, time: float | None, now: float) -> None:
         """Take a sample."""

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from fibaction_transports.rtps.endpoints.catch_up import CatchUp
 from fibaction_transports.rtps.endpoints.fragments import PartialSample
 from fibaction_transports.rtps.endpoints.sample import Sample, received_sample, unpadded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
@@ -65,6 +66,7 @@ class WriterProxy:
         reader: Guid,
         shared: SharedParts,
         deliver: Callable[[Guid, Sample, float], None],
+        on_caught_up: Callable[[], None],
     ) -> None:
         self._guid = guid
         self._route = route
@@ -81,6 +83,7 @@ class WriterProxy:
         self._requests = 0
         self._requested = -math.inf
         self._fragment_pause = FRAGMENT_PAUSE
+        self._catch_up = CatchUp(shared.timers, self.ask, on_caught_up)
 
     @property
     def is_confirmed(self) -> bool:
@@ -93,6 +96,16 @@ class WriterProxy:
         if not self._is_reliable:
             return True
         return self._next is not None and self._next > self._announced
+
+    @property
+    def is_catching_up(self) -> bool:
+        """True from `catch_up` on until the reader has caught up."""
+        return self._catch_up.is_open
+
+    def catch_up(self, now: float) -> None:
+        """Find out whether samples are missing, as `CatchUp` describes."""
+        if self._is_reliable and self._next is not None:
+            self._catch_up.start(is_complete=self.is_complete, now=now)
 
     def start_reliable(self, heartbeat: WriterHeartbeat | None, now: float) -> None:
         """Take the first heartbeat of the writer, or ask for it until it comes."""
@@ -110,6 +123,7 @@ class WriterProxy:
             self._shared.partials.remove(partial)
         for number in list(self._held):
             self._unhold(number)
+        self._catch_up.close()
 
     def receive_data(self, data: Data, time: float | None, now: float) -> None:
         """Take a sample."""
@@ -153,10 +167,15 @@ class WriterProxy:
             self._request_pause = FIRST_REQUEST
             self._advance(heartbeat.first, now)
         elif heartbeat.first > self._next:
+            self._catch_up.note_loss(now)
             self._shared.emit(
                 SamplesLost(self._reader, self._guid, self._lost_before(heartbeat.first))
             )
             self._advance(heartbeat.first, now)
+        elif self._missing():
+            self._catch_up.note_loss(now)
+        self._catch_up.hear(heartbeat.count, heartbeat.last, now)
+        self._catch_up.settle(self._next or 1)
         if self._partials or self._is_behind():
             self._request(now)
         elif not heartbeat.is_final:
@@ -234,6 +253,7 @@ class WriterProxy:
         number = sample.number
         self._give_up(number)
         self._requests = 0
+        self._catch_up.note_sample(now)
         if not self._is_reliable:
             self._advance(number, now)
         if number == self._next:
@@ -243,6 +263,8 @@ class WriterProxy:
             self._hand_over(now)
         elif self._shared.held.take(len(sample.payload)):
             self._held[number] = sample
+            if self._next is not None:
+                self._catch_up.note_loss(now)
             # Its heartbeat may be lost, and others may come late.
             self._announced = max(self._announced, number)
             self._shared.timers.set_earlier(self.on_request_due, now + self._request_pause)
@@ -266,6 +288,7 @@ class WriterProxy:
         while self._next in self._held:
             self._next += 1
             self._hand_over_one(self._next - 1, now)
+        self._catch_up.settle(self._next or 1)
 
     def _hand_over_one(self, number: int, now: float) -> None:
         sample = self._unhold(number)

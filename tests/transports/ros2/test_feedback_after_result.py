@@ -1,0 +1,106 @@
+"""Feedback that arrives after the result of a server which does not tell how much there was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.ros2.client.followed_goals import FollowedGoals
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.node.parts import TopicSubscription
+from fibaction_transports.ros2.on_dds.topics import DdsSubscription
+from fibaction_transports.ros2.qos import EndQos
+
+pytestmark = pytest.mark.anyio
+GOAL = GoalID(bytes(range(16)))
+OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"")
+FEEDBACK = b"\x00\x01\x00\x00" + GOAL
+
+
+class Decoder:
+    def feedback(self, message: bytes) -> bytes:
+        return message
+
+    def outcome(self, response: Any) -> Outcome[bytes]:
+        return OUTCOME
+
+
+class Node:
+    """A node with the client of a service, whose answers the test gives."""
+
+    types = SimpleNamespace(uuid=bytes)
+    answer: Callable[[int, Any], None]
+
+    def caller(self, service: str, service_type: Any, qos: EndQos, take: Any, _: Any) -> Any:
+        self.answer = take
+        return SimpleNamespace(send=lambda request: 1)
+
+
+def ended(catch_up: Callable[[Callable[[], None]], None]) -> tuple[Any, RosGoalStream]:
+    """Return the goals of a client, and the stream of one whose result has arrived."""
+    node: Any = Node()
+    service: Any = SimpleNamespace(
+        Request=lambda: SimpleNamespace(goal_id=SimpleNamespace(uuid=None))
+    )
+    known: Any = None
+    decoder: Any = Decoder()
+    followed = FollowedGoals(
+        node, "a", "a/get", service, EndQos(), known, is_reliable=True, catch_up=catch_up
+    )
+    stream = RosGoalStream(GOAL, decoder, 10, reads=True)
+    followed.add(stream)
+    node.answer(followed.request_result(stream), SimpleNamespace(status=GoalStatus.SUCCEEDED))
+    return followed, stream
+
+
+async def test_feedback_that_is_on_its_way_comes_before_the_outcome() -> None:
+    waiting = list[Callable[[], None]]()
+    followed, stream = ended(waiting.append)
+    assert stream.known_outcome() == OUTCOME
+    assert stream.take() == ()
+    for _ in range(2):
+        followed.take_feedback(FEEDBACK, b"publisher")
+        assert not stream.is_over
+    (then,) = waiting
+    then()
+    assert [
+        item.number for item in stream.take(2) if not isinstance(item, GoalStatus | Outcome)
+    ] == [1, 2]
+    assert stream.take() == (OUTCOME,)
+    assert followed.of(GOAL) == ()
+
+
+async def test_without_a_way_to_ask_the_result_ends_the_feedback() -> None:
+    _, stream = ended(lambda then: then())
+    assert stream.take() == (OUTCOME,)
+
+
+class Silent(TopicSubscription):
+    def publisher_count(self) -> int:
+        return 1
+
+
+def test_a_middleware_that_cannot_tell_counts_as_caught_up() -> None:
+    called = list[int]()
+    Silent().when_caught_up(lambda: called.append(1))
+    assert called == [1]
+
+
+def test_a_subscription_that_was_asked_again_waits_for_the_later_answer() -> None:
+    called = list[int]()
+    reader: Any = SimpleNamespace(is_catching_up=True)
+    subscription = DdsSubscription(reader, lambda *_: None, lambda of: of.is_catching_up)
+    subscription.when_caught_up(lambda: called.append(1))
+    subscription.note_caught_up()
+    assert called == []
+    reader.is_catching_up = False
+    subscription.when_caught_up(lambda: called.append(2))
+    assert called == [2]
+    subscription.note_caught_up()
+    subscription.note_caught_up()
+    assert called == [2, 1]
