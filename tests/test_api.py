@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
+import fibaction.blocking
 from fibaction import (
     Action,
     ActionInfo,
@@ -215,6 +217,33 @@ async def test_settings_go_to_the_transport() -> None:
 SERVER = ActionServer(FIBONACCI, fibonacci)
 
 
+async def test_a_call_without_an_action_is_told_in_one_sentence() -> None:
+    nothing: Any = None
+    text = "call() takes an address, an Action and its goal; None is not an Action"
+    with pytest.raises(TypeError, match=re.escape(text)):
+        await call("inproc://connection", nothing, 3)
+    with pytest.raises(TypeError, match=re.escape(text)):
+        fibaction.blocking.call("tcp://127.0.0.1:1", nothing, 3)
+
+
+async def test_a_function_that_is_no_action_yet_is_told_with_what_makes_one() -> None:
+    function: Any = fibonacci
+    with pytest.raises(TypeError, match=r"make one of it with @action\('fibonacci'\)"):
+        connect("inproc://connection", function)
+    with pytest.raises(TypeError, match="make an action of a function with @action"):
+        async with serve(function, "inproc://a"):
+            raise AssertionError("the block must not run")
+
+
+async def test_a_connection_says_which_clients_have_what_it_has_not() -> None:
+    async with connect("inproc://connection") as connection:
+        unknown: Any = connection
+        with pytest.raises(AttributeError, match=r"or `connection.client\(ACTION\).call`"):
+            unknown.call(3)
+        with pytest.raises(AttributeError, match=r"a connection has no attribute 'nonsense'$"):
+            unknown.nonsense()
+
+
 @pytest.mark.parametrize("given", [SERVER, "fibonacci", Goal])
 async def test_what_is_no_action_is_told_in_one_sentence(given: Any) -> None:
     with pytest.raises(TypeError) as caught:
@@ -347,12 +376,15 @@ async def test_settings_go_to_the_transports() -> None:
 async def test_what_is_no_server_is_told_in_one_sentence(
     given: Any, where: Any, shown: str
 ) -> None:
+    hint = ""
+    if shown == repr(FIBONACCI):
+        hint = ": write serve(ActionServer(FIBONACCI, executor), ...)"
     with pytest.raises(TypeError) as caught:
         async with serve(given, where):
             raise AssertionError("the block must not run")
     assert str(caught.value) == (
         f"serve() takes servers, such as ActionServer(action, executor), and then addresses;"
-        f" {shown} is not a server"
+        f" {shown} is not a server{hint}"
     )
     assert SERVER.is_new
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import AsyncGenerator, Generator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, cast, overload
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar, Unpack, cast, overload
 
 import anyio
 
@@ -56,6 +57,18 @@ class ClientConnection(Connection):
         # Shielded: the goals must also be canceled if the block itself was canceled.
         with anyio.CancelScope(shield=True):
             await leave_blocks(self._blocks)
+
+    # For type checkers, each name would be an attribute.
+    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
+
+        def __getattr__(self, name: str) -> NoReturn:
+            what = f"a connection has no attribute {name!r}"
+            if not hasattr(ActionClient, name):
+                raise AttributeError(what)
+            raise AttributeError(
+                f"{what}, which clients of one action have: write `connect(url, ACTION)`, or"
+                f" `connection.client(ACTION).{name}`"
+            )
 
     async def aclose(self) -> None:
         """Close a connection that `await connect(...)` has opened, from any task.
@@ -192,16 +205,21 @@ def connect(
         AuthenticationFailed: The server rejects this client.
     """
     transport = transport_for(where, **settings)
-    check_is_action(action)
+    check_is_action(action, "connect")
     return Connecting(transport, action, tracing)
 
 
-def check_is_action(action: object) -> None:
-    """Raise TypeError for a second argument of `connect` that is not an action."""
-    if not isinstance(action, Action | None):
-        raise TypeError(
-            f"connect() takes an address and, optionally, an Action; {action!r} is not an Action"
-        )
+def check_is_action(action: object, caller: Literal["connect", "call"]) -> None:
+    """Raise TypeError for a second argument of `connect` or `call` that is not an action."""
+    if isinstance(action, Action) or (action is None and caller == "connect"):
+        return
+    takes = "an address and, optionally, an Action"
+    if caller == "call":
+        takes = "an address, an Action and its goal"
+    hint = ""
+    if inspect.isfunction(action):
+        hint = f": make one of it with @action({action.__name__!r})"
+    raise TypeError(f"{caller}() takes {takes}; {action!r} is not an Action{hint}")
 
 
 @asynccontextmanager

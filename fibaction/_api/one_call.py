@@ -6,10 +6,10 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Unpack, overload
 
 from fibaction._api.called_action import CalledAction
-from fibaction._api.connections import connect
+from fibaction._api.connections import check_is_action, connect
 from fibaction.border.abc import Transport
 from fibaction.client.retry import Retry
-from fibaction.types.action import FeedbackT, GoalT, ResultT
+from fibaction.types.action import NO_VALUE, FeedbackT, GoalT, ResultT
 from fibaction.wire.settings import ConnectKeywords
 
 
@@ -42,7 +42,7 @@ async def call(
 async def call(
     where: str | Transport,
     action: Any,
-    goal: Any = None,
+    goal: Any = NO_VALUE,
     *,
     on_feedback: Callable[[Any], Awaitable[object] | object] | None = None,
     timeout: float | None = None,
@@ -60,5 +60,6 @@ async def call(
     Raises:
         ActionError, TypeError, ValueError: As for `connect`, and for `ActionClient.call`.
     """
+    check_is_action(action, "call")
     async with connect(where, action, **settings) as client:
         return await client.call(goal, on_feedback=on_feedback, timeout=timeout, retry=retry)

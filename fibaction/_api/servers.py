@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from types import TracebackType
@@ -13,6 +14,7 @@ from fibaction.border.abc import Endpoint, Startable, Transport
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.border.watchers import Watcher
+from fibaction.types.action import Action
 from fibaction.wire.settings import ServeKeywords
 from fibaction.words.errors import TransportError
 
@@ -149,9 +151,14 @@ def _chosen(endpoints: Served | Iterable[Served]) -> tuple[Endpoint, ...]:
         else:
             # If the arguments are swapped, it is a URL, which may contain a token.
             shown = without_settings(one) if isinstance(one, str) else one
+            hint = ""
+            if isinstance(one, Action):
+                hint = f": write serve(ActionServer({one.name.upper()}, executor), ...)"
+            elif inspect.isroutine(one):
+                hint = ": make an action of a function with @action, or give it to an ActionServer"
             raise TypeError(
                 f"serve() takes servers, such as ActionServer(action, executor), and then"
-                f" addresses; {shown!r} is not a server"
+                f" addresses; {shown!r} is not a server{hint}"
             )
     return tuple(chosen)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection
 from itertools import islice
-from typing import Any, TypeGuard
+from typing import Any, SupportsFloat, TypeGuard
 
 import msgspec
 
@@ -32,6 +32,12 @@ def is_list(value: object) -> TypeGuard[Collection[Any]]:
 def is_number(value: object) -> TypeGuard[int | float]:
     """Return whether the value is a number in JSON, where true is not one."""
     return isinstance(value, _NUMBERS) and not isinstance(value, bool)
+
+
+def check_is_number(name: str, value: object) -> None:
+    """Raise TypeError for an argument that is not a number, such as the text of one."""
+    if not isinstance(value, SupportsFloat):
+        raise TypeError(f"{name} is a number, not {value!r}")
 
 
 def quoted(value: Any) -> str:

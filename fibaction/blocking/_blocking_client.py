@@ -11,7 +11,7 @@ from fibaction.blocking._loop_thread import LoopThread
 from fibaction.client.client import ActionClient
 from fibaction.client.goal import ClientGoal, SendingGoal
 from fibaction.client.retry import Retry
-from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.types.action import NO_VALUE, Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo, WorkerInfo
 
 
@@ -31,7 +31,7 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
 
     def call(
         self,
-        goal: GoalT,
+        goal: GoalT = NO_VALUE,
         *,
         on_feedback: Callable[[FeedbackT], object] | None = None,
         timeout: float | None = None,
@@ -55,7 +55,11 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         return self._loop.run_with_callback(call, on_feedback)
 
     def send_goal(
-        self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None
+        self,
+        goal: GoalT = NO_VALUE,
+        *,
+        goal_id: GoalID | str | None = None,
+        timeout: float | None = None,
     ) -> BlockingGoal[FeedbackT, ResultT]:
         """Send a goal, and return it as soon as the server has accepted it.
 
@@ -74,7 +78,7 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         return BlockingGoal(self._loop, *self._loop.run(send))
 
     def attach(
-        self, goal_id: GoalID, *, after: int | None = None, attempt: int = 1
+        self, goal_id: GoalID | str, *, after: int | None = None, attempt: int = 1
     ) -> BlockingGoal[FeedbackT, ResultT]:
         """Follow a goal that any client sent, which the end of no block cancels.
 
@@ -85,7 +89,7 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         return BlockingGoal(self._loop, goal, None)
 
     def cancel_goals(
-        self, goal_id: GoalID | None = None, *, before: int | None = None
+        self, goal_id: GoalID | str | None = None, *, before: int | None = None
     ) -> CancelAnswer:
         """Ask the server to cancel goals of any clients: see `ActionClient.cancel_goals`.
 

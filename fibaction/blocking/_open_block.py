@@ -18,7 +18,7 @@ from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.client.goal_span import GoalTracer
 from fibaction.client.retry import Retry
-from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.action import NO_VALUE, Action, FeedbackT, GoalT, ResultT
 from fibaction.wire.settings import ConnectKeywords
 from fibaction.words.errors import TransportError
 
@@ -72,7 +72,7 @@ def connect(
             "fibaction.blocking cannot use inproc://, whose servers and clients share an event"
             " loop: use an address such as tcp://127.0.0.1:7400"
         )
-    check_is_action(action)
+    check_is_action(action, "connect")
     return _OpenBlock(transport, action, tracing)
 
 
@@ -126,7 +126,7 @@ def call(
 def call(
     where: str | Transport,
     action: Any,
-    goal: Any = None,
+    goal: Any = NO_VALUE,
     *,
     on_feedback: Callable[[Any], object] | None = None,
     timeout: float | None = None,
@@ -144,5 +144,6 @@ def call(
         ActionError, TypeError, ValueError, RuntimeError: As for `connect`, and for
             `BlockingClient.call`.
     """
+    check_is_action(action, "call")
     with connect(where, action, **settings) as client:
         return client.call(goal, on_feedback=on_feedback, timeout=timeout, retry=retry)

@@ -31,6 +31,7 @@ from anyio import CancelScope, current_time, get_cancelled_exc_class
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
+from fibaction._runtime.plain_data import check_is_number
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.retry import Retry
@@ -65,9 +66,13 @@ def check_timeout(timeout: float | None) -> None:
     """Check the timeout of a goal.
 
     Raises:
+        TypeError: It is not a number.
         ValueError: It is not more than 0.
     """
-    if timeout is not None and not timeout > 0:
+    if timeout is None:
+        return
+    check_is_number("timeout", timeout)
+    if not timeout > 0:
         raise ValueError(f"timeout is more than 0 seconds, or None for no limit, not {timeout}")
 
 

@@ -22,6 +22,7 @@ import anyio
 from anyio import get_cancelled_exc_class
 
 from fibaction._runtime.own_thread import OwnThread
+from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.attempts import Attempts, cancel_left, check_is_retry, check_timeout
 from fibaction.client.events import Events, events_of
@@ -30,7 +31,7 @@ from fibaction.client.goal_span import NO_SPAN, GoalTracer
 from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.retry import Retry
-from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.action import NO_VALUE, Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
@@ -68,13 +69,14 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     def send_goal(
         self,
-        goal: GoalT,
+        goal: GoalT = NO_VALUE,
         *,
-        goal_id: GoalID | None = None,
+        goal_id: GoalID | str | None = None,
         timeout: float | None = None,
         step: GoalStep | None = None,
     ) -> SendingGoal[FeedbackT, ResultT]:
-        """Send a goal: `async with` the returned object, or `await` it.
+        """Send a goal: `async with` the returned object, or `await` it. An action without a goal
+        takes `send_goal()`, and `call()`.
 
         Both return a `ClientGoal` as soon as the server has accepted the goal. The end of the block
         of `async with` cancels the goal if it has not ended, without waiting for the executor's
@@ -99,16 +101,15 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ProtocolError: The server sent an invalid message, which ended the connection.
             TypeError, ValueError, OverflowError, RecursionError: The goal cannot be encoded: see
                 `Codec.encode`.
-            TypeError: `goal_id` is not a `GoalID`, or is given together with a `step`.
+            TypeError: `goal_id` is not a `GoalID`, or is given together with a `step`; or there is
+                no goal, and the action needs one.
             ValueError: `timeout` is not more than 0; or, from the block, the step was taken before.
         """
-        if goal_id is not None:
-            _check_is_id(goal_id)
-            if step is not None:
-                raise TypeError("a step has the ID of its goal: give goal_id or step, not both")
         if step is not None:
+            if goal_id is not None:
+                raise TypeError("a step has the ID of its goal: give goal_id or step, not both")
             return self._sending_step(goal, step, timeout, None)
-        goal_id = goal_id or GoalID.random()
+        goal_id = GoalID.random() if goal_id is None else GoalID.of(goal_id)
         attempts = (
             None if timeout is None else self._attempts(self.endpoint, goal_id, timeout, None)
         )
@@ -117,7 +118,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     async def call(
         self,
-        goal: GoalT,
+        goal: GoalT = NO_VALUE,
         *,
         on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
         timeout: float | None = None,
@@ -169,7 +170,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             return await sent.result()
 
     async def attach(
-        self, goal_id: GoalID, *, after: int | None = None, attempt: int = 1
+        self, goal_id: GoalID | str, *, after: int | None = None, attempt: int = 1
     ) -> ClientGoal[FeedbackT, ResultT]:
         """Follow a goal that any client sent: its feedback from now on, and its result.
 
@@ -182,16 +183,17 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             UnknownGoal: The server has no such goal.
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
-            TypeError: `goal_id` is not a `GoalID`, or a number is not a whole one.
+            TypeError, ValueError: `goal_id` is neither a `GoalID` nor its text, or a number is not
+                a whole one.
         """
-        _check_is_id(goal_id)
+        goal_id = GoalID.of(goal_id)
         after = None if after is None else index(after)
         self._thread.check()
         stream = await self.endpoint.feedback(goal_id, after=after, attempt=index(attempt))
         return ClientGoal(self.endpoint, self.action, stream, self._thread)
 
     async def cancel_goals(
-        self, goal_id: GoalID | None = None, *, before: int | None = None
+        self, goal_id: GoalID | str | None = None, *, before: int | None = None
     ) -> CancelAnswer:
         """Ask the server to cancel goals of any clients.
 
@@ -201,10 +203,11 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
-            TypeError: `goal_id` is not a `GoalID`, or `before` is not a whole number.
+            TypeError, ValueError: `goal_id` is neither a `GoalID` nor its text, or `before` is not
+                a whole number.
         """
         if goal_id is not None:
-            _check_is_id(goal_id)
+            goal_id = GoalID.of(goal_id)
         before = None if before is None else index(before)
         self._thread.check()
         return await self.endpoint.cancel_goals(goal_id, before)
@@ -251,6 +254,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             TransportError: The connection ended for good, or the server does not answer.
         """
         self._thread.check()
+        if timeout is not None:
+            check_is_number("timeout", timeout)
         with anyio.move_on_after(timeout):
             return await self.endpoint.wait_for_server()
         raise ServerNotFound(f"the action {self.action.name!r} was not served within {timeout:g} s")
@@ -315,7 +320,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         step: GoalStep | None = None,
     ) -> ClientGoal[FeedbackT, ResultT]:
         self._thread.check()
-        payload = self.action.goal.encode(goal)
+        action = self.action
+        payload = action.default_goal() if goal is NO_VALUE else action.goal.encode(goal)
         span = NO_SPAN
         if self._tracing is not None:
             parent = None if step is None else step.parent
@@ -341,9 +347,3 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionClient of {self.action!r}>"
-
-
-def _check_is_id(goal_id: object) -> None:
-    """Raise TypeError here; a server closes the connection of a client that sends other bytes."""
-    if not isinstance(goal_id, GoalID):
-        raise TypeError(f"goal_id is a GoalID, as from GoalID.parse(), not {goal_id!r}")

@@ -6,6 +6,7 @@ from typing import cast
 
 import msgspec
 
+from fibaction._runtime.plain_data import check_is_number
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
@@ -59,11 +60,13 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
         """Check the values.
 
         Raises:
-            TypeError: `attempts` is not a whole number, or `on` is not a tuple of error classes.
+            TypeError: `attempts` is not a whole number, a delay is not a number, or `on` is
+                not a tuple of error classes.
             ValueError: A number is out of range, or a class of `on` cannot be retried.
         """
         _check_attempts(self.attempts)
         for name, seconds in (("delay", self.delay), ("max_delay", self.max_delay)):
+            check_is_number(name, seconds)
             if not 0 <= seconds < float("inf"):
                 raise ValueError(f"{name} is a number of seconds, 0 or more, not {seconds}")
         if self.max_delay < self.delay:

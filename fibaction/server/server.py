@@ -38,7 +38,11 @@ from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, STORE_FAILED, 
 from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
 from fibaction.server.durability.stored_ends import StoredEnds
 from fibaction.server.execution.executor import Executor
-from fibaction.server.functions.executor_check import check_is_executor, executor_of
+from fibaction.server.functions.executor_check import (
+    check_is_executor,
+    check_is_served,
+    executor_of,
+)
 from fibaction.server.parts import Parts
 from fibaction.server.scheduling.dispatcher import Dispatcher, NoScheduleDispatcher
 from fibaction.server.scheduling.fleet_dispatcher import FleetDispatcher
@@ -88,11 +92,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             ValueError: A number is out of range; or `feedback`, `recovery`, `unreadable` or
                 `at_stop` is not one of its words.
         """
-        if object in action.feedback.classes:
-            raise TypeError(
-                f"{action!r} is untyped, and a server needs types: define an Action with the types"
-                f" of goal, feedback and result"
-            )
+        check_is_served(action)
         if executor is None:
             executor = executor_of(action)
         check_is_executor(executor)

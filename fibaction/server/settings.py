@@ -11,6 +11,7 @@ from typing import Generic, Literal, TypeAlias, TypedDict
 
 import msgspec
 
+from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
 from fibaction.server.admission.callbacks import Callback
@@ -137,20 +138,24 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
         """Check the values.
 
         Raises:
-            TypeError: The schedule is not a `Schedule`, or the store not a `GoalStore`.
+            TypeError: The schedule is not a `Schedule`, the store is not a `GoalStore`, or a number
+                is something else.
             ValueError: A number is out of range; or `feedback`, `recovery`, `unreadable` or
                 `at_stop` is not one of its words.
         """
         if self.feedback not in ("every", "latest"):
             raise ValueError(f"feedback is 'every' or 'latest', not {self.feedback!r}")
+        check_is_number("feedback_window", self.feedback_window)
         if self.feedback_window < 1:
             raise ValueError(f"feedback_window is at least 1, not {self.feedback_window}")
         for name in NOT_NEGATIVE:
             value = getattr(self, name)
+            check_is_number(name, value)
             if not value >= 0:
                 raise ValueError(f"{name} is 0 or more, not {value}")
         if not (self.recovery in ("abort", "rerun") or callable(self.recovery)):
             raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {self.recovery!r}")
+        check_is_number("max_attempts", self.max_attempts)
         if self.max_attempts < 1:
             raise ValueError(f"max_attempts is at least 1, not {self.max_attempts}")
         if self.unreadable not in ("refuse", "abort"):

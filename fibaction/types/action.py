@@ -24,9 +24,12 @@ T = TypeVar("T")
 
 # ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
 # served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
+NO_VALUE: Any = object()
+"""The default of a goal that a caller does not give."""
 LARGE = 2**16
 """Bytes of a payload that may have very many values."""
 
+NIL, EMPTY_MAP = b"\xc0", b"\x80"  # in msgpack
 _FROM_SERVERS = ("feedback", "the result")
 _NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
@@ -200,6 +203,22 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         )
         """True if a value may be of the type of the feedback and of the result. Then a generator
         marks its result with `Return`."""
+
+    def default_goal(self) -> bytes:
+        """Return the bytes of the goal of a client that gives none: None, or a goal whose fields
+        all have defaults.
+
+        Raises:
+            TypeError: The action needs a goal.
+        """
+        if object in self.goal.classes:
+            return NIL if self.info.goal.get("type") == "null" else EMPTY_MAP
+        if self.goal.holds(None):
+            return NIL
+        try:
+            return self.goal.encode(self.goal.decode(EMPTY_MAP))
+        except ProtocolError:
+            raise TypeError(f"the action {self.name!r} needs a goal, and none was given") from None
 
     @property
     def info(self) -> ActionInfo:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import msgspec
 
+from fibaction._runtime.plain_data import check_is_number
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
 
@@ -81,13 +82,15 @@ class Limits(msgspec.Struct, frozen=True):
         """Check the values.
 
         Raises:
-            TypeError: One that counts things or bytes is not a whole number.
+            TypeError: One of them is not a number, or one that counts things or bytes is not a
+                whole one.
             ValueError: One of them is not positive or not finite, or `frame` is too small.
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
             if name == "per_address" and value is None:
                 continue
+            check_is_number(f"the limit of {name}", value)
             if not 0 < value < math.inf:
                 raise ValueError(f"the limit of {name} is finite and more than 0, not {value}")
             if name not in _SECONDS and not isinstance(value, int):
@@ -254,5 +257,6 @@ def _fields_of(kind: type[msgspec.Struct], given: WireKeywords) -> dict[str, Any
 
 
 def _check_range(name: str, value: float, least: float, most: float) -> None:
+    check_is_number(name, value)
     if not least <= value <= most:
         raise ValueError(f"{name} is between {least} and {most}, not {value}")

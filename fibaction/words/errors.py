@@ -238,13 +238,15 @@ class ServerFailed(TransportError):
 
 
 def text_of(exc: BaseException) -> str:
-    """Return an error of foreign code as text, for example `ValueError: too far`.
+    """Return an error of foreign code as text, for example `ValueError: too far`, or `TimeoutError`
+    for one without a text.
 
     It is one printable line of limited length. If `str(exc)` itself raises, fall back to the name
     of the class.
     """
     try:
-        return excerpt(f"{type(exc).__name__}: {exc}", REASON)
+        text = str(exc)
+        return excerpt(f"{type(exc).__name__}: {text}" if text else type(exc).__name__, REASON)
     except Exception:
         return type(exc).__name__
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from enum import IntEnum
 from functools import lru_cache
 from hashlib import blake2b
 from typing import Any, Generic, TypeVar
@@ -15,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from fibaction._runtime.text import excerpt
-from fibaction.words.statuses import GoalStatus
+from fibaction.words.statuses import GoalStatus, NamedNumber
 
 T = TypeVar("T")
 
@@ -26,6 +25,10 @@ ID_IN_USE = "its ID is in use by another goal"
 
 DIGEST_SIZE = 16
 """Bytes of a digest: enough that two payloads never have the same digest by chance."""
+
+
+_ID_TEXT = "^[0-9a-fA-F]{8}-?([0-9a-fA-F]{4}-?){3}[0-9a-fA-F]{12}$"
+"""The pattern of the text of an ID in the schemas of pydantic."""
 
 
 class GoalID(bytes):
@@ -69,6 +72,34 @@ class GoalID(bytes):
             return cls(bytes.fromhex(text.replace("-", "")))
         except ValueError:
             raise ValueError(f"a goal ID has 32 hexadecimal digits, not {text!r}") from None
+
+    @classmethod
+    def of(cls, given: object) -> GoalID:
+        """Return an ID that is given as itself or as text.
+
+        Raises:
+            TypeError: It is neither.
+            ValueError: The text is not an ID.
+        """
+        if isinstance(given, GoalID):
+            return given
+        if isinstance(given, str):
+            return cls.parse(given)
+        raise TypeError(f"goal_id is a GoalID, or the text of one, not {given!r}")
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, _handler: Any) -> Any:
+        """Let pydantic, and FastAPI, read an ID from its text, and dump it as text."""
+        from pydantic_core import core_schema  # only called by pydantic
+
+        text = core_schema.no_info_after_validator_function(
+            cls.parse, core_schema.str_schema(pattern=_ID_TEXT)
+        )
+        return core_schema.json_or_python_schema(
+            json_schema=text,
+            python_schema=core_schema.union_schema([core_schema.is_instance_schema(cls), text]),
+            serialization=core_schema.to_string_ser_schema(when_used="always"),
+        )
 
     def __str__(self) -> str:
         return self.hex()
@@ -224,7 +255,7 @@ class ActionPeers(msgspec.Struct, frozen=True):
     clients: tuple[str, ...] = ()
 
 
-class CancelCode(IntEnum):
+class CancelCode(NamedNumber):
     """The return codes of `action_msgs/srv/CancelGoal`."""
 
     NONE = 0

@@ -15,8 +15,18 @@ from typing import Final
 from fibaction.words.action_error import ActionError
 
 
-class GoalStatus(IntEnum):
-    """The status of a goal. UNKNOWN is only an answer, never stored."""
+class NamedNumber(IntEnum):
+    """A number of ROS 2 that is printed by its name."""
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __format__(self, spec: str, /) -> str:
+        return format(self.name, spec)
+
+
+class GoalStatus(NamedNumber):
+    """The status of a goal, which prints its name. UNKNOWN is only an answer, never stored."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -37,7 +47,7 @@ class GoalStatus(IntEnum):
         self.is_terminal = number >= 4
 
 
-class GoalEvent(IntEnum):
+class GoalEvent(NamedNumber):
     """The events that change a goal's status: clients cause CANCEL_GOAL, the server all others."""
 
     EXECUTE = 0

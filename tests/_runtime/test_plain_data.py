@@ -1,9 +1,17 @@
+from fractions import Fraction
 from typing import Any
 
 import pytest
 from msgspec.msgpack import Ext
 
-from fibaction._runtime.plain_data import MAX_QUOTED, is_list, is_map, is_number, quoted
+from fibaction._runtime.plain_data import (
+    MAX_QUOTED,
+    check_is_number,
+    is_list,
+    is_map,
+    is_number,
+    quoted,
+)
 
 
 @pytest.mark.parametrize(
@@ -18,6 +26,13 @@ def test_maps_and_lists_are_told_apart_from_other_values(
     value: object, kinds: tuple[bool, bool]
 ) -> None:
     assert (is_map(value), is_list(value)) == kinds
+
+
+def test_an_argument_that_is_not_a_number_is_told_by_its_name() -> None:
+    for number in (1, 1.5, Fraction(1, 3)):
+        check_is_number("timeout", number)
+    with pytest.raises(TypeError, match="timeout is a number, not '5'"):
+        check_is_number("timeout", "5")
 
 
 def test_true_is_not_a_number() -> None:

@@ -39,6 +39,10 @@ def test_yaml_and_json_text_is_read(text: str, goal: object) -> None:
     assert read_goal(text, {}) == goal
 
 
+def test_no_text_is_the_goal_of_an_action_without_one() -> None:
+    assert read_goal(" ", {"type": "null"}) is None
+
+
 def test_a_goal_is_checked_and_completed_by_the_schema() -> None:
     assert read_goal("x: 1", POSE) == {"x": 1, "y": 0.0, "frame": "map"}
 

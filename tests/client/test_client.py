@@ -11,6 +11,7 @@ import anyio
 import pytest
 
 from fibaction import (
+    Action,
     ActionClient,
     ActionError,
     ActionInfo,
@@ -254,7 +255,7 @@ async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
         assert server.received == []
 
 
-@pytest.mark.parametrize("wrong", ["0" * 32, bytes(16), uuid.UUID(int=1), b"", 7])
+@pytest.mark.parametrize("wrong", [bytes(16), uuid.UUID(int=1), b"", 7])
 async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
     broken = Broken(BrokenStream())
     client = client_of(broken)
@@ -265,6 +266,61 @@ async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
     with pytest.raises(TypeError, match="goal_id is a GoalID"):
         await client.cancel_goals(wrong)
     assert (broken.follows, broken.cancels) == ([], [])
+
+
+async def test_the_text_of_a_goal_id_does_as_well_as_the_id() -> None:
+    async with ScriptedServer(FIBONACCI, [Result([])]) as server:
+        client = client_of(server)
+        goal_id = GoalID.random()
+        goal = await client.send_goal(Goal(1), goal_id=str(goal_id))
+        assert goal.goal_id == goal_id
+        assert (await client.attach(str(uuid.UUID(bytes=goal_id)))).goal_id == goal_id
+        answer = await client.cancel_goals(str(goal_id))
+        assert answer.return_code is not CancelCode.UNKNOWN_GOAL_ID
+        with pytest.raises(ValueError, match="32 hexadecimal digits, not 'g1'"):
+            await client.attach("g1")
+
+
+NOTHING = Action("nothing", goal=type(None), feedback=int, result=str)
+EASY = Action("easy", goal=dict[str, int], feedback=int, result=str)
+
+
+@pytest.mark.parametrize(
+    ("action", "goal"),
+    [
+        (NOTHING, None),
+        (EASY, {}),
+        (Action.untyped(NOTHING.info), None),
+        (Action.untyped(EASY.info), {}),
+    ],
+)
+async def test_an_action_without_a_goal_is_called_without_one(
+    action: Action[Any, Any, str], goal: object
+) -> None:
+    served: Action[Any, int, str] = NOTHING if goal is None else EASY
+    async with ScriptedServer(served, ["a"], ["b"]) as server:
+        client = ActionClient(server, action)
+        assert await client.call() == "a"
+        async with client.send_goal() as sent:
+            assert await sent.result() == "b"
+        assert server.received == [goal, goal]
+
+
+async def test_a_goal_that_an_action_needs_is_not_left_out() -> None:
+    broken = Broken(BrokenStream())
+    with pytest.raises(TypeError, match="action 'fibonacci' needs a goal, and none was given"):
+        await client_of(broken).call()
+
+
+async def test_a_timeout_that_is_text_is_told_in_one_sentence() -> None:
+    text: Any = "5"
+    client = client_of(Broken(BrokenStream()))
+    with pytest.raises(TypeError, match="timeout is a number, not '5'"):
+        client.send_goal(Goal(1), timeout=text)
+    with pytest.raises(TypeError, match="timeout is a number, not '5'"):
+        await client.wait_for_server(text)
+    with pytest.raises(TypeError, match="delay is a number, not '5'"):
+        Retry(delay=text)
 
 
 @pytest.mark.parametrize("wrong", [0, -1.5, math.nan])

@@ -166,6 +166,48 @@ def test_a_generator_whose_async_was_forgotten_is_rejected_with_what_to_do(
     )
 
 
+def constant(goal: Any) -> Any:
+    if goal:
+        return "x"
+    return None
+
+
+def annotated(goal: Any) -> str:
+    return f"at {goal}"
+
+
+def unknown(goal: Any) -> Hidden:  # type: ignore[name-defined]  # noqa: F821  # as behind TYPE_CHECKING
+    return fibonacci(goal)
+
+
+def test_a_function_of_a_type_that_cannot_be_read_may_be_an_executor() -> None:
+    assert ActionServer(FIBONACCI, unknown).is_new
+
+
+@pytest.mark.parametrize("executor", [constant, annotated])
+def test_a_function_that_is_known_to_return_its_result_is_rejected_at_once(executor: Any) -> None:
+    with pytest.raises(TypeError, match="is not an async generator function, and returns its resu"):
+        ActionServer(FIBONACCI, executor)
+
+
+@pytest.mark.parametrize(
+    ("first", "hint"),
+    [
+        (fibonacci, "write ActionServer(action, fibonacci), the executor last"),
+        ("fibonacci", "write ActionServer(action, executor)"),
+    ],
+)
+def test_arguments_in_the_wrong_order_are_told_in_one_sentence(first: Any, hint: str) -> None:
+    with pytest.raises(TypeError, match=f"first argument of .* not .*: {re.escape(hint)}"):
+        ActionServer(first, cast("Any", FIBONACCI))
+
+
+def test_a_setting_that_is_text_is_told_in_one_sentence() -> None:
+    text: Any = "5"
+    with pytest.raises(TypeError, match="shutdown_timeout is a number, not '5'"):
+        ActionServer(FIBONACCI, fibonacci, shutdown_timeout=text)
+
+
 @pytest.mark.parametrize("executor", [3, "fibonacci", Goal(1)])
 def test_what_cannot_be_called_is_no_executor(executor: Any) -> None:
     with pytest.raises(TypeError) as caught:

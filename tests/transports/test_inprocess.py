@@ -89,6 +89,22 @@ async def test_a_server_that_is_not_there_is_named_with_what_to_do() -> None:
         assert await other.actions() == []
 
 
+async def test_a_name_that_is_not_served_is_told_with_those_that_are() -> None:
+    def served(name: str) -> ActionServer[Goal, Feedback, Result]:
+        action = Action(name, goal=Goal, feedback=Feedback, result=Result)
+        return ActionServer(action, fibonacci)
+
+    async with connect("inproc://mistyped", FIBONACCI) as client:
+        for names, shown in (
+            (["look", "drive"], "; served there: drive, look"),
+            ([f"a{n}" for n in range(11)], "a8, and others"),
+        ):
+            async with serve([served(name) for name in names], "inproc://mistyped"):
+                with pytest.raises(ServerNotFound) as caught:
+                    await client.send_goal(Goal(1))
+                assert str(caught.value).endswith(shown)
+
+
 async def test_a_client_outlives_its_server_and_finds_the_next_one() -> None:
     async with connect("inproc://again", FIBONACCI) as client:
         for _ in range(2):

@@ -759,3 +759,12 @@ def test_a_package_that_cannot_be_imported_says_why(
     with pytest.raises(TransportError) as caught:
         from_ros()
     assert str(caught.value) == text
+
+
+def test_an_action_has_the_payload_of_a_goal_that_is_not_given() -> None:
+    nothing = Action("nothing", goal=type(None), feedback=int, result=str)
+    easy = Action("easy", goal=dict[str, int], feedback=int, result=str)
+    assert nothing.default_goal() == Action.untyped(nothing.info).default_goal() == b"\xc0"
+    assert easy.default_goal() == Action.untyped(easy.info).default_goal() == b"\x80"
+    with pytest.raises(TypeError, match="the action 'drive' needs a goal, and none was given"):
+        Action("drive", goal=int, feedback=int, result=str).default_goal()

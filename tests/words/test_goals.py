@@ -9,7 +9,9 @@ from operator import and_, or_
 import msgspec
 import pytest
 from hypothesis import given, strategies
+from pydantic import BaseModel, ValidationError
 
+from fibaction import Action
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     ActionPeers,
@@ -60,6 +62,32 @@ def test_other_text_is_no_goal_id(text: str) -> None:
 def test_any_text_is_a_goal_id_or_a_value_error(text: str) -> None:
     with suppress(ValueError):
         assert len(GoalID.parse(text)) == 16
+
+
+def test_an_id_is_given_as_itself_or_as_text() -> None:
+    assert GoalID.of(GOAL_ID) is GOAL_ID
+    assert GoalID.of(str(GOAL_ID)) == GOAL_ID
+    with pytest.raises(TypeError, match="goal_id is a GoalID, or the text of one, not 7"):
+        GoalID.of(7)
+
+
+class Noted(BaseModel):
+    goal_id: GoalID
+
+
+def test_a_goal_id_is_a_field_of_a_pydantic_model() -> None:
+    noted = Noted(goal_id=GOAL_ID)
+    text = str(GOAL_ID)
+    assert noted.model_dump() == {"goal_id": text}
+    assert Noted.model_validate_json(noted.model_dump_json()) == noted
+    read = Noted.model_validate({"goal_id": str(uuid.UUID(text))}).goal_id
+    assert isinstance(read, GoalID)
+    assert read == GOAL_ID
+    assert Noted.model_json_schema()["properties"]["goal_id"]["type"] == "string"
+    with pytest.raises(ValidationError, match="should match pattern"):
+        Noted.model_validate({"goal_id": "g1"})
+    action = Action("note", goal=Noted, feedback=int, result=Noted)
+    assert action.result.decode(action.goal.encode(noted)) == noted
 
 
 def test_random_goal_ids_differ_in_every_bit() -> None:

@@ -47,6 +47,11 @@ def test_there_are_eight_legal_edges() -> None:
     assert len(TRANSITIONS) == len(FOLLOWERS) == 8
 
 
+def test_statuses_and_events_print_their_names() -> None:
+    assert f"{GoalStatus.ACCEPTED} {GoalEvent.EXECUTE:>8}" == "ACCEPTED  EXECUTE"
+    assert str(GoalStatus.CANCELED) == "CANCELED"
+
+
 @pytest.mark.promise("STATUS-4")
 def test_canceled_is_reached_only_through_canceling() -> None:
     before = [status for (status, _), after in TRANSITIONS.items() if after.name == "CANCELED"]

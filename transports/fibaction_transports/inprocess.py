@@ -38,6 +38,8 @@ from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 
 StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 
+MOST_NAMED = 10
+"""Actions that are served, and that the error for another one names."""
 _URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
 
 
@@ -53,9 +55,12 @@ class _Directory:
         try:
             return self.endpoints[action]
         except KeyError:
+            served = ", ".join(sorted(self.endpoints)[:MOST_NAMED])
+            more = ", and others" if len(self.endpoints) > MOST_NAMED else ""
             raise ServerNotFound(
                 f"the action {action!r} is not served at {self.url}: start its server in this"
                 f" process, or wait for it with wait_for_server()"
+                f"{served and f'; served there: {served}{more}'}"
             ) from None
 
 

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import AsyncIterable
+from dis import get_instructions
 from functools import partial
+from itertools import pairwise
+from types import FunctionType
+from typing import Any, cast
 
 from fibaction.server.execution.executor import Executor
 from fibaction.server.functions.function_action import FunctionAction
@@ -26,11 +31,28 @@ def executor_of(
     )
 
 
+def check_is_served(action: object) -> None:
+    """Raise TypeError for a first argument of `ActionServer` that is not an action with types."""
+    if isinstance(action, Action):
+        known = cast("Action[Any, Any, Any]", action)
+        if object not in known.feedback.classes:
+            return
+        raise TypeError(
+            f"{known!r} is untyped, and a server needs types: define an Action with the types"
+            f" of goal, feedback and result"
+        )
+    order = ": write ActionServer(action, executor)"
+    if inspect.isfunction(action):
+        order = f": write ActionServer(action, {action.__name__}), the executor last"
+    raise TypeError(f"the first argument of ActionServer is an Action, and not {action!r}{order}")
+
+
 def check_is_executor(executor: object) -> None:
     """Raise TypeError for a function that is not an async generator function.
 
-    This finds a forgotten `async` or `yield` before the first goal. The value that a lambda returns
-    is known only when it is called, so a goal checks that.
+    This finds a forgotten `async` or `yield` before the first goal. The value that any other
+    function returns is known only when it is called, so a goal checks that, unless the function
+    says its type or returns constants only.
     """
     while isinstance(executor, partial):
         executor = executor.func
@@ -48,3 +70,27 @@ def check_is_executor(executor: object) -> None:
                 f"the executor {name!r} is a generator function that is not async: write"
                 f" `async def`, and await what takes time"
             )
+    if inspect.isfunction(executor) and _returns_other(executor):
+        raise TypeError(
+            f"the executor {name!r} is not an async generator function, and returns its result:"
+            f" yield it, in an `async def`, or make an action of the function with @action"
+        )
+
+
+def _returns_other(function: FunctionType) -> bool:
+    """Return whether a function is known to return something else than an async iterator."""
+    if inspect.isasyncgenfunction(function):
+        return False
+    try:
+        said = inspect.get_annotations(function, eval_str=True).get("return")
+    except Exception:  # of any kind: a type may be known to type checkers only
+        said = None
+    if isinstance(said, type):
+        return not issubclass(said, AsyncIterable)
+    steps = [one.opname for one in get_instructions(function)]
+    ends = {
+        "RETURN_CONST" if name == "RETURN_CONST" else before
+        for before, name in pairwise(steps)
+        if name.startswith("RETURN_") and name != "RETURN_GENERATOR"
+    }
+    return bool(ends) and ends <= {"LOAD_CONST", "LOAD_SMALL_INT", "RETURN_CONST"}
