@@ -8,7 +8,7 @@ from dis import get_instructions
 from functools import partial
 from itertools import pairwise
 from types import FunctionType
-from typing import Any, cast
+from typing import Any
 
 from fibaction.server.execution.executor import Executor
 from fibaction.server.functions.function_action import FunctionAction
@@ -31,14 +31,13 @@ def executor_of(
     )
 
 
-def check_is_served(action: object) -> None:
+def check_is_served(action: Any) -> None:
     """Raise TypeError for a first argument of `ActionServer` that is not an action with types."""
-    if isinstance(action, Action):
-        known = cast("Action[Any, Any, Any]", action)
-        if object not in known.feedback.classes:
+    if issubclass(type(action), Action):  # `isinstance` would leave its types unknown
+        if object not in action.feedback.classes:
             return
         raise TypeError(
-            f"{known!r} is untyped, and a server needs types: define an Action with the types"
+            f"{action!r} is untyped, and a server needs types: define an Action with the types"
             f" of goal, feedback and result"
         )
     order = ": write ActionServer(action, executor)"
