@@ -1,21 +1,23 @@
 """The search for interface files, and an action with all messages that it nests.
 
 A package has the layout of ROS, `package/action/Type.action` and `package/msg/Type.msg`, in a
-workspace or installed; or files lie in a folder side by side.
+workspace or installed; or files lie in a folder side by side. `fibaction.interfaces.packages` knows
+where they may be.
 """
 
 from __future__ import annotations
 
 import os
 import re
-import sys
+from codecs import BOM_UTF8
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from fibaction.interfaces.common_messages import advice, common_message
 from fibaction.interfaces.definitions import FieldDefinition, InterfaceError, MessageDefinition
+from fibaction.interfaces.packages import PACKAGE, SearchPath, package_of
 from fibaction.interfaces.parser import parse_action, parse_message
 
 MAX_DEPTH = 100
@@ -23,9 +25,11 @@ MAX_DEPTH = 100
 MAX_MESSAGES = 100_000
 """Messages within one message, all levels and elements of arrays of a fixed size counted."""
 
-_PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*", re.ASCII)
 _ACTION = re.compile(r"action/[A-Z][A-Za-z0-9]*", re.ASCII)
+
+_ROS_1_HINTS = {"Header": "; in ROS 2 it is 'std_msgs/Header'"}
+"""The advice of an error about names of ROS 1, by the name of the type."""
 
 # https://github.com/ros2/rcl_interfaces/tree/rolling/builtin_interfaces/msg
 _BUILTIN = {
@@ -117,10 +121,10 @@ def read_action(
     if not _TYPE.fullmatch(path.stem):
         problem = f"expected a file name like 'Fibonacci.action', found {path.name!r}"
         raise InterfaceError(path, 1, problem)
-    package = type_name.partition("/")[0] if type_name else _package_of(path)
+    package = type_name.partition("/")[0] if type_name else package_of(path)
     if package and not type_name:
         type_name = f"{package}/action/{path.stem}"
-    found = _Messages(package, [*_around(path), *map(Path, search), *ros_folders()], {})
+    found = _Messages(package, SearchPath.around(path, [*map(Path, search)]), {})
     return _action(path, text, found, name, type_name)
 
 
@@ -132,10 +136,10 @@ def read_action_texts(type_name: str, texts: Mapping[str, str], *, name: str = "
     """
     path = Path(f"{type_name}.action")
     package, _, rest = type_name.partition("/")
-    if type_name not in texts or not _PACKAGE.fullmatch(package) or not _ACTION.fullmatch(rest):
+    if type_name not in texts or not PACKAGE.fullmatch(package) or not _ACTION.fullmatch(rest):
         problem = f"expected a type like 'example_interfaces/action/Fibonacci', found {type_name!r}"
         raise InterfaceError(path, 1, problem)
-    return _action(path, texts[type_name], _Messages(package, [], texts), name, type_name)
+    return _action(path, texts[type_name], _Messages(package, None, texts), name, type_name)
 
 
 def _action(path: Path, text: str, found: _Messages, name: str, type_name: str) -> ActionFile:
@@ -154,36 +158,12 @@ def _snake(name: str) -> str:
     return parts.lower()
 
 
-def _package_of(path: Path) -> str:
-    """Return the package of an action file by its folders; empty if they are not a package's."""
-    here = path.absolute().parent
-    package = here.parent.name
-    return package if here.name == "action" and _PACKAGE.fullmatch(package) else ""
-
-
-def _around(path: Path) -> list[Path]:
-    """Return the folders with a file's own package, and the packages beside it."""
-    here = path.absolute().parent
-    return [here.parent.parent, here] if _package_of(path) else [here]
-
-
-def ros_folders() -> Iterator[Path]:
-    """Yield the folders of ROS's installed interfaces.
-
-    They are those of a sourced `setup.bash`, and those of wheels in the environment of this Python.
-    """
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield Path(prefix, "share")
-    share = Path(sys.prefix, "share")
-    if (share / "ament_index").is_dir():  # else errors would name a folder without ROS
-        yield share
-
-
 def _text_of(path: Path) -> str:
     data = path.read_bytes()
+    if data.startswith(BOM_UTF8):
+        raise InterfaceError(path, 1, "expected text without a byte order mark, found one")
     try:
-        return data.decode("utf-8-sig")
+        return data.decode()
     except UnicodeDecodeError as exc:
         line = data.count(b"\n", 0, exc.start) + 1
         raise InterfaceError(path, line, f"expected text in UTF-8, found {exc.reason}") from exc
@@ -212,10 +192,10 @@ def _too_deep(definition: MessageDefinition, field: FieldDefinition) -> Interfac
 class _Messages:
     """The messages that are nested in an action, at any depth."""
 
-    def __init__(self, package: str, roots: list[Path], texts: Mapping[str, str]) -> None:
+    def __init__(self, package: str, search: SearchPath | None, texts: Mapping[str, str]) -> None:
         """`texts` are those of messages that need no file, by their types."""
         self.package = package
-        self._roots = roots
+        self._search = search
         self._texts = texts
         self._definitions: dict[tuple[str, str], MessageDefinition] = {}
         self._made: dict[tuple[str, str], InterfaceMessage] = {}
@@ -261,7 +241,7 @@ class _Messages:
         text = self._texts.get(f"{package}/msg/{name}")
         if text is not None:
             return parse_message(text, Path(package, "msg", f"{name}.msg"))
-        for path in self._places(package, name):
+        for path in self._search.places(package, name) if self._search else ():
             if path.is_file():
                 return parse_message(_text_of(path), path)
         if package == "builtin_interfaces" and name in _BUILTIN:
@@ -269,26 +249,14 @@ class _Messages:
         common = common_message(package, name)
         if common is not None:
             return parse_message(common, Path(package, "msg", f"{name}.msg"))
-        roots = ", ".join(dict.fromkeys(map(str, self._roots)))
+        roots = ", ".join(dict.fromkeys(map(str, self._search.roots if self._search else ())))
         raise InterfaceError(
             user,
             field.line,
             f"expected {_full(package, name)!r} on the search path, found no"
             f" {Path(package, 'msg', f'{name}.msg')} and no {name}.msg in {roots}"
-            f"{advice(package)}",
+            f"{advice(package)}{'' if field.type.package else _ROS_1_HINTS.get(name, '')}",
         )
-
-    def _places(self, package: str, name: str) -> Iterator[Path]:
-        file = f"{name}.msg"
-        for root in self._roots:
-            if package:
-                yield root / package / "msg" / file
-            own = root.absolute()
-            if own.name == package or not package:
-                yield root / "msg" / file
-            # The folder `msg` of another package may have another message of that name.
-            if own.name != "msg" or own.parent.name == package or not package:
-                yield root / file
 
     def message(
         self, definition: MessageDefinition, package: str, full_name: str = ""

@@ -7,8 +7,8 @@ behind, or (indented) below; a comment on top of a file describes the message.
 
 from __future__ import annotations
 
-import inspect
 import re
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -31,6 +31,7 @@ _FIELD_TYPE = re.compile(
     re.ASCII,
 )
 _MESSAGE_TYPE = re.compile(r"((?P<package>[^/]+)/)?(?P<name>[A-Z][A-Za-z0-9]*)", re.ASCII)
+_LONG_TYPE = re.compile(r"(?P<package>[^/]+)/msg/(?P<rest>[^/]+)", re.ASCII)
 
 _SEPARATOR = "---"
 _ROS_1_TYPES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
@@ -46,7 +47,7 @@ def parse_action(
         InterfaceError: The text is malformed.
     """
     lines = _lines(text, path)
-    bars = [index for index, line in enumerate(lines) if line.text.rstrip() == _SEPARATOR]
+    bars = [index for index, line in enumerate(lines) if line.text == _SEPARATOR]
     if len(bars) != 2:
         number = lines[bars[2]].number if len(bars) > 2 else max(len(lines), 1)
         raise InterfaceError(
@@ -74,7 +75,11 @@ def parse_message(text: str, path: Path) -> MessageDefinition:
 
 def _lines(text: str, path: Path) -> list[SourceLine]:
     lines = text.replace("\t", " ").splitlines()
-    return [SourceLine(path, number, line.rstrip()) for number, line in enumerate(lines, start=1)]
+    found = [SourceLine(path, number, line.rstrip()) for number, line in enumerate(lines, start=1)]
+    for line, whole in zip(found, lines, strict=True):
+        if line.text.lstrip() == _SEPARATOR != whole:
+            raise line.error(f"a line {_SEPARATOR!r} without blanks", whole)
+    return found
 
 
 def _message(lines: Sequence[SourceLine], path: Path, name: str) -> MessageDefinition:
@@ -123,7 +128,7 @@ def _comment(text: str) -> str:
 
 
 def _joined(comments: Iterable[str]) -> str:
-    return inspect.cleandoc("\n".join(comment.rstrip() for comment in comments))
+    return textwrap.dedent("\n".join(comment.rstrip() for comment in comments)).strip("\n")
 
 
 def _check_unique(path: Path, members: Iterable[FieldDefinition | ConstantDefinition]) -> None:
@@ -174,6 +179,9 @@ def _field_type(line: SourceLine, text: str) -> FieldType:
         raise line.error(repr(_ROS_1_TYPES[base]), text)
     if base not in PRIMITIVES:
         message = _MESSAGE_TYPE.fullmatch(base)
+        long = _LONG_TYPE.fullmatch(text)
+        if long:
+            raise line.error(f"'{long['package']}/{long['rest']}', without 'msg'", text)
         if message is None or not _FIELD_NAME.fullmatch(message["package"] or "none"):
             raise line.error(expected, text)
         base, package = message["name"], message["package"] or ""

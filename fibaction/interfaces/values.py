@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
@@ -15,9 +16,14 @@ from fibaction.interfaces.definitions import FieldType, SourceLine
 T = TypeVar("T")
 
 STRINGS = ("string", "wstring")
+_QUOTES = ('"', "'")
 _OCTETS = ("byte", "char", "uint8")
 _BOOLS = {"true": True, "1": True, "false": False, "0": False}
-_STRING = re.compile(r""" *(?:"((?:\\"|[^"])*)"|'((?:\\'|[^'])*)'|([^, "'][^,]*)) *(?:,|$)""")
+_ESCAPE = re.compile(
+    r"\\(?:([0-7]{1,3})|x([0-9a-fA-F]{2})|u([0-9a-fA-F]{4})|U([0-9a-fA-F]{8})|([abfnrtv\\'\"]))"
+)
+_QUOTED = re.compile(r"""(["'])(?:\\.|(?!\1)[^\\])*\1""")
+_SIGNS = dict(zip("abfnrtv\\'\"", "\a\b\f\n\r\t\v\\'\"", strict=True))
 
 
 def read_value(line: SourceLine, kind: FieldType, text: str) -> Any:
@@ -50,10 +56,9 @@ def read_single(line: SourceLine, kind: FieldType, text: str) -> Any:
         InterfaceError: The text is not a value of this type.
     """
     if kind.base in STRINGS:
-        value = _unquoted(line, text)
-        if kind.characters is not None and len(value) > kind.characters:
-            raise line.error(f"a string of at most {kind.characters} characters", value)
-        return value
+        # ROS reads it twice: on the way to IDL and back. There, '\\\\' is a backslash once more.
+        value = _unescaped(_unescaped(_unquoted(line, text)))
+        return _checked(line, kind, re.sub(r"\\([\\\"])", r"\1", value))
     if kind.base == "bool":
         if text.lower() not in _BOOLS:
             raise line.error("'true' or 'false'", text)
@@ -67,20 +72,55 @@ def read_single(line: SourceLine, kind: FieldType, text: str) -> Any:
 
 
 def _strings(line: SourceLine, kind: FieldType, text: str) -> Iterator[str]:
-    start = 0
-    while text[start:].strip():
-        found = _STRING.match(text, start)
-        if found is None:
-            raise line.error('strings like \'["one", "two"]\'', text[start:])
-        double, single, bare = found.groups()
-        if double is not None:
-            value = double.replace('\\"', '"')
-        elif single is not None:
-            value = single.replace("\\'", "'")
+    while text := text.lstrip(" "):
+        if text[0] == ",":
+            raise line.error('strings like \'["one", "two"]\'', text)
+        if text[0] in _QUOTES:
+            quoted = _QUOTED.match(text)
+            end = _closing_quote(text) or (quoted.end() - 1 if quoted else None)
+            if end is None:
+                raise line.error('strings like \'["one", "two"]\'', text)
+            value, text = text[1:end].replace(f"\\{text[0]}", text[0]), text[end + 1 :]
         else:
-            value = bare
-        yield read_single(line, kind, value.strip())  # ROS, too, strips and unquotes once more
-        start = found.end()
+            value = text.partition(",")[0]
+            text = text[len(value) :]
+        value = _unquoted(line, value.strip())  # ROS, too, strips and unquotes once more
+        yield _checked(line, kind, _unescaped(value))
+        text = text.lstrip(" ").removeprefix(",")
+
+
+def _closing_quote(text: str) -> int | None:
+    """Return where ROS sees the end of the string that `text` begins with; None if it sees none.
+
+    After an escaped quote, ROS skips a character, and after a second one it counts from there.
+    Such strings are not what their author meant, but they are the defaults that ROS builds. What it
+    cannot build is read as it was meant.
+    """
+    quote, shift = text[0], 0
+    while (end := text.find(quote, 1)) >= 0:
+        if text[end - 1] != "\\":
+            return shift + end
+        shift, text = end + 1, text[end + 1 :]
+    return None
+
+
+def _unescaped(text: str) -> str:
+    """Return a text with each escape sequence as the character that it stands for."""
+    return _ESCAPE.sub(_sign, text)
+
+
+def _sign(escape: re.Match[str]) -> str:
+    octal, *hexadecimal, letter = escape.groups()
+    if letter:
+        return _SIGNS[letter]
+    number = int(octal, 8) if octal else int(next(filter(None, hexadecimal)), 16)
+    return chr(number) if number <= sys.maxunicode else escape[0]
+
+
+def _checked(line: SourceLine, kind: FieldType, value: str) -> str:
+    if kind.characters is not None and len(value) > kind.characters:
+        raise line.error(f"a string of at most {kind.characters} characters", value)
+    return value
 
 
 def _integer(line: SourceLine, kind: FieldType, text: str) -> int:
@@ -110,7 +150,7 @@ def _number(convert: Callable[[str], T], text: str) -> T | None:
 
 
 def _unquoted(line: SourceLine, text: str) -> str:
-    for quote in ('"', "'"):
+    for quote in _QUOTES:
         if text.startswith(quote) and text.endswith(quote):
             inner = text[1:-1]
             if re.search(rf"(?<!\\){quote}", inner):

@@ -30,7 +30,7 @@ class Awkward_Goal(Struct, forbid_unknown_fields=True, kw_only=True):
     # And more.
     HUGE: ClassVar[float_] = 1e+300
 
-    int: Annotated[Int32, Meta(description='It says "so" and \'so\', and \\ too. And it says so at such a length that it takes several lines in the source.\n\nIt has a second paragraph.')] = -1
+    int: Annotated[Int32, Meta(description='It says "so" and \'so\', and \\ too. And it says so at such a length that it takes several lines in the source.\n\n  It has a second paragraph.')] = -1
     from_: Int32 = field_(default=7, name="from")
     class_: list_[Int32] = field_(default_factory=list_, name="class")
     import_: Annotated[list_[Int32], Meta(min_length=2, max_length=2)] = field_(default_factory=lambda: [1] * 2, name="import")

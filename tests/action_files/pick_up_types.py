@@ -81,7 +81,7 @@ class PickUp_Result(Struct, forbid_unknown_fields=True, kw_only=True):
 class PickUp_Feedback(Struct, forbid_unknown_fields=True, kw_only=True):
     """Between 0 and 1."""
 
-    progress: Annotated[float, Meta(description="It may go back\nwhen something falls.")] = 0.0
+    progress: Annotated[float, Meta(description="It may go back\n  when something falls.")] = 0.0
     lost: bool = False
 
 

@@ -264,6 +264,9 @@ def test_the_goal_comes_from_one_place(invoke: Invoke, tcp: str, tmp_path: Path)
     [
         (["fibonacci", "order: x"], 'Error: goal.order must be a whole number, not "x"'),
         (["fibonacci"], "Error: goal.order is missing"),
+        (["fibonacci", "arduinobot_msgs/Fibonacci"], "Error: goal.order is missing"),
+        (["fibonacci", "arduinobot_msgs.action.Fibonacci"], "Error: goal.order is missing"),
+        (["fibonacci", "arduinobot_msgs::action::Fibonacci"], "Error: goal.order is missing"),
         (["fibonacci", "ordr: 1"], 'Error: goal has no field "ordr"; did you mean order?'),
         (["fibonacci", "{order: 1"], "Error: the goal is not valid YAML (line 1, column "),
         (["fibonacci", '{"order": 99999999999999999999}'], "Error: the goal cannot be encoded: "),

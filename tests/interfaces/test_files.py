@@ -290,10 +290,14 @@ def test_a_file_that_is_not_utf_8_is_rejected(lift: Path) -> None:
     assert error(lift).startswith(f"{lift}:3: expected text in UTF-8, found ")
 
 
-def test_a_byte_order_mark_is_ignored(lift: Path) -> None:
+def test_a_byte_order_mark_is_an_error(lift: Path) -> None:
     lift.write_bytes(b"\xef\xbb\xbfint32 a\n---\n---\n")
 
-    assert read_action(lift).goal.definition.fields[0].name == "a"
+    assert error(lift) == f"{lift}:1: expected text without a byte order mark, found one"
+
+
+def test_the_header_of_ros_1_gets_a_hint(lift: Path) -> None:
+    assert error(with_goal(lift, "Header header")).endswith("; in ROS 2 it is 'std_msgs/Header'")
 
 
 def test_each_message_has_its_type_name(tmp_path: Path) -> None:

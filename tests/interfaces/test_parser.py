@@ -106,6 +106,20 @@ def test_a_constant_that_is_not_a_primitive_is_rejected(kind: str) -> None:
     )
 
 
+@pytest.mark.parametrize("line", ["--- ", " ---", "---\t"])
+def test_blanks_around_a_separator_are_an_error(line: str) -> None:
+    with pytest.raises(
+        InterfaceError, match=r"Lift\.action:2: expected a line '---' without blanks"
+    ):
+        parse_action(f"int32 a\n{line}\n---\n", Path("Lift.action"))
+
+
+def test_a_type_with_its_folder_gets_a_hint() -> None:
+    assert error("geometry_msgs/msg/Pose pose") == (
+        "Lift.msg:1: expected 'geometry_msgs/Pose', without 'msg', found 'geometry_msgs/msg/Pose'"
+    )
+
+
 def test_comments_describe_the_field_beside_them() -> None:
     text = (
         "# The message,\n"
@@ -124,7 +138,7 @@ def test_comments_describe_the_field_beside_them() -> None:
     )
 
     assert comments(text) == {
-        "": "The message,\nand more of it.",
+        "": "The message,\n  and more of it.",
         "a": "Above.\nBehind.\nBelow.",
         "MOST": "Before a gap,\nand after.",
         "b": "",
@@ -161,7 +175,7 @@ def test_a_field_has_a_name_a_default_and_a_comment(
 
 
 def test_an_action_is_a_goal_a_result_and_a_feedback() -> None:
-    text = "# The goal.\nint32 a\n---\n# The result.\nint32 a\n--- \nint32 a\n"
+    text = "# The goal.\nint32 a\n---\n# The result.\nint32 a\n---\nint32 a\n"
     goal, result, feedback = parse_action(text, Path("Lift.action"))
 
     found = [

@@ -123,7 +123,7 @@ def test_invalid_strings_are_rejected() -> None:
     assert error("string", "fives", characters=4) == too_long
     assert error("string", '["fives"]', is_array=True, characters=4) == too_long
     assert error("string", '["a", ,"b"]', is_array=True) == (
-        'expected strings like \'["one", "two"]\', found \' ,"b"\''
+        'expected strings like \'["one", "two"]\', found \',"b"\''
     )
 
 

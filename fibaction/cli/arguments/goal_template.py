@@ -143,10 +143,52 @@ class GoalTemplate:
         if is_list(kind):
             kind = next(iter(kind), "null")
         if kind == "array":
-            return [self._value(one, depth + 1) for one in part.get("prefixItems", [])]
-        if kind == "string" and part.get("format") in _FORMATS:
-            return _FORMATS[part["format"]]
-        least = part.get("minimum")
-        if kind in ("integer", "number") and is_number(least) and least > 0:
-            return least
+            return self._items(part, depth)
+        if kind == "string":
+            return _text(part)
+        if kind in ("integer", "number"):
+            return _number(part, _EMPTY[kind])
         return _EMPTY.get(str(kind), {})
+
+    def _items(self, part: dict[Any, Any], depth: int) -> list[Any]:
+        """Return as many items as a list needs."""
+        parts = list(part.get("prefixItems", []))
+        missing = _least(part, "minItems") - len(parts)
+        if missing > self._left:
+            raise SchemaError("is too large for a template")
+        parts += [part.get("items", True)] * missing
+        return [self._value(one, depth + 1) for one in parts]
+
+
+def _least(part: dict[Any, Any], keyword: str) -> int:
+    return int(part.get(keyword, 0))
+
+
+def _text(part: dict[Any, Any]) -> str:
+    """Return the shortest text of a schema; of its pattern nothing is known."""
+    if part.get("format") in _FORMATS:
+        return _FORMATS[part["format"]]
+    least = _least(part, "minLength")
+    if least > MAX_CHARACTERS:
+        raise SchemaError("is too large for a template")
+    return ("A" if part.get("contentEncoding") == "base64" else "x") * least
+
+
+def _number(part: dict[Any, Any], zero: float) -> Any:
+    """Return zero, or the number within the limits that is next to it or easy to read."""
+    least, above = part.get("minimum"), part.get("exclusiveMinimum")
+    most, below = part.get("maximum"), part.get("exclusiveMaximum")
+    if is_number(least) and least > 0:
+        return least
+    if is_number(above) and above >= 0:
+        end = most if is_number(most) else below
+        return above + 1 if not is_number(end) or above + 1 < end else _between(above, end, zero)
+    if is_number(most) and most < 0:
+        return most
+    if is_number(below) and below <= 0:
+        return below - 1
+    return zero
+
+
+def _between(above: Any, end: Any, zero: float) -> Any:
+    return above + 1 if isinstance(zero, int) else (above + end) / 2

@@ -36,7 +36,9 @@ from fibaction.words.errors import ActionError, GoalRejected
 from fibaction.words.goals import CancelCode, GoalID
 from fibaction.words.meta import trace_meta
 
-_TYPE_NAME = re.compile(r"\w+/action/\w+", re.ASCII)
+_TYPE_NAME = re.compile(
+    r"(\w+)(/|\.|::)action\2(\w+)|(\w+_(?:msgs|interfaces|actions?))(?:/|\.|::)([A-Z]\w*)", re.ASCII
+)
 
 
 class SendTimes(NamedTuple):
@@ -124,7 +126,12 @@ def _type_and_text(rest: tuple[str, ...]) -> tuple[str, str | None]:
         case ():
             return "", None
         case (one,):
-            return (one, None) if _TYPE_NAME.fullmatch(one) else ("", one)
+            found = _TYPE_NAME.fullmatch(one)
+            return (
+                (f"{found[1] or found[4]}/action/{found[3] or found[5]}", None)
+                if found
+                else ("", one)
+            )
         case (type_name, text):
             return type_name, text
         case _:

@@ -9,7 +9,8 @@ from importlib.util import find_spec
 from typing import Any
 
 from fibaction.interfaces import InterfaceError
-from fibaction.interfaces.files import ActionFile, read_action, read_action_texts, ros_folders
+from fibaction.interfaces.files import ActionFile, read_action, read_action_texts
+from fibaction.interfaces.packages import ros_folders
 from fibaction.words.errors import ProtocolError, TransportError, text_of
 from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.type_hashes import type_hash

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from fibaction.interfaces import ActionFile, InterfaceError, read_action
-from fibaction.interfaces.files import ros_folders
 from fibaction.interfaces.known import known_action
+from fibaction.interfaces.packages import ros_folders
 from fibaction.words.errors import TransportError
 
 FOLDERS: Final = "FIBACTION_SEARCH"

@@ -1,0 +1,127 @@
+"""Packages of interface files, and the places where a message may be.
+
+A package is known by the name in its `package.xml`, and without that file by its folder.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
+"""The name of a package."""
+WORKSPACE_LEVELS = 5
+"""Levels of folders at which a package of a workspace is found."""
+MAX_FOLDERS = 10_000
+"""Folders of a workspace that are looked into."""
+
+_MANIFEST = "package.xml"
+_MANIFEST_NAME = re.compile(r"<name[^>]*>\s*([^<\s]+)\s*</name>")
+_XML_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_NO_SOURCE = ("build", "install", "log")
+_IGNORE = ("COLCON_IGNORE", "AMENT_IGNORE")
+
+
+def manifest_name(folder: Path) -> str:
+    """Return the name in the `package.xml` of a folder; empty without such a file or name."""
+    try:
+        text = (folder / _MANIFEST).read_text("utf-8", "replace")
+    except OSError:
+        return ""
+    found = _MANIFEST_NAME.search(_XML_COMMENT.sub("", text))
+    return found[1] if found and PACKAGE.fullmatch(found[1]) else ""
+
+
+def package_of(path: Path) -> str:
+    """Return the package of an action file; empty if its folders are not those of a package."""
+    here = path.absolute().parent
+    if here.name != "action":
+        return ""
+    name = here.parent.name
+    return manifest_name(here.parent) or (name if PACKAGE.fullmatch(name) else "")
+
+
+def ros_folders() -> Iterator[Path]:
+    """Yield the folders of ROS's installed interfaces.
+
+    They are those of a sourced `setup.bash`, and those of wheels in the environment of this Python.
+    """
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share")
+    share = Path(sys.prefix, "share")
+    if (share / "ament_index").is_dir():  # else errors would name a folder without ROS
+        yield share
+
+
+class SearchPath:
+    """The folders in which messages are searched for, in order."""
+
+    def __init__(self, near: Sequence[Path], search: Sequence[Path]) -> None:
+        """`near` are folders whose own folders may be packages; `search` may be workspaces, too."""
+        self.roots = [*near, *search, *ros_folders()]
+        self._trees = [
+            *((root, 1) for root in near),
+            *((root, WORKSPACE_LEVELS) for root in search),
+        ]
+        self._packages: dict[str, list[Path]] | None = None
+
+    @classmethod
+    def around(cls, path: Path, search: Sequence[Path]) -> SearchPath:
+        """Return the search path of an action file: its package, those beside it, and `search`."""
+        here = path.absolute().parent
+        near = [here.parent.parent, here.parent, here] if package_of(path) else [here]
+        return cls(near, search)
+
+    def places(self, package: str, name: str) -> Iterator[Path]:
+        """Yield the paths that a message may have; `package` is empty if unknown."""
+        file = f"{name}.msg"
+        for root in self.roots:
+            own = root.absolute()
+            if package:
+                yield root / package / "msg" / file
+            if not package or _is_package(own, package):
+                yield root / "msg" / file
+            # The folder `msg` of another package may have another message of that name.
+            if not package or own.name != "msg" or _is_package(own.parent, package):
+                yield root / file
+        for folder in self._named(package):
+            yield folder / "msg" / file
+
+    def _named(self, package: str) -> list[Path]:
+        """Return the folders with a `package.xml` of that name."""
+        if self._packages is None:
+            self._packages = {}
+            for root, levels in self._trees:
+                for folder in _packages_in(root, levels):
+                    self._packages.setdefault(manifest_name(folder), []).append(folder)
+        return self._packages.get(package, [])
+
+
+def _is_package(folder: Path, package: str) -> bool:
+    return package in (folder.name, manifest_name(folder))
+
+
+def _packages_in(root: Path, levels: int) -> Iterator[Path]:
+    """Yield the folders with a `package.xml`, as a build of the workspace would find them."""
+    folders, looked = [(root, 0)], 0
+    while folders and looked < MAX_FOLDERS:
+        folder, level = folders.pop(0)
+        looked += 1
+        try:
+            entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+        except OSError:
+            continue
+        names = {entry.name for entry in entries}
+        if not names.isdisjoint(_IGNORE):
+            continue
+        if _MANIFEST in names:
+            yield folder
+        elif level < levels:
+            inside = (one for one in entries if one.name not in _NO_SOURCE and one.name[0] != ".")
+            folders += [
+                (Path(one), level + 1) for one in inside if one.is_dir(follow_symlinks=False)
+            ]
