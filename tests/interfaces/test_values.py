@@ -46,6 +46,12 @@ def error(base: str, text: str, **settings: Any) -> str:
         ("string", '"', ""),
         ("string", "'tis", "'tis"),
         ("string", "", ""),
+        # As rosidl_adapter, rosidl_parser and rosidl_generator_py of Kilted read them.
+        ("string", r'"x\ty"', "x\ty"),
+        ("string", r'"x\\y"', "x\\y"),
+        ("string", r'"x\\\\y"', "x\\y"),
+        ("string", r'"tab\\tno"', "tab\tno"),
+        ("string", r'"\x41\101"', "AA"),
     ],
 )
 def test_a_single_value_is_read_as_ros_reads_it(base: str, text: str, expected: object) -> None:
@@ -91,6 +97,9 @@ def test_an_invalid_value_is_rejected(base: str, text: str, problem: str) -> Non
         ("string", '["a, b", "c"]', ["a, b", "c"]),
         ("string", '["say \\"so\\"", \'it\\\'s\']', ['say "so"', "it's"]),
         ("string", "[]", []),
+        # As Kilted's tools read them.
+        ("string", r'["a\tb", "c\\d"]', ["a\tb", "c\\d"]),
+        ("string", r'["\\\"", "*"]', ['\\"",', '*"']),
     ],
 )
 def test_an_array_is_read_as_ros_reads_it(base: str, text: str, expected: object) -> None:
