@@ -43,7 +43,7 @@ NO_MODULE = "is not written as module:server"
         ),
         ("robot:count", f"robot:count {ASYNC}"),
         ("robot:make_later", f"robot:make_later {ASYNC}"),
-        ("robot:fail", "robot:fail: robot.py, line 60: RuntimeError: the arm is not plugged in"),
+        ("robot:fail", "robot:fail: robot.py, line 67: RuntimeError: the arm is not plugged in"),
         ("wrong:server", "wrong:server: wrong.py, line 2: SyntaxError: '(' was never closed"),
         (
             "needs:server",

@@ -134,6 +134,9 @@ def test_invalid_strings_are_rejected() -> None:
     assert error("string", '["a", ,"b"]', is_array=True) == (
         'expected strings like \'["one", "two"]\', found \',"b"\''
     )
+    assert error("string", '["a", "b]', is_array=True) == (
+        'expected strings like \'["one", "two"]\', found \'"b\''
+    )
 
 
 @given(strategies.text(strategies.characters(exclude_characters="\\")))

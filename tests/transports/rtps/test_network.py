@@ -14,6 +14,7 @@ import pytest
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps import sockets as sockets_module
 from fibaction_transports.rtps.events import (
+    CaughtUp,
     EndpointMatched,
     EndpointUnmatched,
     Event,
@@ -92,6 +93,8 @@ async def exchange(settings: DomainSettings, **more: Any) -> None:
                 one.write(writer, each)
             received = await there.wait(SampleReceived, 3)
             assert [event.sample.payload for event in received] == sent
+            assert other.catch_up(reader)
+            await there.wait(CaughtUp)
             other.remove(reader)
             await here.wait(EndpointUnmatched)
         await here.wait(ParticipantLost)
@@ -173,6 +176,12 @@ async def test_sending_goes_on_when_the_system_has_room_again(
     await exchange(DomainSettings(domain=domain))
 
 
+def work(network: ParticipantNetwork) -> None:
+    """Take all that was read, in as many turns as a busy machine needs."""
+    while network.work():
+        pass
+
+
 @pytest.mark.anyio
 async def test_errors_of_what_was_sent_before_do_not_end_a_participant(domain: int) -> None:
     async with participant(DomainSettings(domain=domain, discovery_range=OFF)) as network:
@@ -182,10 +191,10 @@ async def test_errors_of_what_was_sent_before_do_not_end_a_participant(domain: i
             for _ in range(MANY):
                 source.sendto(b"not RTPS", source.getsockname())
             network.read(source)
-            assert not network.work()
+            work(network)
             assert network.participant.counters.invalid == MOST_AT_ONCE - 1
             network.read(source)
-            network.work()
+            work(network)
         assert network.participant.counters.invalid == MANY
 
 
