@@ -140,7 +140,7 @@ async def test_the_end_of_a_block_cancels_the_goal(reach: Reach) -> None:
 async def test_a_goal_that_takes_too_long_is_canceled(reach: Reach) -> None:
     def use(client: Client) -> None:
         with pytest.raises(GoalTimeout) as caught:
-            client.call(Goal(1), timeout=0.05)
+            client.call(Goal(1), timeout=0.5)  # a busy machine accepts it within that time
         assert caught.value.goal_id is not None
         outcome = client.attach(caught.value.goal_id).outcome()
         assert outcome.status is GoalStatus.CANCELED
