@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import AsyncGenerator
 from importlib import import_module
@@ -114,9 +115,14 @@ def described(found: MessageDefinition) -> Any:
 
 
 def described_by_ros(found: Any) -> Any:
+    """What ROS's parser has read, with the escapes that its next step reads, on the way by IDL."""
+
+    def unescaped(value: Any) -> Any:
+        return re.sub(r"\\(['\"])", r"\1", value) if isinstance(value, str) else value
+
     return (
-        [(str(one.type), one.name, one.default_value) for one in found.fields],
-        [(one.type, one.name, one.value) for one in found.constants],
+        [(str(one.type), one.name, unescaped(one.default_value)) for one in found.fields],
+        [(one.type, one.name, unescaped(one.value)) for one in found.constants],
     )
 
 
