@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from itertools import count
 from pathlib import Path
@@ -212,3 +213,10 @@ def test_a_default_of_many_levels_is_not_completed() -> None:
     for _ in range(100_000):
         nested = [nested]
     assert GoalTemplate({"properties": {"a": {"default": nested}}}).for_shell() == ""
+
+
+@pytest.mark.parametrize(
+    "endless", [{"type": "array", "minItems": math.inf}, {"type": "string", "minLength": math.inf}]
+)
+def test_of_a_goal_of_endless_length_there_is_an_empty_template(endless: dict[str, Any]) -> None:
+    assert GoalTemplate(endless).goal == {}

@@ -17,8 +17,8 @@ def read_goal(text: str, schema: dict[str, Any]) -> Any:
     """Return the goal as plain data that can be sent.
 
     Fields that the text leaves out get their defaults from the schema; an empty text is the goal
-    `{}`, or null for an action without a goal. Bytes are written in base64, or
-    as YAML's `!!binary`; times in ISO 8601.
+    `{}`, or null for an action without a goal. Bytes are written in base64, or as YAML's
+    `!!binary`; times in ISO 8601.
 
     Raises:
         Failure: The text is not YAML, or the schema does not allow it; the message names the field.

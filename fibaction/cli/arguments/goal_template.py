@@ -6,6 +6,7 @@ The schema comes from a server: nothing is fetched, and the work is limited.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from itertools import islice
@@ -153,25 +154,25 @@ class GoalTemplate:
     def _items(self, part: dict[Any, Any], depth: int) -> list[Any]:
         """Return as many items as a list needs."""
         parts = list(part.get("prefixItems", []))
-        missing = _least(part, "minItems") - len(parts)
-        if missing > self._left:
-            raise SchemaError("is too large for a template")
+        missing = _least(part, "minItems", len(parts) + self._left) - len(parts)
         parts += [part.get("items", True)] * missing
         return [self._value(one, depth + 1) for one in parts]
 
 
-def _least(part: dict[Any, Any], keyword: str) -> int:
-    return int(part.get(keyword, 0))
+def _least(part: dict[Any, Any], keyword: str, most: int) -> int:
+    """Return the least length that a schema demands; it may be infinite."""
+    least: float = part.get(keyword, 0)
+    if least > most:
+        raise SchemaError("is too large for a template")
+    return math.ceil(least)
 
 
 def _text(part: dict[Any, Any]) -> str:
     """Return the shortest text of a schema; of its pattern nothing is known."""
     if part.get("format") in _FORMATS:
         return _FORMATS[part["format"]]
-    least = _least(part, "minLength")
-    if least > MAX_CHARACTERS:
-        raise SchemaError("is too large for a template")
-    return ("A" if part.get("contentEncoding") == "base64" else "x") * least
+    sign = "A" if part.get("contentEncoding") == "base64" else "x"
+    return sign * _least(part, "minLength", MAX_CHARACTERS)
 
 
 def _number(part: dict[Any, Any], zero: float) -> Any:
@@ -181,14 +182,11 @@ def _number(part: dict[Any, Any], zero: float) -> Any:
     if is_number(least) and least > 0:
         return least
     if is_number(above) and above >= 0:
-        end = most if is_number(most) else below
-        return above + 1 if not is_number(end) or above + 1 < end else _between(above, end, zero)
+        end: Any = most if is_number(most) else below
+        has_room = not is_number(end) or above + 1 < end
+        return above + 1 if has_room or isinstance(zero, int) else (above + end) / 2
     if is_number(most) and most < 0:
         return most
     if is_number(below) and below <= 0:
         return below - 1
     return zero
-
-
-def _between(above: Any, end: Any, zero: float) -> Any:
-    return above + 1 if isinstance(zero, int) else (above + end) / 2
