@@ -139,7 +139,9 @@ def read_action_texts(type_name: str, texts: Mapping[str, str], *, name: str = "
     if type_name not in texts or not PACKAGE.fullmatch(package) or not _ACTION.fullmatch(rest):
         problem = f"expected a type like 'example_interfaces/action/Fibonacci', found {type_name!r}"
         raise InterfaceError(path, 1, problem)
-    return _action(path, texts[type_name], _Messages(package, None, texts), name, type_name)
+    return _action(
+        path, texts[type_name], _Messages(package, SearchPath((), ()), texts), name, type_name
+    )
 
 
 def _action(path: Path, text: str, found: _Messages, name: str, type_name: str) -> ActionFile:
@@ -192,7 +194,7 @@ def _too_deep(definition: MessageDefinition, field: FieldDefinition) -> Interfac
 class _Messages:
     """The messages that are nested in an action, at any depth."""
 
-    def __init__(self, package: str, search: SearchPath | None, texts: Mapping[str, str]) -> None:
+    def __init__(self, package: str, search: SearchPath, texts: Mapping[str, str]) -> None:
         """`texts` are those of messages that need no file, by their types."""
         self.package = package
         self._search = search
@@ -241,7 +243,7 @@ class _Messages:
         text = self._texts.get(f"{package}/msg/{name}")
         if text is not None:
             return parse_message(text, Path(package, "msg", f"{name}.msg"))
-        for path in self._search.places(package, name) if self._search else ():
+        for path in self._search.places(package, name):
             if path.is_file():
                 return parse_message(_text_of(path), path)
         if package == "builtin_interfaces" and name in _BUILTIN:
@@ -249,7 +251,7 @@ class _Messages:
         common = common_message(package, name)
         if common is not None:
             return parse_message(common, Path(package, "msg", f"{name}.msg"))
-        roots = ", ".join(dict.fromkeys(map(str, self._search.roots if self._search else ())))
+        roots = ", ".join(dict.fromkeys(map(str, self._search.roots)))
         raise InterfaceError(
             user,
             field.line,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
@@ -60,21 +60,27 @@ def ros_folders() -> Iterator[Path]:
 class SearchPath:
     """The folders in which messages are searched for, in order."""
 
-    def __init__(self, near: Sequence[Path], search: Sequence[Path]) -> None:
-        """`near` are folders whose own folders may be packages; `search` may be workspaces, too."""
-        self.roots = [*near, *search, *ros_folders()]
+    def __init__(
+        self, near: Sequence[Path], search: Sequence[Path], installed: Iterable[Path] = ()
+    ) -> None:
+        """`near` are folders whose own folders may be packages; `search` may be workspaces, too;
+        `installed` have packages that are known by their folders.
+        """
+        self.roots = [*near, *search, *installed]
         self._trees = [
             *((root, 1) for root in near),
             *((root, WORKSPACE_LEVELS) for root in search),
         ]
         self._packages: dict[str, list[Path]] | None = None
+        self._manifest_names: dict[Path, str] = {}
+        """The names in the manifests that were looked for beside messages."""
 
     @classmethod
     def around(cls, path: Path, search: Sequence[Path]) -> SearchPath:
         """Return the search path of an action file: its package, those beside it, and `search`."""
         here = path.absolute().parent
         near = [here.parent.parent, here.parent, here] if package_of(path) else [here]
-        return cls(near, search)
+        return cls(near, search, ros_folders())
 
     def places(self, package: str, name: str) -> Iterator[Path]:
         """Yield the paths that a message may have; `package` is empty if unknown."""
@@ -83,10 +89,10 @@ class SearchPath:
             own = root.absolute()
             if package:
                 yield root / package / "msg" / file
-            if not package or _is_package(own, package):
+            if not package or self._is_package(own, package):
                 yield root / "msg" / file
             # The folder `msg` of another package may have another message of that name.
-            if not package or own.name != "msg" or _is_package(own.parent, package):
+            if not package or own.name != "msg" or self._is_package(own.parent, package):
                 yield root / file
         for folder in self._named(package):
             yield folder / "msg" / file
@@ -100,9 +106,10 @@ class SearchPath:
                     self._packages.setdefault(manifest_name(folder), []).append(folder)
         return self._packages.get(package, [])
 
-
-def _is_package(folder: Path, package: str) -> bool:
-    return package in (folder.name, manifest_name(folder))
+    def _is_package(self, folder: Path, package: str) -> bool:
+        if folder not in self._manifest_names:
+            self._manifest_names[folder] = manifest_name(folder)
+        return package in (folder.name, self._manifest_names[folder])
 
 
 def _packages_in(root: Path, levels: int) -> Iterator[Path]:
