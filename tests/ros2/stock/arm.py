@@ -9,24 +9,15 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import rclpy
 from control_msgs.action import FollowJointTrajectory
 from moveit_msgs.action import ExecuteTrajectory, MoveGroup
 from moveit_msgs.msg import MoveItErrorCodes, RobotTrajectory
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from tests.ros2.stock.telling import say, shut_down_at_the_end, spin
+from tests.ros2.stock.serving import serve, wait
 
 JOINTS = ["shoulder", "elbow"]
 GROUP = "arm"
-PERIOD = 0.02
-
-
-def wait() -> None:
-    time.sleep(PERIOD)  # noqa: TID251  # a server of rclpy blocks its thread
 
 
 def seconds(point: Any) -> float:
@@ -91,26 +82,9 @@ def execute(handle: Any) -> Any:
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    node = rclpy.create_node("arm")
-    group = ReentrantCallbackGroup()
-    servers = [
-        ActionServer(
-            node,
-            kind,
-            name,
-            run,
-            callback_group=group,
-            cancel_callback=lambda handle: CancelResponse.ACCEPT,
-        )
-        for kind, name, run in (
-            (FollowJointTrajectory, "arm_controller/follow_joint_trajectory", follow),
-            (MoveGroup, "move_action", move),
-            (ExecuteTrajectory, "execute_trajectory", execute),
-        )
-    ]
-    executor = MultiThreadedExecutor(num_threads=4)
-    executor.add_node(node)
-    shut_down_at_the_end()
-    say("ready")
-    spin(executor)
+    serve(
+        "arm",
+        (FollowJointTrajectory, "arm_controller/follow_joint_trajectory", follow),
+        (MoveGroup, "move_action", move),
+        (ExecuteTrajectory, "execute_trajectory", execute),
+    )

@@ -6,46 +6,25 @@ A new goal preempts the one before it, which is aborted, as at the servers of Na
 from __future__ import annotations
 
 import math
-import time
 from threading import Lock
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
 
-from tests.ros2.stock.telling import say, shut_down_at_the_end, spin
+from tests.ros2.stock.serving import serve, wait
 
-PERIOD, STEP = 0.02, 0.05
-"""The seconds between two messages of feedback, and the metres that the robot drives in them."""
+STEP = 0.05
+"""The metres that the robot drives between two messages of feedback."""
 
 
 class Robot:
     """Drives to poses, for the newest goal only."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self) -> None:
         self._lock = Lock()
         self._newest: Any = None
         self._x = self._y = 0.0
-        group = ReentrantCallbackGroup()
-        self._servers = [
-            ActionServer(
-                node,
-                kind,
-                name,
-                execute,
-                callback_group=group,
-                cancel_callback=lambda handle: CancelResponse.ACCEPT,
-            )
-            for kind, name, execute in (
-                (NavigateToPose, "navigate_to_pose", self.to_pose),
-                (NavigateThroughPoses, "navigate_through_poses", self.through_poses),
-                (FollowWaypoints, "follow_waypoints", self.waypoints),
-            )
-        ]
 
     def to_pose(self, handle: Any) -> Any:
         return self._run(handle, [handle.request.pose], NavigateToPose)
@@ -62,7 +41,7 @@ class Robot:
             for number, pose in enumerate(poses):
                 while (left := self._drive(pose)) > 0:
                     handle.publish_feedback(self._feedback(kind, left, number, len(poses)))
-                    time.sleep(PERIOD)  # noqa: TID251  # a server of rclpy blocks its thread
+                    wait()
                     if handle.is_cancel_requested:
                         handle.canceled()
                         return kind.Result()
@@ -92,11 +71,10 @@ class Robot:
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    node = rclpy.create_node("bt_navigator")
-    robot = Robot(node)
-    executor = MultiThreadedExecutor(num_threads=4)
-    executor.add_node(node)
-    shut_down_at_the_end()
-    say("ready")
-    spin(executor)
+    robot = Robot()
+    serve(
+        "bt_navigator",
+        (NavigateToPose, "navigate_to_pose", robot.to_pose),
+        (NavigateThroughPoses, "navigate_through_poses", robot.through_poses),
+        (FollowWaypoints, "follow_waypoints", robot.waypoints),
+    )
