@@ -115,7 +115,7 @@ def described(found: MessageDefinition) -> Any:
 
 
 def described_by_ros(found: Any) -> Any:
-    """What ROS's parser has read, with the escapes that its next step reads, on the way by IDL."""
+    """Return what ROS's parser has read, without the escapes that its way by IDL reads."""
 
     def unescaped(value: Any) -> Any:
         return re.sub(r"\\(['\"])", r"\1", value) if isinstance(value, str) else value

@@ -108,8 +108,8 @@ class DataReader:
     def catch_up(self, now: float) -> bool:
         """Find out whether samples are missing that were written before, and get them.
 
-        Return True if that takes time: the event `CaughtUp` tells when all of them have come, as
-        `catch_up` describes. Return False if there is no need to ask, or no way.
+        Return True if that takes time: the event `CaughtUp` tells when all of them have come, by
+        the rules of `CatchUp`. Return False if there is no need to ask, or no way.
         """
         for proxy in self._writers.values():
             proxy.catch_up(now)
