@@ -40,15 +40,16 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
-from fibaction._runtime.log import clean_logger
 from fibaction.server.execution.executor_ends import (
     Misuse,
+    abandoned,
     cause_of,
     failed,
     is_feedback_message,
     kind_of,
     no_result,
     partial_end,
+    tell_spared,
 )
 from fibaction.server.execution.executor_life import (
     EXECUTOR_LIFE,
@@ -72,9 +73,6 @@ if TYPE_CHECKING:
     from fibaction.server.registry.goal_record import GoalRecord
 
 T = TypeVar("T")
-
-logger = clean_logger("fibaction.server")
-
 
 Executor: TypeAlias = Callable[
     [GoalHandle[GoalT]], AsyncIterator[FeedbackT | ResultT | Return[ResultT]]
@@ -219,24 +217,11 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             del self._steps  # it and this object reference each other
 
     def _given_up(self) -> Ending:
-        """Tell in the log that the executor runs no further, and return the ending for its goal."""
         self._scopes = None
-        logger.error(
-            "goal %s of action %r: its executor does not end though it was killed, and is"
-            " abandoned; what it holds stays taken until this process ends",
-            self.handle.goal_id,
-            self._action.name,
-        )
-        return Ending(EndKind.FAILED, self._result, "the executor was abandoned")
+        return abandoned(self.handle.goal_id, self._action.name, self._result)
 
     def _spared(self) -> None:
-        """Tell in the log that the executor runs on."""
-        logger.error(
-            "goal %s of action %r: its executor does not end though it was killed, and runs on;"
-            " its place in the schedule stays taken until then",
-            self.handle.goal_id,
-            self._action.name,
-        )
+        tell_spared(self.handle.goal_id, self._action.name)
 
     def _ended_by(self, exc: BaseException) -> Ending:
         # In a frame of its own: a traceback references its frames. If one of those also referenced

@@ -11,6 +11,7 @@ from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.ros_classes import is_message, ros_type_of
 from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
+from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.server.registry.goal_record import GoalRecord
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from fibaction.words.goals import GoalID
 
 logger = clean_logger("fibaction.server")
+
+
+CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
 
 class Misuse(Exception):
@@ -115,6 +119,35 @@ def _log_failure(reason: str, exc: BaseException, action: str, goal: GoalRecord)
     if goal.phase is Phase.LOST:
         return  # it was interrupted, and could not keep its checkpoint
     logger.error("goal %s of action %r failed: %s", goal.goal_id, action, reason, exc_info=exc)
+
+
+def is_kept(goal: GoalRecord, ending: Ending, *, killed: bool) -> bool:
+    """Return whether a goal stays in the store that was interrupted for that: it has not ended by
+    itself, and nobody has canceled it.
+    """
+    has_ended = not killed and ending.kind is not EndKind.CANCELED
+    return not has_ended and goal.status is not GoalStatus.CANCELING
+
+
+def abandoned(goal_id: GoalID, action: str, result: bytes | None) -> Ending:
+    """Log that an executor survived being killed and runs no further; return its goal's end."""
+    logger.error(
+        "goal %s of action %r: its executor does not end though it was killed, and is"
+        " abandoned; what it holds stays taken until this process ends",
+        goal_id,
+        action,
+    )
+    return Ending(EndKind.FAILED, result, "the executor was abandoned")
+
+
+def tell_spared(goal_id: GoalID, action: str) -> None:
+    """Log that an executor survived being killed and runs on."""
+    logger.error(
+        "goal %s of action %r: its executor does not end though it was killed, and runs on;"
+        " its place in the schedule stays taken until then",
+        goal_id,
+        action,
+    )
 
 
 def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:

@@ -41,6 +41,7 @@ from anyio.abc import TaskGroup
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
 from fibaction.server.execution.executor import Execution, Executor, Fence
+from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
 from fibaction.server.execution.executor_life import EXECUTOR_LIFE, ExecutorEvent, ExecutorPhase
 from fibaction.server.execution.goal_news import GoalNews, Run
 from fibaction.server.execution.interruption import CancelOnce
@@ -62,8 +63,6 @@ if TYPE_CHECKING:
     from fibaction.server.durability.keeper import Acts, Keeper
     from fibaction.server.scheduling.dispatcher import Dispatcher
     from fibaction.server.settings import ActionServerSettings
-
-CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
 # Looked up for each goal: a name of this module is found faster than a member of an enum.
 BEGIN, EXECUTE, END = Event.BEGIN, Event.EXECUTE, Event.END
@@ -328,7 +327,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         goal = run.goal
         if self._keeper.failure is not None:
             self._let_go(run, GoalKept(STORE_FAILED))
-        elif goal.stop_reason and self._is_kept(goal, ending, killed=killed):
+        elif goal.stop_reason in self._kept_for and is_kept(goal, ending, killed=killed):
             # Also one that waits: where servers share a store, it is free for the others then.
             run.error = GoalKept(GOAL_IS_KEPT)
             if goal.stop_reason == LEASE_IS_OVER:
@@ -342,14 +341,6 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
                 ending = Ending(EndKind.CANCELED, ending.result, reason)
             run.outcome = self._registry.outcome_for(goal, ending)  # it never changes again
             self._step(run, END)
-
-    def _is_kept(self, goal: GoalRecord, ending: Ending, *, killed: bool) -> bool:
-        """Return whether a goal stays in the store: it has not ended by itself."""
-        return (
-            goal.stop_reason in self._kept_for
-            and goal.status is not GoalStatus.CANCELING
-            and (killed or ending.kind is EndKind.CANCELED)
-        )
 
     def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:
         run.error = error

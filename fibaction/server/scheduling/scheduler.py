@@ -39,13 +39,13 @@ costs O(log n).
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Hashable
 from heapq import heapify, heappop, heappush
 
 from fibaction.server.scheduling.group import Entry, Group, Urgency, busy_text
 from fibaction.server.scheduling.orders import Act, Busy, Order
 from fibaction.server.scheduling.schedule import Schedule
+from fibaction.server.scheduling.timed_goals import TimedGoals
 from fibaction.server.scheduling.waiting_goals import WaitingGoals
 from fibaction.words.goals import GoalID
 
@@ -59,18 +59,13 @@ class Scheduler:
     def __init__(self, schedule: Schedule, *, kill_after: float = math.inf) -> None:
         """Kill an interrupted executor that has not ended `kill_after` seconds later."""
         self._schedule = schedule
-        self._kill_after = kill_after
         self._overdue = f"waited for {schedule.queue_timeout:g} s"
         self._groups: dict[Hashable, Group] = {}
         self._entries: dict[GoalID, Entry] = {}
         self._arrivals = 0
         self._running = 0
         self._waiting = WaitingGoals()
-        # In the order of their times, so that the first is due first. To find the first of a plain
-        # dict takes longer, the more have been removed before it.
-        self._timed: OrderedDict[GoalID, Entry] = OrderedDict()  # they run, and are not interrupted
-        self._told: OrderedDict[GoalID, Entry] = OrderedDict()  # of these, those that may take over
-        self._interrupted: OrderedDict[GoalID, Entry] = OrderedDict()
+        self._timed = TimedGoals(schedule, kill_after)
         self._heads: list[tuple[Urgency, Group]] = []
 
     # Events
@@ -155,15 +150,14 @@ class Scheduler:
 
     def lose(self, goal_id: GoalID) -> None:
         """Order nothing more for a goal that runs. It keeps its place until it leaves."""
-        for entries in (self._timed, self._told, self._interrupted):
-            entries.pop(goal_id, None)
+        self._timed.remove(goal_id)
 
     def take_over(self, goal_id: GoalID, now: float) -> GoalID | None:
         """Let the successor of a goal take its place, and the goal leave; return the successor.
 
         Return None, and change nothing, if the goal has none that it may take over.
         """
-        entry = self._told.get(goal_id)
+        entry = self._timed.told.get(goal_id)
         if entry is None:
             return None
         successor = entry.successor
@@ -181,34 +175,19 @@ class Scheduler:
         return orders
 
     def _next_order(self, now: float) -> Order | None:
-        rules = self._schedule
-        if (entry := self._waiting.longest()) and entry.since + rules.queue_timeout <= now:
+        timeout = self._schedule.queue_timeout
+        if (entry := self._waiting.longest()) and entry.since + timeout <= now:
             return self._give_way(entry, self._overdue)
-        if (entry := _first(self._timed)) and entry.since + rules.run_timeout <= now:
-            return self._interrupt(entry, f"took longer than {rules.run_timeout:g} s", now)
-        if (entry := _first(self._told)) and entry.told_at + rules.handover <= now:
-            assert entry.successor is not None
-            return self._interrupt(entry, f"preempted by {entry.successor.goal_id}", now)
-        if (entry := _first(self._interrupted)) and entry.since + self._kill_after <= now:
-            del self._interrupted[entry.goal_id]
-            return Order(Act.KILL, entry.goal_id)
-        return None
+        return self._timed.next_order(now)
 
     # Queries
 
     @property
     def next_due(self) -> float:
         """The time at which `due` has orders; `math.inf` if time alone makes none."""
-        rules = self._schedule
-        due = math.inf
-        if rules.queue_timeout < math.inf and (entry := self._waiting.longest()):
-            due = entry.since + rules.queue_timeout
-        if rules.run_timeout < math.inf and (entry := _first(self._timed)):
-            due = min(due, entry.since + rules.run_timeout)
-        if self._told and (entry := _first(self._told)):
-            due = min(due, entry.told_at + rules.handover)
-        if self._interrupted and (entry := _first(self._interrupted)):
-            due = min(due, entry.since + self._kill_after)
+        due, timeout = self._timed.next_due(), self._schedule.queue_timeout
+        if timeout < math.inf and (entry := self._waiting.longest()):
+            due = min(due, entry.since + timeout)
         return due
 
     @property
@@ -235,7 +214,7 @@ class Scheduler:
 
     def successor(self, goal_id: GoalID) -> GoalID | None:
         """Return the goal that this one may take over; None if there is none."""
-        entry = self._told.get(goal_id)
+        entry = self._timed.told.get(goal_id)
         return entry.successor.goal_id if entry and entry.successor else None
 
     def places(self) -> dict[GoalID, tuple[int, int]]:
@@ -258,7 +237,7 @@ class Scheduler:
         group = entry.group
         group.queue.pop(entry.goal_id, None)
         self._waiting.remove(entry.goal_id)
-        group.running[entry.goal_id] = self._timed[entry.goal_id] = entry
+        group.running[entry.goal_id] = self._timed.running[entry.goal_id] = entry
         entry.since = now
         self._running += 1
         self._push_head(group)
@@ -278,7 +257,7 @@ class Scheduler:
         del self._entries[goal_id]
         if group.running.pop(goal_id, None) is not None:
             self._running -= 1
-            self.lose(goal_id)
+            self._timed.remove(goal_id)
         else:
             self._waiting.remove(goal_id)
             group.queue.pop(goal_id, None)  # a successor is not in it
@@ -293,7 +272,7 @@ class Scheduler:
         """Make a goal no successor any more; its predecessor goes on, unless it was interrupted."""
         if entry.predecessor is not None:
             entry.predecessor.successor = None
-            self._told.pop(entry.predecessor.goal_id, None)
+            self._timed.told.pop(entry.predecessor.goal_id, None)
             entry.predecessor = None
 
     def _start_waiting(self, now: float) -> list[Order]:
@@ -348,23 +327,11 @@ class Scheduler:
             else:
                 orders.append(self._give_way(earlier, reason))
         self._waiting.add(entry)
-        if predecessor.goal_id not in self._timed or predecessor.goal_id in self._told:
+        timed = self._timed
+        if predecessor.goal_id not in timed.running or predecessor.goal_id in timed.told:
             return orders  # it was interrupted, or told, because of an earlier goal
         if self._schedule.handover:
-            self._told[predecessor.goal_id] = predecessor
-            predecessor.told_at = now
-            orders.append(Order(Act.TELL, predecessor.goal_id))
+            orders.append(timed.tell(predecessor, now))
         else:
-            orders.append(self._interrupt(predecessor, reason, now))
+            orders.append(timed.interrupt(predecessor, reason, now))
         return orders
-
-    def _interrupt(self, entry: Entry, reason: str, now: float) -> Order:
-        del self._timed[entry.goal_id]
-        self._told.pop(entry.goal_id, None)
-        self._interrupted[entry.goal_id] = entry
-        entry.since = now
-        return Order(Act.INTERRUPT, entry.goal_id, reason)
-
-
-def _first(entries: OrderedDict[GoalID, Entry]) -> Entry | None:
-    return next(iter(entries.values()), None)

@@ -19,8 +19,8 @@ acceptance arrives.
 the goal is accepted, or with the goal if the only server is one of fibaction, and again if the
 status list says that the goal has ended and the answer is missing.
 
-*Statuses* come in lists of all goals. `ReceivedStatuses` finds what has changed. Streams of all
-statuses, and the streams of the goals, are told the changes.
+*Statuses* come in lists of all goals. `StatusLists` finds what has changed, and tells the streams
+of all statuses; the streams of the goals are told here.
 
 *A server that has gone* does not say so. `run` looks for the server as long as a call, a goal or a
 stream of statuses is pending. `Presence` knows by the graph, and by signs of life, whether there is
@@ -55,22 +55,19 @@ from fibaction_transports.ros2.client.followed_goals import LATE, FollowedGoals
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.client.presence import WATCH_PAUSE, Presence
 from fibaction_transports.ros2.client.service_client import ServiceCall, ServiceClient
+from fibaction_transports.ros2.client.status_lists import StatusLists
 from fibaction_transports.ros2.convert.conversion import stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.feedback_counts import ReceivedCounts
 from fibaction_transports.ros2.node.rivals import Rivals
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.node.stamps import FollowedStamps
-from fibaction_transports.ros2.node.status_list import ReceivedStatuses
 from fibaction_transports.ros2.settings import EndSettings
 
 QUEUE = 10
 """Feedback that the middleware may hold, as a multiple of what a goal keeps for its reader. The
 queue holds the feedback of all goals until the thread that takes it gets its turn, which may be
 late on a busy machine; most of the time it is empty."""
-FIRST_LIST = 1.0
-"""Seconds to wait for the first status list. It may never come: a server of rclpy or rclcpp that
-has never had a goal has published none."""
 LAST_WORDS = 0.25
 """Seconds for messages to arrive that a server has sent before it left."""
 NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
@@ -92,7 +89,8 @@ class RosActionClient:
         self.depth = settings.feedback_depth
         """Feedback messages of a goal that are kept for a late reader."""
         self.stamps = FollowedStamps(ros.clock)
-        self.known = ReceivedStatuses(self.stamps.from_ros)
+        self._lists = StatusLists(self.stamps.from_ros)
+        self.known = self._lists.known
         self._action = action
         full, services = action_names(ros.resolve, action), qos.services(settings.services_qos)
         # Subscriptions first. A server that knows the clients then knows these, too, so that its
@@ -117,22 +115,10 @@ class RosActionClient:
         ros.introspect(settings.introspection, *callers)
         self._counts = ReceivedCounts(ros, action, self._followed.take_count)
         self._undecided: list[RosGoalStream] = []
-        self._subscriptions: list[StatusSubscription] = []
-        self._listed_by: frozenset[bytes] = frozenset()
-        """The servers when the last status list came: one of them has sent it."""
         self._rivals = Rivals(ros, action, full, settings.lease)
         self._was_silent = False
         self._pending = Notifier()
-        self._listed = Notifier()
-        self.presence = Presence(
-            ros,
-            action,
-            impl,
-            full,
-            callers,
-            (feedback, status),
-            settings,
-        )
+        self.presence = Presence(ros, action, impl, full, callers, (feedback, status), settings)
         ros.on_loss(self._fail)
 
     # Requests
@@ -255,17 +241,9 @@ class RosActionClient:
         """
         await self.presence.needed()
         self._forget_gone()
-        with anyio.move_on_after(FIRST_LIST):
-            while not self.known.has_come:
-                await self._listed.wait()
-        statuses = StatusSubscription(self.known, self._unsubscribe)
-        self._subscriptions.append(statuses)
+        statuses = await self._lists.subscribe()
         self._pending.notify()
         return statuses
-
-    def _unsubscribe(self, statuses: StatusSubscription) -> None:
-        if statuses in self._subscriptions:
-            self._subscriptions.remove(statuses)
 
     def _choose_servers(self, streams: Iterable[RosGoalStream]) -> None:
         """Take the feedback of each accepted goal from one server, if there are several."""
@@ -283,11 +261,8 @@ class RosActionClient:
         self._followed.take_feedback(message, publisher)
 
     def _take_statuses(self, message: bytes, publisher: bytes) -> None:
-        self._listed_by = self.presence.servers()
         self._rivals.note_list(publisher, message)
-        for info in self.known.update(message):
-            for statuses in self._subscriptions:
-                statuses.put(info)
+        for info in self._lists.take(message, self.presence.servers()):
             streams = self._followed.of(info.goal_id)
             for stream in streams:
                 stream.set_status(info.status)
@@ -295,7 +270,6 @@ class RosActionClient:
                 self._followed.expect_result(info.goal_id, LATE)
         shared = self._followed if self._rivals.can_be_told_apart else ()
         self._choose_servers(stream for stream in shared if stream.has_begun)
-        self._listed.notify()
         for stream in self._undecided:
             if (now := self.known.get(stream.goal_id)) is not None and now.status.is_active:
                 stream.begin(now)
@@ -345,8 +319,8 @@ class RosActionClient:
             client.resume()
 
     def _is_pending(self) -> bool:
-        calling = self._goals.calls or self._cancels.calls
-        return bool(calling or self._followed or self._subscriptions)
+        calls = self._goals.calls or self._cancels.calls
+        return bool(calls or self._followed or self._lists.are_followed)
 
     def _gone(self) -> ConnectionLost:
         return ConnectionLost(f"the server of {self._action!r} has gone away")
@@ -354,7 +328,7 @@ class RosActionClient:
     async def _fail_gone(self) -> None:
         """End the goals of servers that have gone, although others have taken their place."""
         self._forget_gone()
-        left = [stream for stream in self._followed if self._has_gone(stream.servers)]
+        left = [one for one in self._followed if self.presence.have_gone(one.servers)]
         if left:
             await anyio.sleep(LAST_WORDS)
             self._followed.fail(self._gone(), left)
@@ -363,22 +337,12 @@ class RosActionClient:
         """Forget the status list of a server that has gone. The server that serves now may never
         send one: servers of rclpy and rclcpp begin with their first goal.
         """
-        if self._has_gone(self._listed_by):
-            self._listed_by = frozenset()
-            self.known.clear()
-            self._fail_subscriptions(self._gone())
-
-    def _has_gone(self, servers: frozenset[bytes]) -> bool:
-        now = self.presence.servers()
-        return bool(servers and now and servers.isdisjoint(now))
+        if self.presence.have_gone(self._lists.servers):
+            self._lists.forget()
+            self._lists.fail(self._gone())
 
     def _fail(self, error: ConnectionLost) -> None:
         for client in (self._goals, self._cancels):
             client.fail(error)
         self._followed.fail(error)
-        self._fail_subscriptions(error)
-
-    def _fail_subscriptions(self, error: ConnectionLost) -> None:
-        for statuses in self._subscriptions:
-            statuses.fail(error)
-        self._subscriptions.clear()
+        self._lists.fail(error)

@@ -128,6 +128,11 @@ class Presence:
         since = self._silent_since
         return since is not None and current_time() - since < self._settings.grace
 
+    def have_gone(self, servers: frozenset[bytes]) -> bool:
+        """Return whether none of these servers is there any more, and others are."""
+        now = self.servers()
+        return bool(servers and now and servers.isdisjoint(now))
+
     def servers(self) -> frozenset[bytes]:
         """Return the servers, as ROS identifies the ends of the status topic (by GIDs). A server
         that is started anew has another GID.

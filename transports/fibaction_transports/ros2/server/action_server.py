@@ -20,7 +20,7 @@ that did not come through ROS, for instance over another transport, a forwarder 
 stream of all statuses tells of it.
 
 *Statuses* come from two sources: from the stream of each goal, and from the endpoint's stream of
-all statuses, which may be read later. `PublishedStatuses` ignores what is older than what it has.
+all statuses, which may be read later. `ServedStatuses` ignores what is older than what it has.
 The stream of all statuses is needed for goals that did not come through ROS, for `CANCELING`, and
 for `UNKNOWN`, which removes a forgotten goal from the list. Statuses after the end are kept in
 `GoalForwarder.late` until the goal's feedback and result are out.
@@ -32,13 +32,11 @@ that the sender has left.
 
 from __future__ import annotations
 
-import math
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
-from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Endpoint, GoalStream, Notifier
@@ -55,21 +53,15 @@ from fibaction.words.goals import (
 )
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2 import qos
-from fibaction_transports.ros2.convert.conversion import (
-    RosCodecs,
-    goal_id_of,
-    stamp_of,
-)
-from fibaction_transports.ros2.convert.status_bytes import pack_statuses
+from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.feedback_counts import PublishedCounts
 from fibaction_transports.ros2.node.goal_info import goal_info_to_ros
 from fibaction_transports.ros2.node.rivals import warn_of_rivals
 from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
-from fibaction_transports.ros2.node.stamps import ServedStamps
-from fibaction_transports.ros2.node.status_list import PublishedStatuses
 from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher, FeedbackTopic
 from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
+from fibaction_transports.ros2.server.served_statuses import ServedStatuses
 from fibaction_transports.ros2.server.service_server import ServiceServers
 from fibaction_transports.ros2.settings import EndSettings
 
@@ -118,7 +110,6 @@ class RosActionServer:
         self._names = action_names(ros.resolve, self._name)
         self._deciding: set[GoalID] = set()
         self._forwarders: dict[GoalID, GoalForwarder] = {}
-        self._published_at = -math.inf
         self._progress = Notifier()
         services = qos.services(settings.services_qos)
         self._services = ServiceServers(ros, self._name, services, tasks, self._progress)
@@ -144,25 +135,15 @@ class RosActionServer:
         self._feedback = FeedbackTopic(
             self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, settings
         )
-        profile = qos.published_status(settings.lease, settings.status_qos)
-        self._status = self._ros.publisher(full.status, impl.GoalStatusMessage, profile)
-        self._statuses = PublishedStatuses(self._publish_status)
-        self._stamps = ServedStamps(self._ros.clock)
+        self._statuses = ServedStatuses(self._ros, full.status, impl.GoalStatusMessage, settings)
 
     def start(self) -> None:
         """Serve."""
-        # The list without goals, so that clients need not wait for a list.
-        self._publish_status(pack_statuses(()))
-        self._tasks.start_soon(self._statuses.run, name=f"statuses of {self._name}")
-        self._tasks.start_soon(self._statuses.repeat, name=f"repeated statuses of {self._name}")
-        self._tasks.start_soon(self._follow_statuses, name=f"goals of {self._name}")
-        self._tasks.start_soon(
-            warn_of_rivals,
-            self._ros,
-            self._name,
-            self._names.status,
-            name=f"rivals of {self._name}",
-        )
+        tasks, name = self._tasks, self._name
+        self._statuses.start(tasks, name)
+        tasks.start_soon(self._follow_statuses, name=f"goals of {name}")
+        full = self._names
+        tasks.start_soon(warn_of_rivals, self._ros, name, full.status, name=f"rivals of {name}")
 
     async def drain(self) -> None:
         """Wait until everything has been answered that can be answered."""
@@ -184,7 +165,7 @@ class RosActionServer:
     @property
     def sent_at(self) -> float:
         """The time at which the last answer or status list was sent."""
-        return max(self._published_at, self._services.sent_at)
+        return max(self._statuses.published_at, self._services.sent_at)
 
     # Requests
 
@@ -210,9 +191,9 @@ class RosActionServer:
         self._deciding.add(goal_id)  # until the client has been told
         stream = await self._endpoint.send_goal(goal_id, self._codecs.goal.from_ros(goal))
         # Here and not only by the stream of all statuses, which may be read after the goal's own.
-        self._update(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
+        self._statuses.update(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
         self._forward(stream)
-        return self._stamps.to_ros(goal_id, stream.stamp)
+        return self._statuses.stamps.to_ros(goal_id, stream.stamp)
 
     async def _answer_cancel(self, request: Any) -> Any:
         info = request.goal_info
@@ -220,19 +201,19 @@ class RosActionServer:
         try:
             answer = await self._endpoint.cancel_goals(
                 None if goal_id == NO_GOAL else goal_id,
-                self._stamps.from_ros(stamp) if stamp else None,
+                self._statuses.stamps.from_ros(stamp) if stamp else None,
             )
         except ActionError as exc:
             answer = CancelAnswer(CancelCode.REJECTED, reason=str(exc))
         if answer.reason:
             self._ros.warn(f"{self._name}: cancel rejected: {answer.reason}")
         await anyio.lowlevel.checkpoint()  # statuses from before the cancel are published first
-        canceling = [self._in_ros(one) for one in answer.goals_canceling]
-        for one in canceling:
+        for one in answer.goals_canceling:
             self._statuses.update(one)
         self._statuses.flush()
         response = self._impl.CancelGoalService.Response()
         response.return_code = int(answer.return_code)
+        canceling = [self._statuses.in_ros(one) for one in answer.goals_canceling]
         response.goals_canceling = [goal_info_to_ros(self._ros.types, one) for one in canceling]
         return response
 
@@ -271,7 +252,7 @@ class RosActionServer:
     def _forward(self, stream: GoalStream) -> None:
         goal_id = stream.goal_id
         feedback = self._feedback.of(goal_id)
-        forwarder = GoalForwarder(stream, feedback.publish, self._update)
+        forwarder = GoalForwarder(stream, feedback.publish, self._statuses.update)
         self._forwarders[goal_id] = forwarder
         self._tasks.start_soon(
             self._run_forwarder, goal_id, forwarder, feedback, name=f"goal of {self._name}"
@@ -297,32 +278,17 @@ class RosActionServer:
             response = self._result(goal_id, outcome)
             status = GoalStatus(response.status)
             if status.is_terminal:
-                self._update(GoalInfo(goal_id, forwarder.stream.stamp, status))
+                self._statuses.update(GoalInfo(goal_id, forwarder.stream.stamp, status))
             self._statuses.flush()
             await forwarder.hand_over(response)
         finally:
             del self._forwarders[goal_id]
             for info in forwarder.late:
                 if info.status is GoalStatus.UNKNOWN or goal_id not in self._statuses:
-                    self._update(info)
+                    self._statuses.update(info)
             self._progress.notify()
 
     # Statuses
-
-    def _update(self, info: GoalInfo) -> None:
-        """Set the status of a goal in the list, with its stamp in ROS."""
-        if info.status is GoalStatus.UNKNOWN:
-            self._stamps.forget(info.goal_id)
-            self._statuses.update(info)
-        else:
-            self._statuses.update(self._in_ros(info))
-
-    def _in_ros(self, info: GoalInfo) -> GoalInfo:
-        return GoalInfo(info.goal_id, self._stamps.to_ros(info.goal_id, info.stamp), info.status)
-
-    def _publish_status(self, message: bytes) -> None:
-        self._published_at = current_time()
-        self._status.publish_bytes(message)
 
     async def _follow_statuses(self) -> None:
         while True:
@@ -333,7 +299,6 @@ class RosActionServer:
             except Exception as exc:
                 self._log_failure("no statuses", exc)
                 self._statuses.clear()
-                self._stamps.clear()
             await anyio.sleep(RETRY_PAUSE)
 
     def _take_status(self, info: GoalInfo) -> None:
@@ -344,7 +309,7 @@ class RosActionServer:
         is_new = info.goal_id not in self._statuses and info.goal_id not in self._deciding
         if forwarder is None and is_new and info.status.is_active:
             self._tasks.start_soon(self._follow, info.goal_id, name=f"goal of {self._name}")
-        self._update(info)
+        self._statuses.update(info)
 
     async def _follow(self, goal_id: GoalID) -> None:
         """Publish the feedback of a goal that did not come through ROS."""
