@@ -509,9 +509,12 @@ def test_orders_of_robots_that_are_gone_go_on_with_others(tmp_path: Path) -> Non
     code, out, err = ended(start("fleet/demo.py", "--period", "0.2", cwd=tmp_path))
 
     assert code == 0
-    assert {line.partition(" ")[2][13:] for line in err.splitlines()} == {
-        "worker 'robot1' is gone; its goals are taken over"
-    }
+    logged = {line.partition(" ")[2][13:] for line in err.splitlines()}
+    assert "worker 'robot1' is gone; its goals are taken over" in logged
+    # On a busy machine a robot may lose its lease, too. It says so, and the orders go on.
+    assert all(
+        re.search(r" is gone|lease is not renewed|joins again|joined again", one) for one in logged
+    )
     lines = out.splitlines()
     assert lines[-1] == "8 of 8 orders are picked"
     killed, stopped = (
