@@ -30,7 +30,7 @@ COLORS = {
     GoalStatus.ABORTED: ("#fdeaea", "#b3261e"),
     GoalStatus.CANCELED: ("#fff3e0", "#a15c00"),
 }
-"""Fill and line of each end; a status that goes on has `ACTIVE`."""
+"""Fill and line of each end; a status that continues has `ACTIVE`."""
 ACTIVE = ("#e8f0fe", "#1f56b3")
 
 

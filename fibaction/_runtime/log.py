@@ -48,7 +48,7 @@ MESSAGE = 2000
 LINE = 300
 """Characters of one line of a traceback, without the indent."""
 LINES = 200
-"""Lines of a traceback, with all errors behind the error."""
+"""Lines of a traceback, with the causes of the error."""
 FRAMES = 20
 """Frames of one error: the innermost ones."""
 ERRORS = 10

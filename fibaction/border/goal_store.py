@@ -75,7 +75,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     ended_at: int = 0
     """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
     keep_until: int = 0
-    """Time until which the outcome is kept: nanoseconds since 1970; 0 for ever."""
+    """Time until which the outcome is kept: nanoseconds since 1970; 0 forever."""
     worker: str = ""
     """The name of the worker that has the goal; empty if the store has one server for each action.
     """

@@ -85,7 +85,7 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     stall_timeout: float = 10.0
     """Seconds that the executor waits for a client that does not read."""
     result_timeout: float = 10.0
-    """Seconds that an outcome is kept after the goal's end; 0 not at all, `math.inf` for ever. A
+    """Seconds that an outcome is kept after the goal's end; 0 not at all, `math.inf` forever. A
     client that already waits for it always gets it."""
     given_up_timeout: float = 7 * 24 * 3600.0
     """Seconds that a store keeps a goal that was given up, with the goal itself and its checkpoint,

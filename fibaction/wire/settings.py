@@ -59,7 +59,7 @@ class Limits(msgspec.Struct, frozen=True):
     """Goals that are kept for clients whose connections are lost, over all of them; those that were
     lost first are given up sooner."""
     requests: int = 1000
-    """Requests that one connection may wait for at the same time, beside its goals."""
+    """Requests that one connection may wait for at the same time, in addition to its goals."""
     frame: int = 2**20
     """Bytes of the largest message of a client; at least 1024. A goal is decoded in one piece, and
     all other clients wait meanwhile: with a type of numbers some 15 ms for each MiB."""

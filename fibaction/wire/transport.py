@@ -63,7 +63,7 @@ class ConfiguredTransport(Transport):
     own_settings: ClassVar[tuple[str, ...]] = ()
     """Names of keyword arguments that the subclass has beside those of `WireKeywords`."""
     own_url_settings: ClassVar[Mapping[str, FromText]] = {}
-    """Settings that the subclass has behind the `?` of a URL, each with its reader."""
+    """Settings that the subclass has after the `?` of a URL, each with its reader."""
     tls_schemes: ClassVar[tuple[str, ...]] = ()
     """Schemes of URLs that have `ca`, `cert` and `key`, which become the argument `tls`."""
 
@@ -193,7 +193,7 @@ def _surplus(parts: SplitResult, what: str) -> ValueError:
 
 
 def _split(url: str) -> tuple[SplitResult, dict[str, str]]:
-    """Split a URL into its parts, and the settings behind its `?`, as text."""
+    """Split a URL into its parts, and the settings after its `?`, as text."""
     with _translated(url):
         parts = urlsplit(url)
     if "#" in url:

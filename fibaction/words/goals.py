@@ -32,7 +32,7 @@ _ID_TEXT = "^[0-9a-fA-F]{8}-?([0-9a-fA-F]{4}-?){3}[0-9a-fA-F]{12}$"
 
 
 class GoalID(bytes):
-    """The 16 bytes that name one goal for ever, made by the client.
+    """The 16 bytes that name one goal forever, made by the client.
 
     All zeros is reserved: in a cancel it means "any goal" (`action_msgs/srv/CancelGoal`). For an ID
     that is used twice, see `fibaction.server.registry.registry`.

@@ -184,8 +184,10 @@ async def test_the_advice_for_python_code_is_replaced(nobody: str) -> None:
 
 
 def test_how_python_spells_a_setting_is_left_out() -> None:
-    error = TransportError("use tls://, or ?insecure=true behind the URL (in code insecure=True)")
-    assert message_of(error) == "use tls://, or ?insecure=true behind the URL"
+    error = TransportError(
+        "use tls://, or append ?insecure=true to the URL (in code insecure=True)"
+    )
+    assert message_of(error) == "use tls://, or append ?insecure=true to the URL"
 
 
 def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:

@@ -146,7 +146,7 @@ def test_a_url_that_cannot_be_served_at_is_one_sentence(folder: Path, invoke: In
 
     assert result.exit_code == ExitCode.USAGE
     assert "can be reached from other machines" in result.stderr
-    assert "?insecure=true behind the URL" in result.stderr
+    assert "append ?insecure=true to the URL" in result.stderr
     assert "True" not in result.stderr
 
 

@@ -167,7 +167,7 @@ async def test_a_first_attempt_that_fails_for_good_is_an_error_at_once(
     assert await cannot_connect(network, type(refusal), settings) == str(refusal)
 
 
-HINT = ": give one as token=, or behind the URL as ?token="
+HINT = ": give one as token=, or in the URL as ?token="
 UNEXPECTED = f"{WHERE}: a Welcome of version 2 was not expected"
 TOO_EARLY = f"{WHERE}: the first message was a Done, not a Welcome"
 STARTS: dict[str, tuple[Any, str, type[ActionError], str]] = {

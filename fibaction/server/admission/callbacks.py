@@ -91,7 +91,7 @@ class Callbacks:
         """Raise an error if this is called by an async callback of that name about that goal.
 
         A caller that waits for the answer of a callback calls this. If it were the callback itself,
-        it would wait for ever.
+        it would wait forever.
 
         Raises:
             RuntimeError: It is called by that callback, or by a task that the callback has started.

@@ -30,7 +30,7 @@ clean-up absorbs the cancellation.
 An executor may survive being killed: it catches each cancellation and awaits again, or it waits
 where no cancellation arrives. Since `Steps` drives the coroutine, it can stop doing so: it gives
 the coroutine up after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To the
-task, the coroutine has then returned. The coroutine is kept for ever, because Python would
+task, the coroutine has then returned. The coroutine is kept forever, because Python would
 otherwise close it, and run its clean-up in the middle of something else (`_keep_for_ever`).
 
 Giving up may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
@@ -216,7 +216,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         _keep_for_ever(self._coroutine)
         scopes.steps = None
         scopes.happen(ScopesEvent.ABANDON)
-        scopes.rest.shield = True  # or tasks that the coroutine has started were canceled for ever
+        scopes.rest.shield = True  # or tasks that the coroutine has started were canceled forever
         self._coroutine = _GivenUp(self._on_given_up())
 
     def __await__(self) -> Generator[Any, Any, T]:

@@ -22,7 +22,7 @@ class ExpiringMap(Generic[T]):
     def __init__(self, seconds: float, limit: int) -> None:
         """Make an empty map.
 
-        Each entry is kept for `seconds` (0 not at all, `math.inf` for ever), and at most `limit`
+        Each entry is kept for `seconds` (0 not at all, `math.inf` forever), and at most `limit`
         entries are kept: the oldest are removed.
         """
         self._seconds = seconds

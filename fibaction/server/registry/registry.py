@@ -96,7 +96,7 @@ class GoalRegistry:
         """Make an empty registry.
 
         `result_timeout` is the time that an ended goal is remembered, in seconds from its end; 0
-        not at all, `math.inf` for ever. `max_results` is the number of ended goals that are
+        not at all, `math.inf` forever. `max_results` is the number of ended goals that are
         remembered at most; the oldest are forgotten. `max_goals` is the number of undecided and
         active goals at most, and `max_bytes` the bytes of all that is held.
         """

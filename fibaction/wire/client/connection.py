@@ -203,7 +203,7 @@ class RemoteConnection(Connection):
         elif isinstance(message, Goodbye):
             is_in = self._reconnector.is_open
             if message.why == Why.FORBIDDEN and not (is_in or self._settings.token):
-                message.reason += ": give one as token=, or behind the URL as ?token="
+                message.reason += ": give one as token=, or in the URL as ?token="
             raise error_of_goodbye(message, self._url)
         elif isinstance(message, Welcome):
             self._begin(message)

@@ -191,7 +191,7 @@ async def test_a_public_address_needs_tls_or_an_explicit_word(
             raise AssertionError("the block must not run")
     assert str(caught.value) == (
         f"tcp://{host}:0 can be reached from other machines: use tls://, or, if the network is"
-        f" your own, ?insecure=true behind the URL (in code insecure=True)"
+        f" your own, append ?insecure=true to the URL (in code insecure=True)"
     )
     assert listening == []
     for url in (f"tcp://{host}:0?insecure=true", f"tls://{host}:0?cert={pems().cert}"):
@@ -383,7 +383,7 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
     shown.append(serving.client_settings)
     async with serve(new_server(), serving) as (url,):
         none = (
-            "the server asks for a token, and the client gave none: give one as token=, or behind"
+            "the server asks for a token, and the client gave none: give one as token=, or in"
             " the URL as ?token="
         )
         for wrong, text in (

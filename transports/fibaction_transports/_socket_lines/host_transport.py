@@ -98,7 +98,7 @@ class HostTransport(StreamTransport):
         if not (self._insecure or self._tls or is_loopback(self._host)):
             raise TransportError(
                 f"{self.url} can be reached from other machines: use {self.tls_schemes[0]}://, or,"
-                f" if the network is your own, ?insecure=true behind the URL"
+                f" if the network is your own, append ?insecure=true to the URL"
                 f" (in code insecure=True)"
             )
         context = self._tls

@@ -63,7 +63,7 @@ class McpHttpTransport(McpTransport):
     ) -> None:
         """Take an address, and the rules for what a model may do.
 
-        A URL has the settings behind its `?`, with commas between their items, but for `tokens`.
+        A URL has the settings after its `?`, with commas between their items, but for `tokens`.
         With `mcp+https://` it has the paths `ca`, `cert` and `key` as well.
 
         Args:

@@ -57,7 +57,7 @@ class NatsTransport(ConfiguredTransport):
         """Take the brokers and the fleet, and the settings of each transport over the wire.
 
         A URL has `worker`, `lease`, `replicas`, `creds` and the text, number and boolean settings
-        behind its `?`, and the login for the brokers before an `@`. With `nats+tls://` it has the
+        after its `?`, and the login for the brokers before an `@`. With `nats+tls://` it has the
         paths `ca`, `cert` and `key` as well.
 
         Args:

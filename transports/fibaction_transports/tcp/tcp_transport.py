@@ -31,7 +31,7 @@ class TcpTransport(HostTransport):
     ) -> None:
         """Take an address, and the settings of every transport over the wire protocol.
 
-        A URL has `insecure` and the text, number and boolean settings behind its `?`. With `tls://`
+        A URL has `insecure` and the text, number and boolean settings after its `?`. With `tls://`
         it has the paths `ca`, `cert` and `key` as well.
 
         Args:

@@ -28,7 +28,7 @@ class UnixTransport(StreamTransport):
     def __init__(self, path: str | os.PathLike[str], **settings: Unpack[WireKeywords]) -> None:
         """Take the path of the socket, and the settings of every transport over the wire protocol.
 
-        A URL has the text, number and boolean settings behind its `?`.
+        A URL has the text, number and boolean settings after its `?`.
 
         Raises:
             TypeError, ValueError: As for `TcpTransport`.

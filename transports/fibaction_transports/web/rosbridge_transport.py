@@ -77,7 +77,7 @@ class RosbridgeTransport(WebSocketTransport):
     ) -> None:
         """Take an address, and the settings of a client.
 
-        A URL has the text, number and boolean settings behind its `?`. With `rosbridges://` it has
+        A URL has the text, number and boolean settings after its `?`. With `rosbridges://` it has
         the paths `ca`, `cert` and `key` as well.
 
         Args:

@@ -64,7 +64,7 @@ class WebSocketTransport(HostTransport):
         """Take an address, and the settings of every transport over the wire protocol.
 
         A URL has `insecure`, `hosts` and `origins`, with commas between their items, and the text,
-        number and boolean settings behind its `?`. With `wss://` it has the paths `ca`, `cert` and
+        number and boolean settings after its `?`. With `wss://` it has the paths `ca`, `cert` and
         `key` as well.
 
         Args:

@@ -92,7 +92,7 @@ class PendingAnswers:
                 answer.set_result(message)
 
     async def expire(self) -> None:
-        """Tell each write that has no answer in time, for ever."""
+        """Tell each write that has no answer in time, forever."""
         loop = asyncio.get_running_loop()
         while True:
             while not self._acks:

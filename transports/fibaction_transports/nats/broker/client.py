@@ -7,7 +7,7 @@ Theory of operation
 
 - Its methods swallow cancellation in places, and need tasks and futures for each message. Here
   callers put commands into a queue, and `_write` joins those of one turn of the event loop.
-- Its way to connect again keeps commands of the lost connection, may wait for ever until the lost
+- Its way to connect again keeps commands of the lost connection, may wait forever until the lost
   one is closed, and ends for good after some errors. Here `keep_connected` connects again, and
   subscribes to everything again.
 - Its `close` waits for a broker that is frozen. Here the messages before have a limited time.
@@ -259,11 +259,11 @@ class NatsClient:
     # Tasks
 
     async def expire(self) -> None:
-        """Tell each write that has no answer in time, for ever."""
+        """Tell each write that has no answer in time, forever."""
         await self._pending.expire()
 
     async def keep_connected(self) -> None:
-        """Connect again each time the connection is lost, for ever."""
+        """Connect again each time the connection is lost, forever."""
         while True:
             socket = self._socket
             if socket is None or not socket.is_lost:

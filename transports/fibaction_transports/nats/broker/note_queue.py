@@ -42,7 +42,7 @@ class NoteQueue:
         self._news = Notifier()
 
     async def notes(self) -> AsyncGenerator[Note, None]:
-        """Take the notes, for ever."""
+        """Take the notes, forever."""
         inbox = self._client.new_inbox()
         subscription = None
         self._client.to_notify.add(self._news)

@@ -109,7 +109,7 @@ class Exchange:
     # The request
 
     def parameter(self, name: str) -> str | None:
-        """Return a parameter behind the `?`; None if it is not there."""
+        """Return a parameter after the `?`; None if it is not there."""
         return self._query.get(name)
 
     def seconds(self, name: str, most: float) -> float | None:
