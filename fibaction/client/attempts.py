@@ -45,6 +45,9 @@ LEAVE_TIMEOUT = 5.0
 """Seconds to wait for the answer to the cancel of a goal that its client leaves: longer than an
 answer takes, and as long as it takes to detect a dead peer."""
 
+STATUS_TIMEOUT = 1.0
+"""Seconds to wait for the status of a goal that has timed out; the cancel comes afterwards."""
+
 logger = clean_logger("fibaction.client")
 
 
@@ -152,10 +155,12 @@ class Attempts:
         if current_time() < self._deadline:
             with CancelScope(deadline=self._deadline):
                 return await wait(stream)
-            if self._expired is not None:
-                await self._expire(stream)  # the outcome may be that of the cancel of another wait
+            if self._expired is not None:  # the outcome may be that of another wait's cancel
+                await self._expire(stream.status)
         if stream.known_outcome() is None:
-            await self._expire(stream)
+            status = await self._status_of(stream)
+            if stream.known_outcome() is None:  # it may have arrived before the answer
+                await self._expire(status)
         return await wait(stream)
 
     async def follow_again(self, error: ConnectionLost, lost: GoalStream) -> GoalStream:
@@ -259,12 +264,24 @@ class Attempts:
         if current_time() < self._deadline:
             with CancelScope(deadline=self._deadline):
                 return await wait()
-        return await self._expire(lost)
+        return await self._expire(GoalStatus.UNKNOWN if lost is None else lost.status)
 
-    async def _expire(self, stream: GoalStream | None) -> NoReturn:
-        """Cancel the goal, and raise `GoalTimeout`."""
+    async def _status_of(self, stream: GoalStream) -> GoalStatus:
+        """Return the status of a goal that has not ended, as new as it can be known."""
+        known = stream.status
+        if stream.reads or known is not GoalStatus.ACCEPTED or self._expired is not None:
+            return known
+        with anyio.move_on_after(STATUS_TIMEOUT):
+            try:
+                with await self._endpoint.feedback(self._goal_id, own=True) as newer:
+                    return max(known, newer.status)
+            except ActionError:
+                pass  # the cancel is answered with the same error, and logs it
+        return known
+
+    async def _expire(self, status: GoalStatus) -> NoReturn:
+        """Cancel the goal, and raise `GoalTimeout`, which tells the status."""
         if self._expired is None:
-            status = GoalStatus.UNKNOWN if stream is None else stream.status
             self._expired = GoalTimeout(
                 f"it took longer than {self._timeout:g} s, and {self._progress(status)}",
                 goal_id=self._goal_id,

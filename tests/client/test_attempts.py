@@ -25,6 +25,7 @@ from fibaction import (
     GoalStatus,
     GoalTimeout,
     Retry,
+    Schedule,
     ServerNotFound,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
@@ -175,6 +176,50 @@ async def test_the_error_tells_the_progress(timeout: float, count: int, progress
     assert (error.status, error.feedback_count) == (GoalStatus.EXECUTING, count)
     assert error.feedback == (Feedback([count]) if count else None)
     assert error.reason == f"it took longer than {timeout:g} s, and was {progress}"
+
+
+@pytest.mark.parametrize(
+    ("answer", "seconds"),
+    [(None, 2), (0.5, 2.5), (HANG, 3), (ServerNotFound("gone"), 2)],
+    ids=["at once", "later", "never", "an error"],
+)
+async def test_the_status_of_a_goal_without_feedback_is_asked_for_before_its_cancel(
+    answer: object, seconds: float
+) -> None:
+    schedule = Schedule(concurrency=1, queue=1)
+    async with ActionServer(FIBONACCI, slow, schedule=schedule) as server:
+        endpoint = Scripted(server, follows=[answer])
+        async with ActionClient(server, FIBONACCI).send_goal(Goal(9)):
+            watch = Watch()
+            error = await timed_out(endpoint.client.call(Goal(1), timeout=2))
+            assert watch.shows(seconds)
+    assert endpoint.calls == ["send", "follow", "cancel"]
+    assert error.status is GoalStatus.ACCEPTED
+
+
+async def test_the_status_of_a_goal_is_asked_for_once_and_not_if_changes_of_it_are_told() -> None:
+    schedule = Schedule(concurrency=1, queue=1)
+    async with ActionServer(FIBONACCI, slow, schedule=schedule) as server:
+        endpoint = Scripted(server)
+        async with ActionClient(server, FIBONACCI).send_goal(Goal(9)):
+            goal = await endpoint.client.send_goal(Goal(1), timeout=2)
+            await timed_out(goal.outcome())
+            assert endpoint.calls == ["send", "cancel"]
+            endpoint.steps["cancel"] = [ServerNotFound("gone")]
+            goal = await endpoint.client.send_goal(Goal(1), timeout=2)
+            goal.feedback.stream.close()
+            for _ in range(2):
+                await timed_out(goal.outcome())
+            assert endpoint.calls[2:] == ["send", "follow", "cancel"]
+
+
+async def test_an_outcome_that_arrives_while_the_status_is_asked_for_counts() -> None:
+    schedule = Schedule(concurrency=1, queue=1)
+    async with ActionServer(FIBONACCI, slow, schedule=schedule) as server:
+        endpoint = Scripted(server, follows=[1.5])
+        async with ActionClient(server, FIBONACCI).send_goal(Goal(1)):
+            assert await endpoint.client.call(Goal(1), timeout=0.75) == Result([1])
+    assert endpoint.calls == ["send", "follow"]
 
 
 @pytest.mark.parametrize("cancel", [HANG, None], ids=["no answer", "answer"])

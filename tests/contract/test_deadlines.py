@@ -25,6 +25,7 @@ from fibaction import (
     GoalTimeout,
     LimitReached,
     Retry,
+    Schedule,
     ServerNotFound,
     UnknownGoal,
 )
@@ -124,6 +125,31 @@ async def test_a_timeout_tells_the_status_and_the_feedback_that_was_read(reach: 
         f"goal {error.goal_id} timed out: it took longer than 1.5 s, and was EXECUTING after 3"
         " feedback messages"
     )
+
+
+@pytest.mark.promise("DEADLINE-1")
+async def test_a_timeout_tells_the_status_to_a_client_that_reads_no_feedback(reach: Reach) -> None:
+    steps = Steps()
+    async with reach(ActionServer(FIBONACCI, steps)) as client:
+        with pytest.raises(GoalTimeout) as caught:
+            await client.call(Goal(3), timeout=ACCEPTED)
+        await steps.canceled.wait()
+    assert caught.value.status is GoalStatus.EXECUTING
+    assert str(caught.value).endswith("longer than 1.5 s, and was EXECUTING")
+
+
+@pytest.mark.promise("DEADLINE-1")
+async def test_a_timeout_tells_a_client_without_feedback_that_its_goal_still_waits(
+    reach: Reach,
+) -> None:
+    steps = Steps()
+    server = ActionServer(FIBONACCI, steps, schedule=Schedule(concurrency=1, queue=1))
+    async with reach(server) as client, client.send_goal(Goal(0)) as first:
+        with pytest.raises(GoalTimeout) as caught:
+            await client.call(Goal(3), timeout=ACCEPTED)
+        assert caught.value.status is GoalStatus.ACCEPTED
+        steps.go_on.set()
+        await first.result()
 
 
 class Deciding(ForwardingEndpoint):
