@@ -12,6 +12,7 @@ from typing import Any
 
 from fibaction.border.abc import Transport
 from fibaction.words.errors import InvalidURL, TransportError
+from fibaction.words.extras import MissingExtra
 
 GROUP = "fibaction.transports"
 
@@ -59,6 +60,8 @@ def transport_class(scheme: str) -> type[Transport]:
         transport: type[Transport] = found[0].load()
     except TransportError:
         raise  # it says by itself what it needs
+    except MissingExtra as exc:
+        raise TransportError(f"{scheme}:// needs {exc.advice}") from exc
     except ModuleNotFoundError as exc:
         raise TransportError(
             f"{scheme}:// needs the module {exc.name!r}, which is not installed: install it,"

@@ -11,8 +11,8 @@ from functools import cache
 from importlib import import_module
 from typing import Any, Final
 
-EXTRA: Final = "fibaction[ros-types]"
-"""The extra that installs the library."""
+INSTALL: Final = "pip install 'fibaction[ros-types]'"
+"""The command that installs the library."""
 _RELEASE: Final = "LATEST"
 _ROS_2 = 2
 _DEFAULTS = {
@@ -46,4 +46,4 @@ def advice(package: str) -> str:
     """Return what an error adds about a message of a package that is not found."""
     if not package or _store() is not None:
         return ""
-    return f"; {EXTRA} has the messages of ROS's common packages"
+    return f"; to get the messages of ROS's common packages: {INSTALL}"

@@ -15,6 +15,7 @@ import anyio
 from fibaction._runtime.connection_counts import CONNECTIONS
 from fibaction.border.abc import FeedbackItem, Meta
 from fibaction.border.watchers import Watcher
+from fibaction.words.extras import NeedsExtra
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import GoalStatus
 
@@ -85,15 +86,11 @@ class Metrics(Watcher):
         """Add the series to a registry of prometheus-client, or to a new one.
 
         Raises:
-            ImportError: prometheus-client is not installed.
+            MissingExtra: prometheus-client is not installed.
             ValueError: The registry has such series already.
         """
-        try:
+        with NeedsExtra("Metrics", "fibaction[metrics]"):
             import prometheus_client as prometheus
-        except ImportError as exc:
-            raise ImportError(
-                'Metrics needs prometheus-client: pip install "fibaction[metrics]"'
-            ) from exc
         self.registry = prometheus.CollectorRegistry() if registry is None else registry
         """The registry that has the series."""
         into = self.registry

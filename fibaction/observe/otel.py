@@ -23,6 +23,7 @@ from fibaction.border.abc import GoalStream, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.words.errors import ActionError, GoalRejected, GoalTimeout, text_of
+from fibaction.words.extras import NeedsExtra
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender
 from fibaction.words.meta import DETACHED, fitting, parent_in
 from fibaction.words.statuses import GoalStatus
@@ -69,14 +70,10 @@ class Tracing(Watcher):
         """Make spans by this provider, or by the global one.
 
         Raises:
-            ImportError: opentelemetry-api is not installed.
+            MissingExtra: opentelemetry-api is not installed.
         """
-        try:
+        with NeedsExtra("Tracing", "fibaction[otel]"):
             from opentelemetry import context, propagate, trace
-        except ImportError as exc:
-            raise ImportError(
-                'Tracing needs opentelemetry-api: pip install "fibaction[otel]"'
-            ) from exc
         self._context, self._propagate, self._trace = context, propagate, trace
         self._tracer = trace.get_tracer("fibaction", tracer_provider=tracer_provider)
         self._spans: dict[tuple[str, GoalID], Span] = {}

@@ -201,7 +201,7 @@ def test_a_recording_that_cannot_be_exported_is_one_sentence(
         assert (result.exit_code, result.stderr) == (ExitCode.USAGE, f"Error: {problem}\n")
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     result = invoke("export", str(file), str(folder / "today.mcap"))
-    assert result.stderr == 'Error: an MCAP file needs mcap: pip install "fibaction[mcap]"\n'
+    assert result.stderr == "Error: an MCAP file needs mcap: pip install 'fibaction[mcap]'\n"
 
 
 def test_the_messages_that_are_exported_are_counted(folder: Path, invoke: Invoke) -> None:

@@ -60,7 +60,10 @@ def test_without_the_library_there_are_none_and_an_error_says_what_to_install(
 ) -> None:
     path = tmp_path / "Go.action"
     for package, ending in (
-        ("geometry_msgs/", "; fibaction[ros-types] has the messages of ROS's common packages"),
+        (
+            "geometry_msgs/",
+            "; to get the messages of ROS's common packages: pip install 'fibaction[ros-types]'",
+        ),
         ("", str(tmp_path)),
     ):
         path.write_text(f"{package}Thing it\n---\n---\n")

@@ -175,7 +175,7 @@ def test_without_the_library_the_error_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
 
-    with pytest.raises(ImportError, match=r'pip install "fibaction\[metrics\]"$'):
+    with pytest.raises(ImportError, match=r"pip install 'fibaction\[metrics\]'$"):
         Metrics()
 
 

@@ -642,5 +642,5 @@ def test_without_the_library_the_error_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "opentelemetry", None)
 
-    with pytest.raises(ImportError, match=r'pip install "fibaction\[otel\]"$'):
+    with pytest.raises(ImportError, match=r"pip install 'fibaction\[otel\]'$"):
         Tracing()

@@ -11,7 +11,7 @@ import click
 from fibaction._api import ClientConnection, connect, serve
 from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection, Endpoint
-from fibaction.border.urls import without_settings
+from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.action_names import names_of, no_action, shown
 from fibaction.cli.arguments.completion import ACTION
 from fibaction.cli.arguments.namespace_option import NAMESPACE, namespace_option
@@ -111,7 +111,9 @@ async def bridge(
     Raises:
         Failure: There is no action to serve, and none to wait for is named; or a rule is about an
             action that is not there, or gives two actions the same name.
+        TransportError: One of the URLs cannot be used.
     """
+    transport_for(to_url)  # an error of this URL comes before anything is waited for
     async with stop_signals() as stop, connect(from_url) as connection:
         if names:
             await _bridge_named(connection, from_url, to_url, names, renames, stop)

@@ -15,6 +15,7 @@ import msgspec
 
 from fibaction.observe.recordings.recording_file import Event, Record, RecordingError, read_records
 from fibaction.types.action import ActionInfo
+from fibaction.words.extras import NeedsExtra
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -55,14 +56,12 @@ def export_mcap(recording: str | Path, path: str | Path) -> int:
     message whose payload JSON cannot express has no `data`.
 
     Raises:
-        ImportError: mcap is not installed.
+        MissingExtra: mcap is not installed.
         OSError: The recording cannot be read, or the file cannot be written.
         RecordingError: There are no servers in the file.
     """
-    try:
+    with NeedsExtra("an MCAP file", "fibaction[mcap]"):
         from mcap.writer import Writer
-    except ImportError as exc:
-        raise ImportError('an MCAP file needs mcap: pip install "fibaction[mcap]"') from exc
     count = 0
     with open(path, "wb") as file:
         writer = Writer(file)

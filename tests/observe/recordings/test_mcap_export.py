@@ -136,5 +136,5 @@ def test_without_mcap_the_error_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(ImportError, match=r'pip install "fibaction\[mcap\]"'):
+    with pytest.raises(ImportError, match=r"pip install 'fibaction\[mcap\]'"):
         export_mcap(tmp_path / "recording.jsonl", tmp_path / "recording.mcap")

@@ -24,6 +24,7 @@ import msgspec
 from fibaction import __version__
 from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import AuthenticationFailed, LimitReached, TransportError
+from fibaction.words.extras import MissingExtra, NeedsExtra
 from fibaction_transports.nats.settings import FleetSettings
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class NatsCredentials:
 
         Raises:
             ValueError: It is not the secret key of a user.
-            ModuleNotFoundError: The library that signs is not installed.
+            MissingExtra: The library that signs is not installed.
         """
         self._key = _key_of(seed)
         self._jwt = jwt
@@ -98,10 +99,8 @@ class NatsCredentials:
         jwts = [word for word in words if word.startswith("eyJ") and word.count(".") == 2]
         try:
             return cls(seeds[0], jwts[0] if jwts else "")
-        except ModuleNotFoundError as exc:
-            raise TransportError(
-                f"credentials files need the package {exc.name!r}: install fibaction[nats]"
-            ) from exc
+        except MissingExtra as exc:
+            raise TransportError(str(exc)) from exc
         except (IndexError, ValueError):
             raise TransportError(
                 f"{path} is not a credentials file: it has no secret key of a user of NATS"
@@ -122,9 +121,10 @@ def _key_of(seed: str) -> Ed25519PrivateKey:
 
     Raises:
         ValueError: It is not the secret key of a user.
-        ModuleNotFoundError: The library that signs is not installed.
+        MissingExtra: The library that signs is not installed.
     """
-    from cryptography.hazmat.primitives.asymmetric import ed25519
+    with NeedsExtra("a credentials file of NATS", "fibaction[nats]"):
+        from cryptography.hazmat.primitives.asymmetric import ed25519
 
     raw = base64.b32decode(seed + "=" * (-len(seed) % 8))
     key, checksum = raw[:-2], raw[-2:]
