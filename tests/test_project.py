@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -13,6 +18,7 @@ import pytest
 import yaml
 
 import fibaction
+from tests.support.processes import ended, lines_until
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -23,6 +29,8 @@ YAML = [
     ROOT / ".pre-commit-config.yaml",
     ROOT / "CITATION.cff",
 ]
+
+WAITS = "        await anyio.sleep_forever()\n"
 
 if not (ROOT / ".github").exists():
     pytest.skip("an sdist has no files for GitHub", allow_module_level=True)
@@ -140,8 +148,40 @@ def test_the_description_for_the_package_index_has_absolute_links_to_files_that_
     assert "<!--" not in text
 
 
+def programs_of(page: str) -> list[str]:
+    return [part.partition("```")[0] for part in page.split("```python\n")[1:]]
+
+
 def test_readme_begins_with_a_short_program() -> None:
-    program = README.partition("```python\n")[2].partition("```")[0]
+    program = programs_of(README)[0]
 
     assert len(program.splitlines()) <= 25
     assert "get_cancelled_exc_class" not in program
+    executor = next(part for part in ast.parse(program).body if hasattr(part, "decorator_list"))
+    assert executor.end_lineno is not None
+    assert executor.end_lineno - executor.lineno < 12
+
+
+def test_readme_and_the_first_page_open_with_the_same_program() -> None:
+    index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+
+    assert programs_of(README)[0] == programs_of(index)[0]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process gets no Ctrl-C alone there")
+def test_the_server_of_readme_ends_at_ctrl_c_without_a_traceback() -> None:
+    before, found, after = "\n".join(programs_of(README)[:3]).partition(WAITS)
+    assert found
+    serving = before.replace(":7400", ":0") + '        print("serving", flush=True)\n'
+    process = subprocess.Popen(
+        [sys.executable, "-c", serving + WAITS + after],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'transports'}"},
+    )
+    lines_until("serving", process)
+    process.send_signal(signal.SIGINT)
+
+    assert ended(process) == (0, "", "")
