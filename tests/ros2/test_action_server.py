@@ -37,6 +37,7 @@ from fibaction_transports.ros2.on_rclpy.waitable import Requests
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.server import action_server, feedback_topic, service_server
 from fibaction_transports.ros2.server.action_server import RosActionServer, ServedEndpoint
+from fibaction_transports.ros2.server.served_statuses import ServedStatuses
 from fibaction_transports.ros2.settings import EndSettings, NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import (
@@ -508,7 +509,7 @@ async def test_every_status_of_a_goal_is_published_though_those_of_all_goals_are
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     published: list[list[GoalStatus]] = []
-    publish = RosActionServer._publish_status
+    publish = ServedStatuses._publish
 
     def record(self: Any, message: bytes) -> None:
         published.append([info_of(line).status for line in unpack_lines(lines_in(message))])
@@ -517,7 +518,7 @@ async def test_every_status_of_a_goal_is_published_though_those_of_all_goals_are
     async def never(self: Any) -> None:
         await anyio.sleep_forever()
 
-    monkeypatch.setattr(RosActionServer, "_publish_status", record)
+    monkeypatch.setattr(ServedStatuses, "_publish", record)
     monkeypatch.setattr(RosActionServer, "_follow_statuses", never)
     async with both_ends(url) as client:
         assert await client.call(Goal(3)) == Result([0, 1, 1, 2])

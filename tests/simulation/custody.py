@@ -83,9 +83,9 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
             "places": scheduler._entries,
             "keys": scheduler._groups,
             "goals that wait": scheduler._waiting,
-            "goals that may take too long": scheduler._timed,
-            "goals with successors": scheduler._told,
-            "goals that clean up": scheduler._interrupted,
+            "goals that may take too long": scheduler._timed.running,
+            "goals with successors": scheduler._timed.told,
+            "goals that clean up": scheduler._timed.interrupted,
             "waits for successors": dispatcher._successor_news,
             "owners of places": dispatcher._shared._owners,
         }

@@ -239,7 +239,7 @@ def a_goal_is_preempted_for_one_that_has_left(real: Any) -> Any:
     def _remove(self: Scheduler, entry: Entry) -> None:
         predecessor, entry.predecessor = entry.predecessor, None
         real(self, entry)
-        if predecessor is not None and predecessor.goal_id not in self._told:
+        if predecessor is not None and predecessor.goal_id not in self._timed.told:
             predecessor.successor = None
 
     return _remove
@@ -266,7 +266,7 @@ def a_take_over_takes_a_second_place(_real: Any) -> Any:
     """Keep the place of the goal that ended when its successor was taken over."""
 
     def take_over(self: Scheduler, goal_id: GoalID, now: float) -> GoalID | None:
-        entry = self._told.pop(goal_id)
+        entry = self._timed.told.pop(goal_id)
         successor, entry.successor = entry.successor, None
         assert successor is not None
         successor.predecessor = None

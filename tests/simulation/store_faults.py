@@ -13,6 +13,7 @@ from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.durability.keeper import NoStoreKeeper
 from fibaction.server.durability.lost_attempts import LostAttempts
 from fibaction.server.durability.recovery import Recovery
+from fibaction.server.execution import runs
 from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
@@ -263,14 +264,14 @@ def the_outcome_of_a_restored_goal_expires_at_once(real: Any) -> Any:
 # At a stop
 
 
-@mistake(Runs, "_is_kept", 192, 52)
+@mistake(runs, "is_kept", 192, 52)
 def a_goal_that_is_kept_is_told_as_aborted(_real: Any) -> Any:
     """End goals at a planned restart that are to be kept."""
 
-    def _is_kept(self: AnyRuns, *_: Any, **_keywords: Any) -> bool:
+    def is_kept(*_: Any, **_keywords: Any) -> bool:
         return False
 
-    return _is_kept
+    return is_kept
 
 
 @mistake(GoalKeeper, "release", 192, 52)
