@@ -42,7 +42,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest release ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -184,6 +184,35 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -q -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache $(ways_elsewhere) $(addprefix ../,$(OF_A_WHEEL))
 OF_A_WHEEL := tests/contract/test_accepting.py tests/contract/test_scheduling.py tests/test_examples.py tests/test_init.py tests/test_main.py tests/transports/web/test_assets.py
+
+# Everything but the upload, in a checkout without other changes. What a person does then is in
+# docs/contributing.md.
+release: $(VENV)/.release $(VENV)/.docs  ## Prepare a release, VERSION=0.1.0: files, packages and site, without the upload
+	@[ -n "$(VERSION)" ] || { echo "say which version: make release VERSION=0.1.0"; exit 2; }
+	$(BIN)/python -m tests.tools.release prepare $(VERSION)
+	rm -rf dist build/release
+	mkdir -p build/release
+	$(BIN)/python -m build --quiet --outdir dist .
+	$(BIN)/python -m twine check --strict dist/*
+	@for extra in $(EXTRAS); do \
+	    $(MAKE) --no-print-directory build/release/$$extra VERSION=$(VERSION) || exit; \
+	done
+	npm pack --silent --pack-destination build/release ./$(JAVASCRIPT_PACKAGE)
+	$(BIN)/python docs/build.py
+	$(BIN)/python -m tests.tools.release check $(VERSION)
+
+JAVASCRIPT_PACKAGE := transports/fibaction_transports/web/javascript
+EXTRAS = none all $(shell sed -n '/^\[project.optional-dependencies\]/,/^$$/s/^\([a-z-]*\) = .*/\1/p' pyproject.toml)
+extra_of = $(filter-out [none],[$(if $(filter all,$(1)),$(subst $(space),$(comma),$(filter-out none all,$(EXTRAS))),$(1))])
+comma := ,
+space := $() $()
+
+# An environment with the wheel and one extra, and what the extra is for, tried there.
+build/release/%:
+	@$(call new_venv,$@)
+	@$(call install,$@) "$(strip fibaction$(call extra_of,$*) @ file://$(abspath $(wildcard dist/*.whl)))"
+	@cd build/release && $(no_other_ros) $*/bin/python -P $(CURDIR)/tests/tools/release/extras.py $* $(VERSION)
+	@rm -r $@
 
 build/consumer%:
 	$(call new_venv,$@)

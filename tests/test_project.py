@@ -66,7 +66,7 @@ def test_a_workflow_makes_targets_that_exist_and_has_a_time_limit(path: Path) ->
             assert set(named) <= targets()
     assert workflow["permissions"] == {"contents": "read"}
     for name, job in workflow["jobs"].items():
-        assert "timeout-minutes" in job or name == "publish"
+        assert "timeout-minutes" in job or name.startswith("publish")
 
 
 def test_every_long_trial_runs_each_night() -> None:
@@ -118,6 +118,19 @@ def test_the_version_is_one_in_every_place() -> None:
 
     assert fibaction.__version__ == PROJECT["version"] == str(citation["version"])
     assert citation["repository-code"] == PROJECT["urls"]["Repository"]
+
+
+def test_the_header_of_the_site_has_the_version_and_the_repository() -> None:
+    site = tomllib.loads((ROOT / "zensical.toml").read_text(encoding="utf-8"))["project"]
+    header = (ROOT / site["theme"]["custom_dir"] / "partials/source.html").read_text("utf-8")
+
+    assert site["extra"]["version"] == PROJECT["version"]
+    assert site["repo_url"] == PROJECT["urls"]["Repository"]
+    assert PROJECT["urls"]["Repository"].endswith(f"/{site['repo_name']}")
+    for shown in ("config.repo_url", "config.repo_name", "config.extra.version"):
+        assert f"{{{{ {shown} }}}}" in header
+    # The script of the theme would ask the host of the repository for figures.
+    assert "data-md-component" not in header
 
 
 def test_every_url_of_the_project_is_in_its_repository() -> None:
