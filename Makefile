@@ -183,7 +183,7 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	$(call install,build/wheel) dist/*.whl --group test
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -q -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache $(ways_elsewhere) $(addprefix ../,$(OF_A_WHEEL))
-OF_A_WHEEL := tests/contract/test_accepting.py tests/contract/test_scheduling.py tests/test_examples.py tests/test_init.py tests/test_main.py tests/transports/web/test_assets.py
+OF_A_WHEEL := tests/contract/test_accepting.py tests/contract/test_scheduling.py tests/test_examples.py tests/test_init.py tests/test_main.py tests/test_stories.py tests/transports/web/test_assets.py
 
 # Everything but the upload, in a checkout without other changes. What a person does then is in
 # docs/contributing.md.
@@ -242,7 +242,7 @@ NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills pa
     transports/mcp/test_page.py $(RTPS_WITHOUT_SOCKETS) transports/web/test_assets.py \
     words/test_goals.py words/test_statuses.py \
     test_answers.py test_contributing.py test_cookbook.py test_docs.py test_examples.py test_guarantees.py \
-    test_notebook_page.py test_project.py test_structure.py test_style.py test_way_of_a_goal.py
+    test_notebook_page.py test_project.py test_stories.py test_structure.py test_style.py test_way_of_a_goal.py
 RTPS_WITHOUT_SOCKETS := $(patsubst tests/%,%,$(filter-out %/test_network.py,$(wildcard tests/transports/rtps/test_*.py)))
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
