@@ -42,7 +42,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest release ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest release lock audit ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -200,6 +200,21 @@ release: $(VENV)/.release $(VENV)/.docs  ## Prepare a release, VERSION=0.1.0: fi
 	npm pack --silent --pack-destination build/release ./$(JAVASCRIPT_PACKAGE)
 	$(BIN)/python docs/build.py
 	$(BIN)/python -m tests.tools.release check $(VERSION)
+
+# The newest versions, in an environment of their own. The workflows install with them.
+lock:  ## Write the versions of the check's tools and libraries into tests/tools/lock.txt
+	rm -rf build/lock
+	mkdir -p build
+	$(call new_venv,build/lock)
+	$(call install,build/lock) -e . $(addprefix --group ,test browser check docs release)
+	build/lock/bin/python -m tests.tools.lock > build/lock/lock.txt
+	cp build/lock/lock.txt tests/tools/lock.txt
+
+audit:  ## Look for known security problems in the libraries of the check, Python's and Node's
+	$(call new_venv,build/audit)
+	$(call install,build/audit) --group audit
+	build/audit/bin/python -m pip_audit --no-deps --disable-pip --requirement tests/tools/lock.txt
+	cd tests/javascript && npm audit
 
 JAVASCRIPT_PACKAGE := transports/fibaction_transports/web/javascript
 EXTRAS = none all $(shell sed -n '/^\[project.optional-dependencies\]/,/^$$/s/^\([a-z-]*\) = .*/\1/p' pyproject.toml)
