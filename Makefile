@@ -26,7 +26,7 @@ ROS_VENV := .venv-$(ROS_GROUP)
 ROS_BIN := $(ROS_VENV)/bin
 # A package comes before those that need it.
 INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs \
-    $(addprefix tests/ros2/interfaces/,nav2_msgs trajectory_msgs control_msgs moveit_msgs)
+    $(addprefix tests/ros2/interfaces/,nav2_msgs nav_msgs trajectory_msgs control_msgs moveit_msgs)
 # The tests use this environment, and not a ROS that was sourced in the shell.
 no_other_ros = env -u AMENT_PREFIX_PATH -u PYTHONPATH -u RMW_IMPLEMENTATION
 

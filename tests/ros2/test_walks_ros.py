@@ -8,16 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from tests.ros2.test_node_pages import PAGES as WITH_NODES
 from tests.ros2.test_robot_pages import ROBOTS
 from tests.support.pages import blocks_of
 from tests.support.walks import file_of, walk
 from tests.test_docs import DOCS, PAGES, ROOT
 
-WITH_ROBOTS = {page for pages in ROBOTS.values() for page in pages}
+WITH_OTHERS = {page for pages in (*ROBOTS.values(), WITH_NODES) for page in pages}
+"""The pages whose programs need other nodes around them, and have tests with these."""
 WALKS = [
     path
     for path in PAGES
-    if ", where ROS 2 is -->" in path.read_text(encoding="utf-8") and path.stem not in WITH_ROBOTS
+    if ", where ROS 2 is -->" in path.read_text(encoding="utf-8") and path.stem not in WITH_OTHERS
 ]
 PAGE = DOCS / "first_action.md"
 PACKAGE = "drive_msgs"

@@ -15,6 +15,7 @@ import rclpy
 from action_msgs.msg import GoalStatusArray
 from action_msgs.srv import CancelGoal
 from arduinobot_msgs.action import Fibonacci
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Log
 from rclpy.action import ActionClient
 from rclpy.action.graph import (
@@ -50,6 +51,7 @@ class Client:
         self.node = rclpy.create_node(name)
         self._clients: dict[Any, Any] = {}
         self._handles: dict[str, Any] = {}
+        self._results: dict[str, Any] = {}
         self._feedback: dict[str, list[list[int]]] = {}
         self._statuses: dict[str, list[list[Any]]] = {}
         self._log: list[list[str]] = []
@@ -124,8 +126,14 @@ class Client:
         answers = [await result for result in results]
         return [{"status": a.status, "sequence": list(a.result.sequence)} for a in answers]
 
+    async def request_result(self, goal: str) -> None:
+        """Request a result, for which `result` will wait."""
+        self._results[goal] = self._handles[goal].get_result_async()
+
     async def result(self, goal: str) -> dict[str, Any]:
-        answer = await self._handles[goal].get_result_async()
+        if goal not in self._results:
+            await self.request_result(goal)
+        answer = await self._results.pop(goal)
         return {"status": answer.status, "sequence": list(answer.result.sequence)}
 
     async def handle_status(self, goal: str) -> int:
@@ -165,6 +173,13 @@ class Client:
 
     async def log(self) -> list[list[str]]:
         return self._log
+
+    async def change_state(self, node: str, transition: int) -> bool:
+        """Let a lifecycle node change its state; return whether it has."""
+        request = ChangeState.Request()
+        request.transition.id = transition
+        answer = await self._call(ChangeState, f"{node}/change_state", request)
+        return bool(answer.success)
 
     async def graph(self) -> Any:
         return get_action_names_and_types(self.node)
