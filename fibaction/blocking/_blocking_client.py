@@ -98,13 +98,15 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         """
         return self._loop.run(lambda: self._client.cancel_goals(goal_id, before=before))
 
-    def goals(self) -> list[GoalInfo]:
+    def goals(self, *, results: bool = False) -> list[GoalInfo]:
         """Return every goal that the server knows: those that have ended, then the active ones.
+
+        With `results`, each that has ended is asked for its result, one request for each.
 
         Raises:
             ActionError: As for `ActionClient.goals`.
         """
-        return self._loop.run(self._client.goals)
+        return self._loop.run(lambda: self._client.goals(results=results))
 
     def wait_for_server(self, timeout: float | None = None) -> None:
         """Wait until the action is served.

@@ -34,9 +34,10 @@ from typing import TypeAlias
 
 import msgspec
 
+from fibaction._runtime.text import LENGTH, shortened
 from fibaction.words.errors import StoreError
-from fibaction.words.goals import GoalID, Sender, child_id
-from fibaction.words.meta import meta_after_end
+from fibaction.words.goals import GoalID, GoalInfo, Sender, child_id
+from fibaction.words.meta import meta_after_end, parent_in
 from fibaction.words.statuses import GoalStatus
 
 
@@ -82,12 +83,31 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     meta: dict[str, str] | None = None
     """The small text map that came with the goal, of which the parent is left after the end, unless
     the goal was given up; None if it is empty."""
+    began_at: int = 0
+    """Time at which the first attempt began: nanoseconds since 1970; 0 if none has, or if an
+    earlier version of fibaction has run it."""
 
     @property
     def told_status(self) -> GoalStatus:
         """The status that clients know: an active goal that has begun is EXECUTING."""
         has_begun = self.attempt and self.status is GoalStatus.ACCEPTED
         return GoalStatus.EXECUTING if has_begun else self.status
+
+    @property
+    def info(self) -> GoalInfo:
+        """The goal as an entry of a list."""
+        return GoalInfo(
+            self.goal_id,
+            self.stamp,
+            self.told_status,
+            self.feedback_count,
+            str(self.sender),
+            attempt=max(self.attempt, 1),
+            parent=parent_in(self.meta),
+            began_at=self.began_at or None,
+            ended_at=self.ended_at or None,
+            reason=shortened(self.reason, LENGTH),
+        )
 
     @property
     def is_given_up(self) -> bool:
@@ -215,7 +235,9 @@ class GoalJournal(ABC):
 
     @abstractmethod
     def begin(self, goal: StoredGoal, then: Then) -> None:
-        """Keep that an attempt begins: `is_running`, `attempt` and `lost` have changed."""
+        """Keep that an attempt begins: `is_running`, `attempt`, `lost` and, with the first one,
+        `began_at` have changed.
+        """
 
     @abstractmethod
     def cancel(self, goal: StoredGoal, then: Then) -> None:

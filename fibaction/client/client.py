@@ -13,8 +13,8 @@ Following and leaving a goal: see `goal`. Timeouts and retries: see `attempts`.
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
 from operator import index
 from typing import Generic
 
@@ -27,6 +27,7 @@ from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.attempts import Attempts, cancel_left, check_is_retry, check_timeout
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
+from fibaction.client.goal_results import with_result
 from fibaction.client.goal_span import NO_SPAN, GoalTracer
 from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
@@ -212,8 +213,10 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         self._thread.check()
         return await self.endpoint.cancel_goals(goal_id, before)
 
-    async def goals(self) -> list[GoalInfo]:
+    async def goals(self, *, results: bool = False) -> list[GoalInfo]:
         """Return every goal that the server knows: those that have ended, then the active ones.
+
+        With `results`, each that has ended is asked for its result, one request for each.
 
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
@@ -221,7 +224,10 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """
         self._thread.check()
         with await self.endpoint.status() as statuses:
-            return await statuses.listed()
+            infos = await statuses.listed()
+        if results:
+            infos = [await with_result(self.endpoint, self.action.result, one) for one in infos]
+        return infos
 
     def events(self, *, feedback: bool = True) -> AbstractAsyncContextManager[Events[FeedbackT]]:
         """Return a block whose value is an iterator over all events of the action's goals.
@@ -238,13 +244,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
         """
-        return self._events(feedback)
-
-    @asynccontextmanager
-    async def _events(self, feedback: bool) -> AsyncGenerator[Events[FeedbackT], None]:
-        self._thread.check()
-        async with events_of(self.endpoint, self.action.feedback, feedback=feedback) as events:
-            yield events
+        return events_of(self.endpoint, self.action.feedback, self._thread, feedback=feedback)
 
     async def wait_for_server(self, timeout: float | None = None) -> None:
         """Wait until the action is served.

@@ -39,6 +39,7 @@ import msgspec
 from anyio.abc import TaskGroup
 from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStream
 
+from fibaction._runtime.own_thread import OwnThread
 from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.types.action import Codec, FeedbackT
@@ -111,13 +112,15 @@ _Sink: TypeAlias = MemoryObjectSendStream[GoalInfo | GoalFeedback[FeedbackT] | A
 
 @asynccontextmanager
 async def events_of(
-    endpoint: Endpoint, codec: Codec[FeedbackT], *, feedback: bool
+    endpoint: Endpoint, codec: Codec[FeedbackT], thread: OwnThread, *, feedback: bool
 ) -> AsyncGenerator[Events[FeedbackT], None]:
     """Follow all goals of the endpoint, beginning with those that it knows now.
 
     Raises:
         TransportError: The server cannot be asked: see `Endpoint.status`.
+        RuntimeError: This is another thread than that of the client.
     """
+    thread.check()
     with await endpoint.status() as statuses:
         send, receive = anyio.create_memory_object_stream[
             GoalInfo | GoalFeedback[FeedbackT] | ActionError

@@ -80,6 +80,9 @@ class MonitoredGoal:
             parent=info.parent or self.info.parent,
             place=waiting.place,
             queue_length=waiting.queue_length,
+            began_at=info.began_at or self.info.began_at,
+            ended_at=info.ended_at or self.info.ended_at,
+            reason=info.reason or self.info.reason,
         )
 
     def add_feedback(self, event: GoalFeedback[Any]) -> int:

@@ -55,6 +55,8 @@ class StateRecord(msgspec.Struct, array_like=True, tag=2, gc=False):
     is_running: bool
     attempt: int
     lost: int
+    began_at: int = 0
+    """The time of the first begin; 0 if there was none, or in a row of an earlier version."""
 
 
 class CheckpointRecord(msgspec.Struct, array_like=True, tag=3, gc=False):
@@ -101,7 +103,13 @@ _decode = msgspec.msgpack.Decoder(list[Record], dec_hook=_made).decode
 def moved(action: str, goal: StoredGoal) -> StateRecord:
     """Return the record of a begin, a cancel or a release."""
     return StateRecord(
-        action, goal.goal_id, int(goal.status), goal.is_running, goal.attempt, goal.lost
+        action,
+        goal.goal_id,
+        int(goal.status),
+        goal.is_running,
+        goal.attempt,
+        goal.lost,
+        goal.began_at,
     )
 
 
@@ -196,6 +204,7 @@ class ActionGoals:
             goal.status = GoalStatus(record.status)
             goal.is_running = record.is_running
             goal.attempt, goal.lost = record.attempt, record.lost
+            goal.began_at = record.began_at or goal.began_at
         elif isinstance(record, CheckpointRecord):
             if record.checkpoint != goal.checkpoint:
                 goal.lost = 0  # as in the state that was kept: see `StoredGoal.lost`

@@ -220,6 +220,17 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     has_worker: bool = True
     """False if the goal is active, and no living worker of its fleet has it. `ActionClient.goals`
     tells it; an event does not."""
+    began_at: int | None = None
+    """The time at which its first attempt began: nanoseconds since 1970, by the server's clock;
+    None if it has not begun, or if the transport does not carry it, as ROS."""
+    ended_at: int | None = None
+    """The time of the end; None if the goal is active, or if the transport does not carry it."""
+    reason: str = ""
+    """The reason of an abort or a cancel, cut to 200 characters; empty if there is none, or if the
+    transport does not carry it."""
+    result: Any = None
+    """The result of a goal that has ended; None unless `ActionClient.goals(results=True)` has asked
+    for it."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):

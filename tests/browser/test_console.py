@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
@@ -282,6 +283,19 @@ def test_the_goals_of_others_are_shown_after_a_stop_in_good_order(
         expect(page.locator("#connection")).to_have_text("connected")
         send(page, order="6")
         expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+
+def test_a_goal_that_ended_before_the_page_came_has_its_own_duration(
+    context: BrowserContext, robot: RobotProcess
+) -> None:
+    earlier, page = context.new_page(), context.browser.new_page()  # type: ignore[union-attr]  # it has one
+    open_action(earlier, robot)
+    ended = send(earlier, order="4")
+    expect(goal(earlier).locator(".badge")).to_have_text("✓ succeeded")
+    page.clock.install(time=time.time() + 7200)
+    page.goto(f"{robot.url}/#/fibonacci/{ended}")
+    expect(goal(page).locator(".facts")).to_contain_text(re.compile(r" · \d\.\d s · "))
+    page.close()
 
 
 def test_goals_are_searched_and_filtered(page: Page, robot: RobotProcess) -> None:

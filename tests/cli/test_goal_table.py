@@ -138,6 +138,9 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "attempt": 1,
         "has_worker": True,
         "parent": None,
+        "began_at": None,
+        "ended_at": None,
+        "reason": "",
     }
     ended = GoalRow("a", WAITING, Outcome(GoalStatus.ABORTED, {"n": 1}, "stuck")).json()
     assert (ended["reason"], ended["result"]) == ("stuck", {"n": 1})

@@ -52,6 +52,39 @@ async def test_a_result_can_be_fetched_by_any_client_any_number_of_times(reach: 
             assert raw.status is GoalStatus.SUCCEEDED
 
 
+@pytest.mark.promise("STATUS-10")
+async def test_a_list_of_goals_tells_their_begins_and_ends_and_the_reasons(reach: Reach) -> None:
+    async def failing(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([goal.request.order])
+        if goal.request.order > 1:
+            raise GoalAborted("too far " * 50)
+        await anyio.sleep_forever()
+
+    async with reach(ActionServer(FIBONACCI, failing)) as client:
+        aborted = await client.send_goal(Goal(2))
+        await aborted.outcome()
+        async with client.send_goal(Goal(1)) as active:
+            await anext(aiter(active.feedback))
+            ended, running = await client.goals()
+    assert ended.began_at is not None
+    assert ended.ended_at is not None
+    assert ended.stamp <= ended.began_at <= ended.ended_at <= running.stamp
+    assert (ended.reason[:8], len(ended.reason)) == ("too far ", 200)
+    assert running.began_at is not None
+    assert running.stamp <= running.began_at
+    assert (running.ended_at, running.reason) == (None, "")
+
+
+@pytest.mark.promise("RESULT-2")
+async def test_a_list_of_goals_has_their_results_if_they_are_asked_for(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, fibonacci)) as client:
+        for order in (1, 2):
+            await client.call(Goal(order))
+        assert [info.result for info in await client.goals()] == [None, None]
+        infos = await client.goals(results=True)
+        assert [info.result for info in infos] == [Result([0, 1]), Result([0, 1, 1])]
+
+
 async def next_with(statuses: StatusStream, status: GoalStatus) -> GoalInfo:
     while (info := await statuses.receive()) is not None:
         if info.status is status:

@@ -25,6 +25,11 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 CLIENT = Path(str(files("fibaction_transports.web"))) / "javascript"
 CONSOLE = CLIENT.parent / "console"
+IN_NODE = [
+    f"{name}.js"
+    for name in ("dom", "goal_record", "goal_text", "schema", "series", "store", "values")
+]
+"""The modules of the console that are tested without a browser."""
 MOST_BYTES = 6_400
 """README.md says 6 kB; what it is rounded from includes all that keeps a page alive."""
 PATIENCE = 110.0
@@ -84,7 +89,8 @@ def folder(tmp_path: Path) -> Path:
     """A folder with the client, a part of the console, their tests and their libraries."""
     for name in ("fibaction.js", "fibaction.d.ts", "package.json"):
         shutil.copy(CLIENT / name, tmp_path)
-    shutil.copy(CONSOLE / "values.js", tmp_path)
+    for name in IN_NODE:
+        shutil.copy(CONSOLE / name, tmp_path)
     for test in HERE.glob("*.*ts"):
         shutil.copy(test, tmp_path)
     for test in HERE.glob("*.mjs"):

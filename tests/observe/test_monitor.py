@@ -108,6 +108,15 @@ def test_the_newest_place_counts_until_the_goal_waits_no_more(
     assert (found.place, found.queue_length) == place
 
 
+def test_times_and_the_reason_stay_once_they_are_known(monitor: Monitor) -> None:
+    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.EXECUTING, began_at=2))
+    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.ABORTED, ended_at=3, reason="stuck"))
+    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.EXECUTING, 7))
+
+    found = the_goal(monitor).info
+    assert (found.began_at, found.ended_at, found.reason) == (2, 3, "stuck")
+
+
 def test_feedback_is_counted_by_its_numbers(monitor: Monitor) -> None:
     monitor.on_event("one", info(2))
     monitor.on_event("one", feedback(7))  # the first that arrives here

@@ -1124,7 +1124,13 @@ class ProtocolMachine(RuleBasedStateMachine):
     @invariant()
     def the_lists_agree(self) -> None:
         assert infos(self.registry) == [
-            GoalInfo(goal.goal_id, goal.stamp, GoalStatus[goal.status])
+            GoalInfo(
+                goal.goal_id,
+                goal.stamp,
+                GoalStatus[goal.status],
+                ended_at=goal.real.ended_at or None,
+                reason="" if goal.real.outcome is None else goal.real.outcome.reason,
+            )
             for goal in self.ended + self.active
         ]
         assert self.registry.next_expiry == min(

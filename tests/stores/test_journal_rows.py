@@ -20,6 +20,7 @@ from fibaction.stores.journal_rows import (
     KeptGoals,
     Record,
     StartRecord,
+    StateRecord,
     WholeRecord,
     decode_row,
     encode_row,
@@ -281,10 +282,23 @@ def test_records_have_these_bytes() -> None:
     ]
 
     assert encode_row(1, records).hex() == (
-        "85193f8a9491009702a57061696e74c4100000000000000000000000000000000101c200009403a5"
-        "7061696e74c4026964c09c04a57061696e74c41000000000000000000000000000000001040000c4"
-        "06726573756c74a3776879030509c2"
+        "a435dd5f9491009802a57061696e74c4100000000000000000000000000000000101c20000009403"
+        "a57061696e74c4026964c09c04a57061696e74c41000000000000000000000000000000001040000"
+        "c406726573756c74a3776879030509c2"
     )
+
+
+def test_a_begin_of_an_older_file_has_no_time_and_the_time_of_the_first_begin_stays() -> None:
+    old = bytes.fromhex("9702a57061696e74c4100000000000000000000000000000000101c30100")
+    goal = a_goal()
+    begun = msgspec.structs.replace(goal, is_running=True, attempt=1, began_at=70)
+    goals = ActionGoals()
+    goals.add(WholeRecord("paint", copy(goal)))
+    goals.add(msgspec.msgpack.decode(old, type=StateRecord))
+    assert [(one.attempt, one.began_at) for one in goals.in_order()] == [(1, 0)]
+    goals.add(moved("paint", begun))
+    goals.add(msgspec.msgpack.decode(old, type=StateRecord))
+    assert [(one.attempt, one.began_at) for one in goals.in_order()] == [(1, 70)]
 
 
 def test_ends_of_an_older_file_are_read() -> None:

@@ -158,8 +158,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5, 1, PARENT),
         (
-            "9c2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d020501"
-            "92c410000102030405060708090a0b0c0d0e0fa47069636b"
+            "9f2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d020501"
+            "92c410000102030405060708090a0b0c0d0e0fa47069636bc0c0a0"
         ),
     ),
     (

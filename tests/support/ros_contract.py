@@ -31,6 +31,7 @@ ERRORS = "ROS 2's answers have no field for an error"
 SENDER = "a request of ROS 2 does not name its client"
 GOALS = "no topic has the goals"
 PLACE = "a list of statuses has no field for the place of a goal"
+TIMES = "a list of statuses has no fields for times and reasons"
 TIMEOUT = "a request with a goal has no field for a timeout"
 META = "a request with a goal has no field for a meta"
 STOPPED = "a server that has stopped still rejects goals, as long as its node is there"
@@ -54,6 +55,7 @@ EXCLUSIONS: dict[str, str] = {
     "test_an_executor_that_goes_wrong_is_aborted_with_the_reason": REASON,
     "test_a_goal_without_a_place_is_told_how_many_run_and_wait": REASON,
     "test_a_list_of_goals_tells_the_places_of_those_that_wait": PLACE,
+    "test_a_list_of_goals_tells_their_begins_and_ends_and_the_reasons": TIMES,
     "test_a_preempted_goal_is_told_by_which": REASON,
     "test_a_replaced_goal_is_told_by_which": REASON,
     "test_a_goal_that_is_too_late_is_told_how_long_it_had": REASON,

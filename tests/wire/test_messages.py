@@ -152,7 +152,7 @@ def test_the_garbage_collector_need_not_look_at_a_message(
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     goal_id = GoalID(bytes(range(16)))
     assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
-        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1, None)
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1, None, None, None, "")
     ]
 
 
@@ -234,6 +234,9 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         *(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT, STAMPS, STAMPS),
         ATTEMPTS,
         PARENTS,
+        strategies.none() | STAMPS,
+        strategies.none() | STAMPS,
+        TEXT,
     ),
     Done: builds(Done, IDS),
     Finished: builds(Finished, IDS),
@@ -341,6 +344,8 @@ NULLABLE = {
     (Following, "goal"),
     (Following, "parent"),
     (GoalChanged, "parent"),
+    (GoalChanged, "began_at"),
+    (GoalChanged, "ended_at"),
 }
 
 
@@ -448,6 +453,8 @@ def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, gol
         "timeout": 1.5,
         "meta": {},
         "parent": (bytes(16), ""),
+        "began_at": 1,
+        "ended_at": 1,
     }
     for name in message.__struct_fields__:
         if (type(message), name) in NULLABLE:

@@ -471,7 +471,11 @@ async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
         stamp = (await client.send(1)).stamp
         assert await client.ask(WatchStatus(2, "fibonacci", 1), Watching) == Watching(2, 1)
         changed = await client.hear(GoalChanged)
-        assert changed == GoalChanged(2, A, stamp, EXECUTING, 0, 0, "ann at the client")
+        began_at = changed.began_at
+        assert began_at is not None
+        assert stamp < began_at
+        ann = "ann at the client"
+        assert changed == GoalChanged(2, A, stamp, EXECUTING, 0, 0, ann, began_at=began_at)
         await client.say(CancelGoals(3, "fibonacci", A, None))
         assert 2 not in await client.hear_by_id()
         await client.say(Credit(2, 0))

@@ -10,8 +10,7 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.outcomes import readable, with_outcome
-from fibaction.words.goals import GoalInfo, Outcome
-from fibaction.words.meta import parent_in
+from fibaction.words.goals import Outcome
 
 
 async def rows_of_store(path: str, name: str | None) -> list[GoalRow]:
@@ -23,24 +22,12 @@ async def rows_of_store(path: str, name: str | None) -> list[GoalRow]:
     from fibaction.stores._copy import stored_goals  # sqlite3 would slow down --help
 
     rows = [
-        with_outcome(GoalRow(action, _info(goal)), _outcome(goal))
+        with_outcome(GoalRow(action, goal.info), _outcome(goal))
         for action, goals in (await stored_goals(path)).items()
         if name is None or shown(action) == shown(name)
         for goal in goals
     ]
     return sorted(rows, key=lambda row: row.info.stamp)
-
-
-def _info(goal: StoredGoal) -> GoalInfo:
-    return GoalInfo(
-        goal.goal_id,
-        goal.stamp,
-        goal.told_status,
-        goal.feedback_count,
-        str(goal.sender),
-        attempt=max(goal.attempt, 1),
-        parent=parent_in(goal.meta),
-    )
 
 
 def _outcome(goal: StoredGoal) -> Outcome[Any] | None:

@@ -104,6 +104,9 @@ class GoalRow(msgspec.Struct, frozen=True):
             "attempt": info.attempt,
             "has_worker": info.has_worker,
             "parent": parent_json(info.parent),
+            "began_at": info.began_at,
+            "ended_at": info.ended_at,
+            "reason": info.reason,
             **end,
         }
 

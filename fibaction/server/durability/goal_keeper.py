@@ -172,6 +172,7 @@ class GoalKeeper(Keeper):
             is_running=is_running,
             attempt=int(is_running),
             meta=meta,
+            began_at=goal.stamp if is_running else 0,
         )
         return self._write(self._journal.accept, goal, goal.stored, then, too_large)
 
@@ -182,6 +183,7 @@ class GoalKeeper(Keeper):
         """Keep that an attempt at the goal begins."""
         stored = _stored(goal)
         stored.is_running, stored.attempt = True, goal.attempt
+        stored.began_at = stored.began_at or time.time_ns()
         self._write(self._journal.begin, goal, stored, then)
 
     def cancel(self, goal: GoalRecord, then: Kept) -> None:

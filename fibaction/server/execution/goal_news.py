@@ -70,6 +70,7 @@ class GoalNews:
     def _tell_executing(self, run: AnyRun) -> None:
         if run.goal.status is GoalStatus.ACCEPTED:  # else an earlier attempt has begun
             self._registry.execute(run.goal)
+            run.goal.began_at = time.time_ns()
             run.goal.told_status = run.goal.status
             self._logs.tell_status(run.log)
 
@@ -77,6 +78,7 @@ class GoalNews:
         # The executor runs already. Nothing of this attempt may be told before it is kept: the next
         # attempt would have the same number.
         self._registry.execute(run.goal)
+        run.goal.began_at = time.time_ns()
         run.log.is_hidden = True
 
     def _tell_take_over(self, run: AnyRun) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from fibaction._runtime.text import LENGTH, shortened
 from fibaction.server.life import LIFE, Event, Phase
 from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender
@@ -34,6 +35,7 @@ class GoalRecord:
 
     __slots__ = (
         "attempt",
+        "began_at",
         "changed",
         "deadline",
         "digest",
@@ -91,6 +93,8 @@ class GoalRecord:
         self.held = held
         """The bytes that are held of the goal: its payload, then its result; None after the server
         has forgotten it."""
+        self.began_at: int | None = None
+        """Time at which the first attempt began: nanoseconds since 1970; None if none has."""
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.remember_until = 0.0
@@ -115,6 +119,7 @@ class GoalRecord:
         goal = cls(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
         goal.attempt = max(stored.attempt, 1)
         goal.parent = parent_in(stored.meta)
+        goal.began_at = stored.began_at or None
         return goal
 
     @property
@@ -147,6 +152,7 @@ class GoalRecord:
         """Return the goal as an entry of a list, with this status."""
         place, length = self.place if status is INITIAL else NO_PLACE
         sender, count = str(self.sender), self.feedback_count
+        reason = "" if self.outcome is None else self.outcome.reason
         return GoalInfo(
             self.goal_id,
             self.stamp,
@@ -157,6 +163,9 @@ class GoalRecord:
             length,
             self.attempt,
             self.parent,
+            began_at=self.began_at,
+            ended_at=self.ended_at or None,
+            reason=reason and shortened(reason, LENGTH),
         )
 
 

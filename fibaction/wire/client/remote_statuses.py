@@ -31,7 +31,7 @@ from typing import Any, Protocol
 from msgspec.structs import replace
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
+from fibaction._runtime.text import LENGTH, excerpt, shortened
 from fibaction.border.abc import StatusStream
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
 from fibaction.wire.codec import FromClient
@@ -185,6 +185,9 @@ class StatusWatch(Call):
             message.queue_length,
             message.attempt,
             parent_from(message.parent),
+            began_at=message.began_at,
+            ended_at=message.ended_at,
+            reason=message.reason and shortened(message.reason, LENGTH),
         )
         self._learn(info)
         for statuses in self._followers:

@@ -171,6 +171,13 @@ class GoalChanged(WireMessage, tag=40):
     parent: ParentFields | None = None
     """ID of the goal whose executor has sent this one, and the name of the step; nil if the meta of
     the goal names none."""
+    began_at: Stamp | None = None
+    """Time when the first attempt began: nanoseconds since 1970; nil if none has, or if the server
+    does not know it."""
+    ended_at: Stamp | None = None
+    """Time when the goal ended; nil if it is active, or if the server does not know it."""
+    reason: str = ""
+    """Reason of an abort or a cancel, of 200 characters at most; may be empty."""
 
 
 @final

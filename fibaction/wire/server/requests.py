@@ -186,6 +186,9 @@ class RequestHandlers:
                 info.queue_length,
                 info.attempt,
                 parent_fields(info.parent),
+                info.began_at,
+                info.ended_at,
+                info.reason and sendable(info.reason),
             )
             await self._say(changed)
             await slices.pause()

@@ -127,6 +127,8 @@ async def test_a_goal_that_is_posted_runs_on_by_itself() -> None:
         (listed,) = (await fetch(url, "GET", GOALS)).json
         assert (listed["goal_id"], listed["status"]) == (goal_id, "SUCCEEDED")
         assert listed["feedback_count"] == 1
+        assert int(answer.json["stamp"]) <= int(listed["began_at"]) <= int(listed["ended_at"])
+        assert listed["reason"] == ""
 
 
 class Noting(Watcher):

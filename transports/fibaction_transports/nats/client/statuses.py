@@ -38,7 +38,6 @@ from fibaction.words.errors import (
     ProtocolError,
 )
 from fibaction.words.goals import GoalID, GoalInfo
-from fibaction.words.meta import parent_in
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
@@ -244,15 +243,7 @@ class FleetStatuses:
             return
         self._sequences[record.subject] = record.sequence
         goal = entry.goal
-        info = GoalInfo(
-            goal.goal_id,
-            goal.stamp,
-            goal.told_status,
-            goal.feedback_count,
-            str(goal.sender),
-            attempt=max(goal.attempt, 1),
-            parent=parent_in(goal.meta),
-        )
+        info = goal.info
         self._owners[goal.goal_id] = goal.worker, entry.incarnation
         before = self._goals.get(goal.goal_id)
         if not self._is_ready:
@@ -260,7 +251,10 @@ class FleetStatuses:
             return
         status = None if before is None else before.status
         for step in steps(status, info.status, has_begun=goal.attempt > 0):
-            self._put(replace(info, status=step))
+            if step.is_active:
+                self._put(replace(info, status=step, ended_at=None, reason=""))
+            else:
+                self._put(info)
 
     def _forget(self, subject: str) -> None:
         self._sequences.pop(subject, None)

@@ -56,7 +56,7 @@ class Row {
     const reason = record.reason ? ` – ${record.reason}` : "";
     setText(this.goal, `${summaryOf(record.goal)}${reason}`);
     setText(this.client, record.isMine ? "this page" : record.client);
-    setText(this.time, `${timeOf(record.sentAt)}, ${durationOf(record.seconds())}`);
+    setText(this.time, [timeOf(record.sentAt), durationOf(record.seconds())].filter(Boolean).join(", "));
     show(this.cancel, record.isActive && record.status !== "CANCELING");
     this.element.classList.toggle("current", isShown);
     if (isShown) {

@@ -10,6 +10,14 @@ const MOST_KEPT_LINES = 20;
 /** The statuses of goals that have not ended. */
 export const ACTIVE = ["SENDING", "ACCEPTED", "EXECUTING", "CANCELING"];
 
+/** The statuses of goals that have not begun. */
+export const WAITING = ["SENDING", "ACCEPTED"];
+
+/** Return a time of the protocol as one of JavaScript. */
+export function millisecondsOf(stamp) {
+  return Number(stamp / 1_000_000n);
+}
+
 export class GoalRecord {
   constructor(action, id, info) {
     this.action = action;
@@ -46,24 +54,31 @@ export class GoalRecord {
     return ACTIVE.includes(this.status);
   }
 
-  /** Return the seconds that it has taken, so far or in all. */
+  /** Return the seconds that it has taken, so far or in all; null if its end is not known. */
   seconds(now = Date.now()) {
-    return Math.max(0, ((this.isActive ? now : this.endedAt || this.sentAt) - this.sentAt) / 1000);
+    const end = this.isActive ? now : this.endedAt;
+    return end ? Math.max(0, (end - this.sentAt) / 1000) : null;
   }
 
-  /** Change the status, and note the time; what has ended stays so. */
+  /** Change the status, and note the time, 0 if it is not known; what has ended stays so. */
   setStatus(status, now = Date.now()) {
-    if (status === this.status || (!this.isActive && status !== "UNKNOWN" && this.endedAt)) {
+    if (status === this.status || (!this.isActive && status !== "UNKNOWN")) {
       return;
     }
-    this.status = status;
-    if (status !== "SENDING" && status !== "ACCEPTED" && !this.startedAt) {
-      this.startedAt = now;
+    if (WAITING.includes(this.status) && !WAITING.includes(status)) {
+      this.startedAt ||= now;
     }
+    this.status = status;
     if (!this.isActive && !this.endedAt) {
       this.endedAt = now;
       this.place = 0;
     }
+  }
+
+  /** Take the times that the server tells; one of an earlier version tells none. */
+  setTimes({ beganAt, endedAt }) {
+    this.startedAt = beganAt ? millisecondsOf(beganAt) : this.startedAt;
+    this.endedAt = endedAt ? millisecondsOf(endedAt) : this.endedAt;
   }
 
   /** Take one feedback message. */

@@ -37,8 +37,11 @@ export function showBadge(badge, record) {
   }
 }
 
-/** Return seconds as a person says them. */
+/** Return seconds as a person says them; nothing if they are not known. */
 export function durationOf(seconds) {
+  if (seconds === null) {
+    return "";
+  }
   if (seconds < 10) {
     return `${seconds.toFixed(1)} s`;
   }

@@ -92,5 +92,6 @@ function resultOf(record) {
 
 function factsOf(record) {
   const sender = record.isMine ? "this page" : record.client || "an unknown client";
-  return `${record.action} · sent ${timeOf(record.sentAt)} by ${sender} · ${durationOf(record.seconds())} · ${record.id}`;
+  const facts = [record.action, `sent ${timeOf(record.sentAt)} by ${sender}`, durationOf(record.seconds()), record.id];
+  return facts.filter(Boolean).join(" · ");
 }

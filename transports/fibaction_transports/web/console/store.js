@@ -7,7 +7,7 @@
  * of the action that is shown. Changes are collected, and listeners are told once for each frame.
  */
 
-import { ACTIVE, GoalRecord } from "./goal_record.js";
+import { ACTIVE, GoalRecord, millisecondsOf } from "./goal_record.js";
 import { stored } from "./values.js";
 
 const MOST_FOLLOWED = 20;
@@ -156,16 +156,19 @@ export class Store {
       return;
     }
     const record = this.recordOf(info, told.id);
+    const wasKnown = record.sentAt > 0;
     record.isPast = false;
-    record.sentAt = Number(told.stamp / 1_000_000n);
+    record.sentAt = millisecondsOf(told.stamp);
     record.client = told.client;
     record.place = told.place;
     record.queueLength = told.queueLength;
     record.parent = told.parent ?? record.parent;
     if (!record.handle) {
       record.feedbackCount = Math.max(record.feedbackCount, Number(told.feedbackCount));
-      record.setStatus(told.status);
+      record.setStatus(told.status, wasKnown ? Date.now() : 0);
     }
+    record.setTimes(told);
+    record.reason ||= told.reason;
     this.follow(record);
     this.change();
   }

@@ -1,6 +1,7 @@
 /** The newest goals as bars over time: the wait, the run, and the end. */
 
 import { h, svg } from "./dom.js";
+import { WAITING } from "./goal_record.js";
 import { durationOf, shortId, stateOf, wordOf } from "./goal_text.js";
 
 const MOST_GOALS = 12;
@@ -44,20 +45,21 @@ export class Timeline {
 }
 
 function endOf(goal, now) {
-  return goal.isActive ? now : goal.endedAt || goal.sentAt;
+  return goal.isActive ? now : goal.endedAt || goal.startedAt || goal.sentAt;
 }
 
 function rowOf(goal, index, { start, scale, now, shown, label, name }) {
   const y = index * ROW + 2;
   const from = label + (goal.sentAt - start) * scale;
-  const begun = label + ((goal.startedAt || endOf(goal, now)) - start) * scale;
+  const begunAt = goal.startedAt || (WAITING.includes(goal.status) ? now : goal.sentAt);
+  const begun = label + (begunAt - start) * scale;
   const to = Math.max(label + (endOf(goal, now) - start) * scale, from + 3);
   const waits = Math.max(Math.min(begun, to) - from, 0);
   const text = durationOf(goal.seconds(now));
   return svg(
     "g",
     { class: goal.key === shown ? "current" : null },
-    svg("title", {}, `${goal.action} ${shortId(goal.id)}: ${wordOf(goal.status)}, ${text}`),
+    svg("title", {}, `${goal.action} ${shortId(goal.id)}: ${wordOf(goal.status)}${text && `, ${text}`}`),
     svg("text", { x: 0, y: y + 12 }, name),
     svg("rect", { class: "bar accepted", x: from, y, width: waits, height: ROW - 5, rx: 3 }),
     svg("rect", { class: `bar ${goal.status.toLowerCase()}`, x: from + waits, y, width: Math.max(to - from - waits, waits ? 0 : 3), height: ROW - 5, rx: 3 }),

@@ -88,6 +88,12 @@ export interface GoalInfo extends CanceledGoal {
   attempt: number;
   /** The goal whose executor has sent this one, and the name of the step; null if there is none. */
   parent: { id: string; step: string } | null;
+  /** Time when its first attempt began, as `stamp`; null if it has not begun, or if the server does not tell it. */
+  beganAt: bigint | null;
+  /** Time of the end; null if it is active, or if the server does not tell it. */
+  endedAt: bigint | null;
+  /** Reason of an abort or a cancel; may be empty. */
+  reason: string;
   /** Changes that were left out so far, because the client read too slowly. */
   dropped: number;
 }

@@ -317,12 +317,14 @@ class Watch {
   }
 
   [GOAL_CHANGED](id, stamp, status, dropped, feedbackCount = 0, client = "", place = 0,
-    queueLength = 0, attempt = 1, parent) {
+    queueLength = 0, attempt = 1, parent, began, ended, reason = "") {
     this._connection._grant(this, 1);
     id = hexOf(id);
     this._before.delete(id);
     this._tell({ id, stamp: BigInt(stamp), status: STATUSES[status], dropped, feedbackCount, client,
-      place, queueLength, attempt, parent: parent && { id: hexOf(parent[0]), step: parent[1] } });
+      place, queueLength, attempt, parent: parent && { id: hexOf(parent[0]), step: parent[1] },
+      beganAt: began == null ? null : BigInt(began), endedAt: ended == null ? null : BigInt(ended),
+      reason });
     this._forget();
   }
 

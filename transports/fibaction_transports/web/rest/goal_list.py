@@ -80,8 +80,16 @@ def members_of(info: GoalInfo) -> dict[str, object]:
         "client": info.client,
         "place": info.place,
         "queue_length": info.queue_length,
+        "reason": info.reason,
+        **_times(info),
         **parent_members(info.parent),
     }
+
+
+def _times(info: GoalInfo) -> dict[str, object]:
+    """Return the times of a goal's begin and end as members, as far as they are known."""
+    times = {"began_at": info.began_at, "ended_at": info.ended_at}
+    return {name: str(stamp) for name, stamp in times.items() if stamp is not None}
 
 
 def parent_members(parent: Parent | None) -> dict[str, object]:

@@ -37,6 +37,9 @@ _SHARED_SCHEMAS: Json = {
             "stamp": _STAMP,
             "status": _STATUS,
             "attempt": {"type": "integer"},
+            "began_at": {"type": "string", "description": "Time of the begin, as the stamp."},
+            "ended_at": {"type": "string", "description": "Time of the end, as the stamp."},
+            "reason": {"type": "string", "description": "Why it was canceled or aborted."},
             "parent": {
                 "type": "object",
                 "description": "The goal whose executor has sent this one, and the step.",
