@@ -78,6 +78,7 @@ class Endpoint(ABC):
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
         meta: Meta | None = None,
+        checked: bool = False,
     ) -> GoalStream:
         """Send a goal, and follow it from its beginning: wait for what `offer_goal` returns.
 
@@ -88,7 +89,7 @@ class Endpoint(ABC):
             ActionError: As for `offer_goal`.
         """
         deadline = math.inf if timeout is None else current_time() + timeout
-        request = GoalRequest(goal_id, goal, feedback, sender, deadline, meta)
+        request = GoalRequest(goal_id, goal, feedback, sender, deadline, meta, checked)
         offered = self.offer_goal(request)
         return offered if isinstance(offered, GoalStream) else await offered
 

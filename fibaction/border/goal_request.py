@@ -41,3 +41,7 @@ class GoalRequest(msgspec.Struct, frozen=True):
     """A small text map that goes with the goal, for traces: see `fibaction.otel`; None is the same
     as an empty one. It has at most 8 keys and 4096 bytes. Watchers of the server get it; ROS 2 does
     not carry it."""
+    checked: bool = False
+    """True if the client has the types of the action, or has compared the goal with its schema. The
+    server then ignores a field that its own type does not have, since the client may be of a newer
+    version. False to have such a goal rejected: the field is likely misspelled."""

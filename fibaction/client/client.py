@@ -326,7 +326,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         if self._tracing is not None:
             parent = None if step is None else step.parent
             span = self._tracing.sending(self.action.name, goal_id, parent)
-        request = GoalRequest(goal_id, payload, feedback, meta=span.meta)
+        checked = self.action.goal.is_typed
+        request = GoalRequest(goal_id, payload, feedback, meta=span.meta, checked=checked)
         try:
             if attempts is not None:
                 stream = await attempts.send(request)

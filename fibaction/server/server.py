@@ -32,7 +32,6 @@ from fibaction.border.urls import check_settings
 from fibaction.border.watchers import Watcher
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
-from fibaction.server.admission.admission import Offer
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, STORE_FAILED, GoalKeeper
 from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
@@ -44,6 +43,7 @@ from fibaction.server.functions.executor_check import (
     executor_of,
 )
 from fibaction.server.parts import Parts
+from fibaction.server.registry.goal_record import Offer
 from fibaction.server.scheduling.dispatcher import Dispatcher, NoScheduleDispatcher
 from fibaction.server.scheduling.fleet_dispatcher import FleetDispatcher
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher

@@ -6,8 +6,8 @@ Payloads are msgpack, decoded strictly. This module does not depend on goals, se
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Any, Generic, Literal, TypeGuard, TypeVar, cast
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, Literal, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
 
@@ -31,6 +31,7 @@ LARGE = 2**16
 
 NIL, EMPTY_MAP = b"\xc0", b"\x80"  # in msgpack
 _FROM_SERVERS = ("feedback", "the result")
+_UNTYPED: frozenset[Any] = frozenset({Any, object, dict, Mapping, msgspec.Raw})
 _NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
@@ -38,7 +39,16 @@ _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 class Codec(Generic[T]):
     """The encoding of one message type of an action, from values to bytes and back."""
 
-    __slots__ = ("_decode", "_encode", "_encoding", "_messages", "_sent", "classes", "type")
+    __slots__ = (
+        "_decode",
+        "_encode",
+        "_encoding",
+        "_messages",
+        "_sent",
+        "classes",
+        "is_typed",
+        "type",
+    )
 
     def __init__(self, message_type: type[T], sent: str = "", ros_type: str = "") -> None:
         """Make a codec.
@@ -55,6 +65,8 @@ class Codec(Generic[T]):
         """The message type, unchanged."""
         self._sent = sent
         self._encoding = encoding_of(message_type)
+        self.is_typed = (get_origin(message_type) or message_type) not in _UNTYPED
+        """True if the type says which fields its values have."""
         self._encode: Callable[[T], bytes] = self._encoding.encode
         self._decode: Callable[[bytes], T] = self._encoding.decode
         self.classes = self._encoding.classes

@@ -92,10 +92,10 @@ async def test_on_goal_sees_the_goal_and_its_reason_reaches_the_client(
 @pytest.mark.parametrize(
     ("goal", "reason"),
     [
-        ({"order": "ten"}, "Expected `int`, got `str` - at `$.order`"),
+        ({"order": "ten"}, 'goal.order must be a whole number, not "ten"'),
         ({"order": 1.0}, "Expected `int`, got `float` - at `$.order`"),
-        ({}, "Object missing required field `order`"),
-        ("10", "Expected `object`, got `str`"),
+        ({}, "goal.order is missing"),
+        ("10", 'goal must be a map of fields, not "10"'),
     ],
 )
 async def test_a_goal_of_the_wrong_type_is_rejected_and_the_reason_names_the_field(
@@ -411,3 +411,68 @@ async def test_a_goal_that_cannot_be_encoded_is_the_callers_own_error(reach: Rea
         with pytest.raises(RecursionError):
             await client.send_goal(Goal(cast("int", endless)))
         assert msgspec.msgpack.encode(Goal(1))
+
+
+class NewerGoal(msgspec.Struct):
+    """The type of the goal in a later version of the client."""
+
+    order: int
+    start: int = 0
+
+
+NEWER = Action("fibonacci", goal=NewerGoal, feedback=Feedback, result=Result)
+
+
+@pytest.mark.promise("ACCEPT-3", "ACCEPT-18")
+@pytest.mark.parametrize(
+    ("goal", "reason"),
+    [
+        ({"order": 5, "ordr": 4}, 'goal has no field "ordr"; did you mean order?'),
+        ({"ordr": 5}, 'goal has no field "ordr"; did you mean order?'),
+        ({"order": "ten"}, 'goal.order must be a whole number, not "ten"'),
+        ({"order": 5, "note": "x" * 3000}, 'goal has no field "note"; it has order'),
+        ({"order": "x" * 3000}, "goal.order must be a whole number"),
+    ],
+)
+async def test_a_goal_of_a_client_without_types_is_checked_as_at_the_other_doors(
+    reach: Reach, goal: dict[str, Any], reason: str
+) -> None:
+    async with reach.connection(server()) as connection:
+        client = connection.client(Action.untyped(FIBONACCI.info))
+        with pytest.raises(GoalRejected) as caught:
+            await client.send_goal(goal)
+        assert reason in caught.value.reason
+        assert caught.value.is_unreadable
+        assert await client.call({"order": 2}) == {"sequence": [0, 1, 1]}
+
+
+@pytest.mark.promise("ACCEPT-18")
+async def test_a_client_whose_type_has_a_field_more_is_understood(reach: Reach) -> None:
+    async with reach.connection(server()) as connection:
+        client = connection.client(NEWER)
+        assert await client.call(NewerGoal(2, start=3)) == Result([0, 1, 1])
+
+
+@pytest.mark.promise("ACCEPT-1", "ACCEPT-18")
+async def test_a_large_goal_of_a_client_without_types_is_decided_after_its_check(
+    reach: Reach,
+) -> None:
+    asked: list[int] = []
+
+    async def decide(goal: Lines) -> None:
+        await anyio.lowlevel.checkpoint()
+        asked.append(len(goal.lines))
+
+    async def count(goal: GoalHandle[Lines]) -> AsyncGenerator[Any, None]:
+        yield len(goal.request.lines)
+
+    action = Action("print", goal=Lines, feedback=str, result=int)
+    for on_goal in (decide, lambda goal: asked.append(len(goal.lines)), None):
+        async with reach.connection(ActionServer(action, count, on_goal=on_goal)) as connection:
+            client = connection.client(Action.untyped(action.info))
+            assert await client.call({"lines": ["a" * 100] * 50}) == 50
+    assert asked == [50, 50]
+
+
+class Lines(msgspec.Struct):
+    lines: list[str]

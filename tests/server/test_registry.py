@@ -6,6 +6,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
+from unittest.mock import create_autospec
 
 import pytest
 from hypothesis import settings, strategies
@@ -18,10 +19,12 @@ from hypothesis.stateful import (
     rule,
 )
 
+from fibaction.border.abc import GoalRequest
 from fibaction.border.goal_store import StoredGoal
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server.life import Event, InvalidStep, Phase
 from fibaction.server.registry.cancellation import Cancellation
-from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.words.errors import GoalRejected, InvalidTransition
 from fibaction.words.goals import (
@@ -1320,3 +1323,16 @@ def test_a_goal_that_goes_on_in_another_attempt_is_kept_unless_it_is_canceled() 
     assert goal.is_kept
     goal.status = GoalStatus.CANCELING
     assert not goal.is_kept
+
+
+@pytest.mark.parametrize("is_accepted", [True, False])
+def test_an_offer_that_is_left_is_remembered_until_its_client_may_be_back(
+    is_accepted: bool,
+) -> None:
+    offer = Offer[int](GoalRequest(goal_id(1), b"1"), None)
+    offer.record = GoalRecord(goal_id(1), b"", 1, UNKNOWN_SENDER)
+    stream = create_autospec(FeedbackCursor, instance=True)
+    offer.stream = stream if is_accepted else None
+    offer.leave(5.0)
+    assert (offer.is_left, offer.record.remember_until) == (True, 5.0 + LEAST_TIME)
+    assert stream.close.call_count == is_accepted

@@ -7,13 +7,14 @@ import gc
 import math
 import re
 import tracemalloc
-from collections.abc import AsyncIterator, Coroutine, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Coroutine, Iterator
 from contextlib import suppress
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
 import anyio
+import msgspec
 import pytest
 from hypothesis import given, settings, strategies
 
@@ -570,7 +571,10 @@ async def test_a_goal_that_cannot_be_is_rejected_at_once_and_again() -> None:
         raise GoalRejected("never")
 
     async with ActionServer(FIBONACCI, fibonacci, on_goal=refuse) as server:
-        for payload, reason in ((b"\x01", "Expected `object`, got `int`"), (packed(1), "never$")):
+        for payload, reason in (
+            (b"\x01", "goal must be a map of fields, not 1"),
+            (packed(1), "never$"),
+        ):
             goal_id = GoalID.random()
             for _ in range(2):
                 with pytest.raises(GoalRejected, match=reason) as caught:
@@ -579,6 +583,33 @@ async def test_a_goal_that_cannot_be_is_rejected_at_once_and_again() -> None:
                 assert caught.value.is_unreadable == (payload == b"\x01")
     with pytest.raises(ServerNotFound, match="'fibonacci' is not running"):
         server.offer_goal(GoalRequest(GoalID.random(), packed(1)))
+
+
+async def test_a_large_goal_that_is_checked_in_a_thread_is_decided_afterwards() -> None:
+    asked: list[int] = []
+
+    def decide(goal: Words) -> None:
+        asked.append(len(goal.words))
+
+    async def decide_later(goal: Words) -> None:
+        await anyio.lowlevel.checkpoint()
+        decide(goal)
+
+    async def count(goal: GoalHandle[Words]) -> AsyncGenerator[Any, None]:
+        yield len(goal.request.words)
+
+    action = Action("count", goal=Words, feedback=str, result=int)
+    payload = msgspec.msgpack.encode({"words": ["word" * 20] * 50})
+    for on_goal in (decide, decide_later, None):
+        async with ActionServer(action, count, on_goal=on_goal) as server:
+            offered = server.offer_goal(GoalRequest(GoalID.random(), payload))
+            stream = await waited_for(offered)
+            assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+    assert asked == [50, 50]
+
+
+class Words(msgspec.Struct):
+    words: list[str]
 
 
 async def test_a_goal_that_is_rejected_after_a_while_is_rejected_by_what_was_waited_for() -> None:

@@ -74,10 +74,11 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "971001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1fce00010000c3",
     ),
     (
-        SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64, 5.0, {"traceparent": "00-0af7-b7ad-01"}),
+        SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64, 5.0, {"traceparent": "00-0af7-b7ad-01"}, True),
         (
-            "981101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f72646572"
+            "991101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f72646572"
             "0a40cb401400000000000081ab7472616365706172656e74af30302d306166372d623761642d3031"
+            "c3"
         ),
     ),
     (

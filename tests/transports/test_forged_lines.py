@@ -41,6 +41,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/howto/secure.md"
 RECORD = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} (fibaction\.\w+|robot): \S")
 LONG = 500_000
+REJECTED = {"strict", "picky", "broken"}
 
 pytestmark = pytest.mark.asyncio
 
@@ -95,9 +96,15 @@ async def test_no_goal_writes_a_line_of_its_own(size: int) -> None:
                 name = request.to_bytes(16, "big")
                 await client.say(encode(SendGoal(request, action, name, goal, None)))
             await client.say(encode(CancelGoals(99, "stubborn", None, None)))
-            said = await client.hear()
-            while getattr(said, "id", 0) != 99:
+            # Large goals are checked in a thread, and so rejected later.
+            awaited = {
+                99,
+                *(number for number, (name, _) in enumerate(goals, 1) if name in REJECTED),
+            }
+            while awaited:
                 said = await client.hear()
+                if not isinstance(said, Following):
+                    awaited.discard(getattr(said, "id", 0))
             await client.say(encode(Goodbye(text)))
             await client.hear_all()
         async with raw(url) as other:

@@ -49,7 +49,7 @@ async def test_a_goal_over_the_clients_limit_is_left_out() -> None:
     padded = msgspec.msgpack.encode({"order": 3, "unknown": bytes(4096)})
     async with serving(held()) as served:
         sender = await served.greet()
-        await sender.ask(SendGoal(1, "fibonacci", A, padded, ANY), Following)
+        await sender.ask(SendGoal(1, "fibonacci", A, padded, ANY, checked=True), Following)
         small, large_enough = await served.greet(BOB, max_frame=LEAST_FRAME), await served.greet()
         assert (await small.ask(follow(None, own=False), Following)).goal is None
         assert (await large_enough.ask(follow(None, own=False), Following)).goal == padded

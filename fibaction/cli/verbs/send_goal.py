@@ -262,6 +262,7 @@ class _GoalSender:
                 feedback=feedback,
                 timeout=self._time_left(),
                 meta=_trace(is_detached=self._options.detach),
+                checked=True,
             )
         except get_cancelled_exc_class():
             # It may have arrived, and no client would know of it.

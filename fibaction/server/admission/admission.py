@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Awaitable, Coroutine
-from contextvars import Context, copy_context
+from contextvars import copy_context
 from functools import partial
 from typing import Any, Generic
 
@@ -37,9 +37,9 @@ from anyio import current_time
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt, shortened
-from fibaction.border.abc import GoalRequest
 from fibaction.border.goal_store import RecordTooLarge, StoreFull
 from fibaction.feeds.feedback_log import FeedbackCursor
+from fibaction.schema.goal_check import GoalCheck
 from fibaction.server.admission.callbacks import SERVER_STOPPING
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN
@@ -47,7 +47,7 @@ from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.life import Event
-from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord
+from fibaction.server.registry.goal_record import GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.orders import Busy
@@ -61,37 +61,6 @@ DRAINING = "busy: the server drains"
 WITHDRAWN = "the call was canceled before the decision"
 
 logger = clean_logger("fibaction.server")
-
-
-class Offer(Generic[GoalT]):
-    """A goal that a client has sent."""
-
-    __slots__ = ("context", "error", "is_left", "meta", "record", "request", "sent", "stream")
-
-    def __init__(self, sent: GoalRequest, meta: dict[str, str] | None) -> None:
-        self.sent = sent
-        """The request of the client."""
-        self.meta = meta
-        """A copy of its meta: the caller may change its own later."""
-        self.request: GoalT
-        """The goal, decoded."""
-        self.context: Context | None = None
-        """The context for the goal's executor; None for that of the call that accepts it."""
-        self.record: GoalRecord
-        """The record of the goal, once it is to be accepted."""
-        self.stream: FeedbackCursor | None = None
-        """The stream of the goal, once it is accepted."""
-        self.error: GoalRejected | None = None
-        """The rejection of a goal that the store cannot keep."""
-        self.is_left = False
-        """True if the call that has sent the goal does not wait any longer."""
-
-    def leave(self) -> None:
-        """Wait no longer: the call was canceled. Its client may come back, and send it again."""
-        self.is_left = True
-        self.record.remember_until = current_time() + LEAST_TIME
-        if self.stream is not None:
-            self.stream.close()
 
 
 class Admission(Generic[GoalT, FeedbackT, ResultT]):
@@ -116,6 +85,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._keeper = keeper
         self._watchers = watchers
         self._callbacks = callbacks
+        self._check = GoalCheck(action.goal.schema)
         self._decisions: dict[GoalID, Notifier] = {}
         self._writing: dict[GoalID, Offer[GoalT]] = {}  # those that the store does not have yet
         self._is_draining = False
@@ -153,14 +123,10 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         )
         self._check_room(goal_id, sent.sender.owner)
         try:
-            offer.request = self._decode(sent.goal)
-            if self._callbacks.are_goals_decided:
-                asking = self._callbacks.ask_goal(
-                    offer.request, sent.sender, goal_id, offer.context
-                )
-                if asking is not None:
-                    return self._accept_later(offer, asking)
-            return self._accept(offer)
+            asking = self._decode(offer)
+            if asking is None and self._callbacks.are_goals_decided:
+                asking = self._ask(offer)
+            return self._accept(offer) if asking is None else self._accept_later(offer, asking)
         except GoalRejected as exc:
             raise self._reject(goal_id, exc.reason, is_unreadable=exc.is_unreadable) from None
         except Busy as exc:
@@ -191,7 +157,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             await asking
             accepted = self._accept(offer)
         except GoalRejected as exc:
-            raise self._reject(offer.sent.goal_id, exc.reason) from None
+            raise self._reject(
+                offer.sent.goal_id, exc.reason, is_unreadable=exc.is_unreadable
+            ) from None
         except Busy as exc:
             raise self._reject_for_now(offer.sent.goal_id, str(exc)) from None
         except BaseException:
@@ -199,11 +167,32 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise
         return accepted if isinstance(accepted, FeedbackCursor) else await accepted
 
-    def _decode(self, goal: bytes) -> GoalT:
+    def _decode(self, offer: Offer[GoalT]) -> Coroutine[Any, Any, None] | None:
+        """Decode and check a goal; return a coroutine if the check takes time.
+
+        Raises:
+            GoalRejected: The goal is not of its type, here or in the coroutine.
+        """
+        sent = offer.sent
         try:
-            return self._action.goal.decode(goal)
+            offer.request = self._action.goal.decode(sent.goal)
         except ProtocolError as exc:
-            raise GoalRejected(str(exc), is_unreadable=True) from exc
+            return self._check.check(sent.goal, str(exc))
+        if sent.checked:
+            return None
+        checking = self._check.check(sent.goal)
+        return None if checking is None else self._ask_later(offer, checking)
+
+    async def _ask_later(self, offer: Offer[GoalT], checking: Awaitable[None]) -> None:
+        await checking
+        if self._callbacks.are_goals_decided:
+            asking = self._ask(offer)
+            if asking is not None:
+                await asking
+
+    def _ask(self, offer: Offer[GoalT]) -> Coroutine[Any, Any, None] | None:
+        sent = offer.sent
+        return self._callbacks.ask_goal(offer.request, sent.sender, sent.goal_id, offer.context)
 
     def _accept(self, offer: Offer[GoalT]) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
@@ -267,7 +256,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except StoreError:
             raise self._keeper.stopped() from None
         except BaseException:
-            offer.leave()
+            offer.leave(current_time())
             raise
         if offer.error is not None:
             raise offer.error

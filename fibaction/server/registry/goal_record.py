@@ -1,22 +1,27 @@
-"""The record of an accepted goal, and the ending of its executor, as plain values."""
+"""A goal that is offered, the record of an accepted one, and the ending of its executor."""
 
 from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic, cast
 
 import msgspec
 
 from fibaction._runtime.text import LENGTH, shortened
 from fibaction.server.life import LIFE, Event, Phase
+from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender
 from fibaction.words.meta import parent_in
 from fibaction.words.statuses import INITIAL, GoalStatus
 
 if TYPE_CHECKING:
+    from contextvars import Context
+
+    from fibaction.border.abc import GoalRequest
     from fibaction.border.goal_store import StoredGoal
+    from fibaction.feeds.feedback_log import FeedbackCursor
     from fibaction.server.registry.kept_results import HeldBytes
 
 NO_PLACE = (0, 0)
@@ -195,3 +200,31 @@ class Ending(msgspec.Struct, frozen=True):
     kind: EndKind
     result: bytes | None = None
     reason: str = ""
+
+
+class Offer(msgspec.Struct, Generic[GoalT], eq=False):
+    """A goal that a client has sent."""
+
+    sent: GoalRequest
+    """The request of the client."""
+    meta: dict[str, str] | None
+    """A copy of its meta: the caller may change its own later."""
+    request: GoalT = cast("Any", None)
+    """The goal, once it is decoded."""
+    context: Context | None = None
+    """The context for the goal's executor; None for that of the call that accepts it."""
+    record: GoalRecord = cast("Any", None)
+    """The record of the goal, once it is to be accepted."""
+    stream: FeedbackCursor | None = None
+    """The stream of the goal, once it is accepted."""
+    error: GoalRejected | None = None
+    """The rejection of a goal that the store cannot keep."""
+    is_left: bool = False
+    """True if the call that has sent the goal does not wait any longer."""
+
+    def leave(self, now: float) -> None:
+        """Wait no longer: the call was canceled. Its client may come back, and send it again."""
+        self.is_left = True
+        self.record.remember_until = now + LEAST_TIME
+        if self.stream is not None:
+            self.stream.close()

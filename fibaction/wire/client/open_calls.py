@@ -95,7 +95,13 @@ class OpenCalls:
         credit = self._goal_window if request.feedback else None
         meta = checked_meta(request.meta) if request.meta else None
         opening = SendGoal(
-            next(self._ids), action, request.goal_id, request.goal, credit, meta=meta
+            next(self._ids),
+            action,
+            request.goal_id,
+            request.goal,
+            credit,
+            meta=meta,
+            checked=request.checked,
         )
         goal = RemoteGoal(
             request.goal_id, opening, self._goal_window, self.post, request.deadline, on_lost

@@ -58,6 +58,10 @@ class SendGoal(WireMessage, tag=17):
     together. The keys `traceparent`, `tracestate` and `baggage` are those of the W3C; `detached`
     says that the client does not wait for the goal, and `parent` and `step` of which goal it is a
     step. Nil if there is none."""
+    checked: bool = False
+    """True if the client has the types of the action, or has compared the goal with its schema: the
+    server ignores fields that its type does not have. If false, it rejects a goal with such a
+    field."""
 
 
 @final

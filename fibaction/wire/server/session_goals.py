@@ -136,6 +136,7 @@ class SessionGoals:
                 sender=client.sender,
                 deadline=math.inf if timeout is None else deadline_after(timeout),
                 meta=message.meta,
+                checked=message.checked,
             )
             waiting: Waiting | None
             if client.is_trusted:

@@ -159,6 +159,22 @@ async def test_goals_that_cannot_be_compared_by_their_data_are_compared_by_their
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_the_recording_and_not_the_schema_decides_on_a_goal_of_a_client_without_types(
+    tmp_path: Path,
+) -> None:
+    path = written(
+        tmp_path / "recording.jsonl",
+        SERVER,
+        Record(1, "rejected", "drive", "a", reason="too far", data={"metres": 1}),
+    )
+    (server,) = replayed(path)
+    async with server:
+        client = ActionClient(server, Action.untyped(DRIVE.info))
+        with pytest.raises(GoalRejected, match="too far"):
+            await client.send_goal({"metres": 1})
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_a_goal_with_a_number_that_no_client_can_send_is_no_error(tmp_path: Path) -> None:
     absurd = Record(1, "accepted", "drive", "a", data={"meters": 0})
     path = written(

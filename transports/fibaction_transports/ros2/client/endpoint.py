@@ -10,8 +10,9 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Connection, Endpoint, GoalRequest
 from fibaction.border.event_loop import Background
-from fibaction.border.peer_text import clean_logger
+from fibaction.border.peer_text import clean_logger, shortened
 from fibaction.feeds.status_broadcast import StatusSubscription
+from fibaction.schema.goal_check import GoalCheck
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (
     ConnectionLost,
@@ -54,6 +55,7 @@ class RosEndpoint(Endpoint):
         self._info = info
         self._codecs = codecs
         self._decoder = _Decoder(client.types, client.impl, codecs)
+        self._check = GoalCheck(lambda: info.goal)
 
     @property
     def info(self) -> ActionInfo:
@@ -65,10 +67,20 @@ class RosEndpoint(Endpoint):
         try:
             message = self._codecs.goal.to_ros(request.goal)
         except ProtocolError as exc:
-            raise GoalRejected(str(exc), goal_id=goal_id) from exc
+            raise await self._rejection(request, str(exc)) from exc
         stream = RosGoalStream(goal_id, self._decoder, depth, reads=request.feedback)
         await self._client.send(stream, message)
         return stream
+
+    async def _rejection(self, request: GoalRequest, misread: str) -> GoalRejected:
+        """Return the rejection of a goal that is not of the type, with the text of other doors."""
+        try:
+            checking = self._check.check(request.goal, misread)
+            if checking is not None:
+                await checking
+        except GoalRejected as exc:
+            misread = exc.reason
+        return GoalRejected(shortened(misread), goal_id=request.goal_id, is_unreadable=True)
 
     async def feedback(
         self,

@@ -163,6 +163,7 @@ class RestInterface:
             feedback=streams,
             sender=client.sender,
             meta=trace_meta(exchange.headers, is_detached=wait is None and not streams),
+            checked=True,
         )
         with stream:
             own = stream.own and self._may_own(exchange, client, route)

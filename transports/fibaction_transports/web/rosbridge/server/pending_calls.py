@@ -67,7 +67,9 @@ class PendingCalls:
         self._goals[request] = goal
         self._latest[goal.client_id] = request
         credit = CREDIT if goal.has_feedback else None
-        return encode(SendGoal(request, goal.action, goal.goal_id, payload, credit, meta=meta))
+        return encode(
+            SendGoal(request, goal.action, goal.goal_id, payload, credit, meta=meta, checked=True)
+        )
 
     def latest_goal(self, client_id: ClientID) -> SentGoal | None:
         """Return the goal that the client has sent last with that ID, if it has not ended."""

@@ -1,0 +1,73 @@
+"""`GoalCheck`: the check of goals by the JSON Schema of their type, as at every other door.
+
+The types of the action decide whether a goal can be read, and take a field that they do not have,
+so that clients of a newer version are understood. A client without types has no version: there, a
+field that is not known is a mistake. So its goals are compared with the schema, too, by the check
+that REST, rosbridge, MCP and the command use. Goals that the types have not taken are compared with
+it as well, since its sentences name the field and what is expected. Large goals are checked in a
+thread, as the documents of strangers are everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import msgspec
+
+from fibaction.words.errors import GoalRejected
+
+if TYPE_CHECKING:
+    from fibaction.schema.payload import JsonCodec
+
+Pause: TypeAlias = Callable[[], None]
+
+
+class GoalCheck:
+    """The check of the goals of one action by the schema of their type."""
+
+    def __init__(self, schema: Callable[[], Mapping[str, Any]]) -> None:
+        """Make a check; `schema` is called for the first goal that is checked."""
+        self._schema = schema
+        self._json: JsonCodec | None = None
+
+    def check(self, goal: bytes, misread: str = "") -> Coroutine[Any, Any, None] | None:
+        """Check a goal: return None if it matches, or a coroutine that checks a large one.
+
+        `misread` is the error of the types; empty if they have taken the goal.
+
+        Raises:
+            GoalRejected: The goal does not match, or there is an error already; here or in the
+                coroutine.
+        """
+        from fibaction.schema.turns import SMALL  # not needed by clients with types
+
+        if len(goal) > SMALL:
+            return self._check_in_turn(goal, misread)
+        self._check(goal, misread, None)
+        return None
+
+    async def _check_in_turn(self, goal: bytes, misread: str) -> None:
+        from fibaction.schema.turns import in_turn
+
+        await in_turn(len(goal), lambda pause: self._check(goal, misread, pause))
+
+    def _check(self, goal: bytes, misread: str, pause: Pause | None) -> None:
+        text = self._mismatch(goal, pause) or misread
+        if text:
+            raise GoalRejected(text, is_unreadable=True)
+
+    def _mismatch(self, goal: bytes, pause: Pause | None) -> str:
+        """Return what is wrong with a goal; empty if the schema finds nothing."""
+        from fibaction.schema.payload import JsonCodec, PayloadError, SchemaError
+
+        try:
+            if self._json is None:
+                self._json = JsonCodec(self._schema())
+            self._json.encode(msgspec.msgpack.decode(goal), pause=pause)
+        except PayloadError as exc:
+            # An error of the schema is not the client's.
+            return "" if isinstance(exc.__cause__, SchemaError) else str(exc)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError):
+            pass  # it is not msgpack, and the types have told that
+        return ""
