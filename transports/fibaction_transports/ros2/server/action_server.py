@@ -189,9 +189,8 @@ class RosActionServer:
         if goal_id in self._forwarders or goal_id in self._statuses:
             raise GoalRejected("its ID is in use")
         self._deciding.add(goal_id)  # until the client has been told
-        stream = await self._endpoint.send_goal(
-            goal_id, self._codecs.goal.from_ros(goal), checked=True
-        )
+        payload = self._codecs.goal.from_ros(goal)
+        stream = await self._endpoint.send_goal(goal_id, payload, checked=True)
         # Here and not only by the stream of all statuses, which may be read after the goal's own.
         self._statuses.update(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
         self._forward(stream)
