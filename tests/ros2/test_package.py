@@ -19,8 +19,11 @@ import yaml
 from catkin_pkg.package import parse_package
 
 from fibaction import connect
+from tests.ros2.stock.process import peer
 from tests.support.fibonacci import FIBONACCI, Goal, Result
+from tests.support.pages import blocks_of
 from tests.support.processes import ended, lines_until
+from tests.test_docs import DOCS
 
 PACKAGE = Path(__file__).parents[2] / "examples/ros2/fibaction_fibonacci"
 NAME = PACKAGE.name
@@ -74,6 +77,28 @@ def test_the_installed_node_is_run_by_the_python_of_the_environment(tmp_path: Pa
         [node], env={**os.environ, "PATH": path}, check=True, capture_output=True, text=True
     )
     assert run.stdout == f"this Python runs {node}\n"
+
+
+async def run_at_the_tutorial_server(command: list[str], folder: Path) -> str:
+    """Run a client, and return what it prints."""
+    async with peer("tutorial_server"):
+        return (await anyio.run_process(command, cwd=folder)).stdout.decode()
+
+
+def test_the_client_in_a_package_of_ones_own_is_as_the_page_says(
+    tmp_path: Path, alone: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", alone)
+    page = blocks_of((DOCS / "howto" / "colcon.md").read_text(encoding="utf-8"))
+    (code,) = (block.code for block in page if "def main" in block.code)
+    (script,) = (block.code for block in page if ":main" in block.code)
+    (printed,) = (block.code for block in page if block.code.startswith("Fibonacci_Feedback"))
+    module = script.partition("my_package.")[2].partition(":")[0]
+    here = code.replace('name="fibonacci"', 'name="tutorial"')
+    (tmp_path / f"{module}.py").write_text(here, encoding="utf-8")
+    command = [sys.executable, "-c", f"from {module} import main; main()"]
+
+    assert anyio.run(run_at_the_tutorial_server, command, tmp_path) == printed
 
 
 async def call(url: str) -> Result:
