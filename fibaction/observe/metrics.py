@@ -8,13 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import anyio
 
 from fibaction._runtime.connection_counts import CONNECTIONS
 from fibaction.border.abc import FeedbackItem, Meta
 from fibaction.border.watchers import Watcher
+from fibaction.observe.metrics_formats import (
+    CONTENT_TYPE,
+    OPENMETRICS_CONTENT_TYPE,
+    wants_openmetrics,
+)
 from fibaction.words.extras import NeedsExtra
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import GoalStatus
@@ -24,9 +29,6 @@ if TYPE_CHECKING:
     from prometheus_client.core import Metric
 
 __all__ = ["CONTENT_TYPE", "Metrics"]
-
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-"""The content type of `Metrics.text`."""
 
 DURATIONS = (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 60, 300, 900, 3600)
 """Bounds of the buckets for durations, in seconds."""
@@ -151,6 +153,20 @@ class Metrics(Watcher):
         from prometheus_client import generate_latest
 
         return generate_latest(self.registry)
+
+    def answer(self, accept: str = "") -> tuple[str, bytes]:
+        """Return the content type and the text of all series, in the format that is asked for.
+
+        `accept` is the header of the request: OpenMetrics if it names that, and otherwise the text
+        format of Prometheus. Any thread may call it.
+        """
+        if not wants_openmetrics(accept):
+            return CONTENT_TYPE, self.text()
+        from prometheus_client.openmetrics import exposition
+
+        untyped: Any = exposition
+        text: bytes = untyped.generate_latest(self.registry)
+        return OPENMETRICS_CONTENT_TYPE, text
 
     async def run(self) -> None:
         """Measure the lag of the event loop, until canceled."""

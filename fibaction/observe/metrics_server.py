@@ -18,7 +18,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 import anyio
 
 from fibaction._runtime.tasks import Background
-from fibaction.observe.metrics import CONTENT_TYPE, Metrics
+from fibaction.observe.metrics import Metrics
 from fibaction.server import ActionServer
 from fibaction.words.errors import TransportError
 
@@ -63,7 +63,7 @@ class _Application:
         status, content_type, body = "200 OK", "text/plain; charset=utf-8", b"ok\n"
         path, late = request["PATH_INFO"], monotonic() - self._metrics.beat_at
         if path == "/metrics":
-            content_type, body = CONTENT_TYPE, self._metrics.text()
+            content_type, body = self._metrics.answer(request.get("HTTP_ACCEPT", ""))
         elif path not in ("/healthz", "/readyz"):
             status, body = "404 Not Found", b"see /metrics, /healthz and /readyz\n"
         elif late > STUCK:
@@ -71,7 +71,8 @@ class _Application:
             body = f"the event loop has been blocked for {late:.0f} s\n".encode()
         elif path == "/readyz" and not all(server.is_running for server in self._servers):
             status, body = "503 Service Unavailable", b"a server does not run\n"
-        begin(status, [("Content-Type", content_type), ("Content-Length", str(len(body)))])
+        headers = [("Content-Type", content_type), ("Content-Length", str(len(body)))]
+        begin(status, headers + ([("Vary", "Accept")] if path == "/metrics" else []))
         return [body]
 
 

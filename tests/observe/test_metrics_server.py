@@ -12,6 +12,7 @@ import pytest
 
 from fibaction import ActionServer, TransportError
 from fibaction.observe.metrics import CONTENT_TYPE, Metrics
+from fibaction.observe.metrics_formats import OPENMETRICS_CONTENT_TYPE
 from fibaction.observe.metrics_server import STUCK, serve_metrics
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
@@ -23,10 +24,11 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-def answer(url: str) -> tuple[int, str, str]:
+def answer(url: str, accept: str = "*/*") -> tuple[int, str, str]:
     """Return the status, the text and the type of an answer; it blocks the event loop meanwhile."""
+    request = urllib.request.Request(url, headers={"Accept": accept})
     try:
-        with urllib.request.urlopen(url, timeout=10) as response:
+        with urllib.request.urlopen(request, timeout=10) as response:
             return response.status, response.read().decode(), response.headers["Content-Type"]
     except urllib.error.HTTPError as error:
         with error:
@@ -46,6 +48,9 @@ async def test_metrics_and_health_are_at_their_paths() -> None:
         assert answer(root)[:2] == (404, "see /metrics, /healthz and /readyz\n")
         assert "fibaction_goals" in answer(url)[1]
         assert answer(url)[2] == CONTENT_TYPE
+        status, text, kind = answer(url, "application/openmetrics-text")
+        assert (status, kind) == (200, OPENMETRICS_CONTENT_TYPE)
+        assert text.endswith("# EOF\n")
 
 
 @asynchronous

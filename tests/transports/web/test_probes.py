@@ -9,6 +9,7 @@ import pytest
 
 from fibaction import connect, serve
 from fibaction.observe.metrics import CONTENT_TYPE, Metrics
+from fibaction.observe.metrics_formats import OPENMETRICS_CONTENT_TYPE
 from fibaction_transports.web import HttpTransport, WebTransport
 from tests.support.fibonacci import FIBONACCI, Goal
 from tests.transports.tcp.servers import new_server
@@ -34,6 +35,12 @@ async def test_metrics_are_at_the_address_of_the_server() -> None:
         ended = b'fibaction_goals_total{action="fibonacci",status="SUCCEEDED"} 1.0'
         assert ended in answer.body
         assert (await fetch(url, "HEAD", "/metrics")).body == b""
+        accept = "application/openmetrics-text;version=1.0.0;q=0.5,*/*;q=0.1"
+        answer = await fetch(url, "GET", "/metrics", accept=accept)
+        assert answer.headers["content-type"] == OPENMETRICS_CONTENT_TYPE
+        assert answer.headers["vary"] == "Accept"
+        assert ended in answer.body
+        assert answer.body.endswith(b"# EOF\n")
 
 
 async def test_the_lag_of_the_event_loop_is_measured_meanwhile() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fibaction.border.http_access import Refused
-from fibaction.observe.metrics import CONTENT_TYPE, Metrics
+from fibaction.observe.metrics import Metrics
 from fibaction_transports.web.http.exchange import Exchange
 
 ALIVE = ("/healthz", "/readyz")
@@ -37,5 +37,6 @@ class Probes:
         else:
             assert self._metrics is not None
             self._admit(exchange)
-            await exchange.answer(200, self._metrics.text(), kind=CONTENT_TYPE)
+            kind, text = self._metrics.answer(exchange.headers.get("accept", ""))
+            await exchange.answer(200, text, ("Vary", "Accept"), kind=kind)
         return True
