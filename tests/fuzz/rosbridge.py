@@ -27,7 +27,7 @@ from tests.fuzz.fuzzer import fuzz, run_without_errors
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
 LIMITS = Limits(frame=2**14, queue=2**12)
-KNOWN = {"action_feedback", "action_result", "service_response", "fragment"}
+KNOWN = {"action_feedback", "action_result", "service_response", "fragment", "publish"}
 
 
 async def serve(data: bytes) -> None:

@@ -26,14 +26,14 @@ needs_node = pytest.mark.skipif(IS_LEFT_OUT, reason=MISSING)
 TOKEN = "correct-horse"
 
 
-async def javascript(folder: Path, *arguments: str) -> Finished:
-    program = (PROGRAMS / "roslibjs.mjs").read_text()
+async def javascript(folder: Path, *arguments: str, name: str = "roslibjs.mjs") -> Finished:
+    program = (PROGRAMS / name).read_text()
     return await anyio.to_thread.run_sync(lambda: run_node(folder, program, *arguments))
 
 
-async def python(*arguments: str) -> Finished:
+async def python(*arguments: str, name: str = "roslibpy_program.py") -> Finished:
     process = subprocess.Popen(  # noqa: ASYNC220  # it returns at once
-        [sys.executable, str(PROGRAMS / "roslibpy_program.py"), *arguments],
+        [sys.executable, str(PROGRAMS / name), *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -104,6 +104,30 @@ async def test_a_program_of_roslibpy_works_unchanged(token: str, transport: str)
         {"type": "arduinobot_msgs/action/Fibonacci"},
     ]
     assert "is not served here" in lines[9]["error"]
+
+
+TOPICS = [
+    ["/fibonacci/_action/feedback", "/fibonacci/_action/status"],
+    ["arduinobot_msgs/action/Fibonacci_FeedbackMessage", "action_msgs/msg/GoalStatusArray"],
+    feedback(3),
+]
+
+
+@needs_node
+async def test_a_program_of_roslibjs_watches_the_goals_of_others(tmp_path: Path) -> None:
+    async with served() as url:
+        finished = await javascript(tmp_path, url, name="topics.mjs")
+    assert (finished.code, finished.err) == (0, "")
+    assert finished.json == [TOPICS]
+
+
+@pytest.mark.parametrize("transport", ["asyncio", "twisted"])
+async def test_a_program_of_roslibpy_watches_the_goals_of_others(transport: str) -> None:
+    async with served() as url:
+        finished = await python(url, transport, name="topics_program.py")
+    assert finished.code == 0, finished.err
+    assert "Traceback" not in finished.err
+    assert finished.json == [TOPICS]
 
 
 class TestInUvicorn:

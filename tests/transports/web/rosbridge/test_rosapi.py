@@ -75,6 +75,27 @@ async def call(client: RosbridgeClient, service: str, args: Any = None) -> Any:
     return answer["values"] if answer["result"] else str(answer["values"])
 
 
+async def test_the_topics_of_actions_are_listed_with_their_types(serving: Serving) -> None:
+    status = "action_msgs/msg/GoalStatusArray"
+    async with serving(*servers()) as served, served.connect() as client:
+        types = {
+            "/fibonacci/_action/feedback": f"{TYPE}_FeedbackMessage",
+            "/fibonacci/_action/status": status,
+            "/arm/move/_action/feedback": "arm_msgs/action/Move_FeedbackMessage",
+            "/arm/move/_action/status": status,
+            "/idle/_action/feedback": "",
+            "/idle/_action/status": status,
+        }
+        answer = await call(client, "/rosapi/topics")
+        assert answer == {"topics": list(types), "types": list(types.values())}
+        for topic in ("/fibonacci/_action/feedback", "fibonacci/_action/feedback"):
+            kind = await call(client, "/rosapi/topic_type", {"topic": topic})
+            assert kind == {"type": f"{TYPE}_FeedbackMessage"}
+        assert await call(client, "/rosapi/topic_type", ["/chatter"]) == {"type": ""}
+        found = await call(client, "/rosapi/topics_for_type", {"type": status})
+        assert found == {"topics": [topic for topic, kind in types.items() if kind == status]}
+
+
 @pytest.mark.parametrize("slash", ["/", ""])
 async def test_the_actions_are_listed(slash: str, serving: Serving) -> None:
     async with serving(*servers()) as served, served.connect() as client:
@@ -174,7 +195,8 @@ async def test_types_that_ros_does_not_have_are_described_as_far_as_they_go(
         ("/rosapi/action_goal_details", {"type": 1}, "the argument type must be text"),
         ("/rosapi/action_goal_details", {"type": ""}, "the action type '' is not served here"),
         ("/rosapi/action_goal_details", {"type": "a/b"}, "'a/b' is not served here"),
-        ("/rosapi/topics", None, "the service '/rosapi/topics' is not served here"),
+        ("/rosapi/topic_type", None, "the argument topic must be text"),
+        ("/rosapi/nodes", None, "the service '/rosapi/nodes' is not served here"),
         ("/add_two_ints", None, "the service '/add_two_ints' is not served here"),
         ("/fibonacci/_action/get_result", None, "is not served here"),
         ("/fibonacci/_action/cancel_goal", [{"goal_id": {"uuid": "??"}}], "must have 16 bytes"),

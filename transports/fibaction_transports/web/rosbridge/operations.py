@@ -1,9 +1,9 @@
 """The messages of a rosbridge client: JSON text to operations.
 
-A message is an object whose `op` names the operation. Operations about topics, services of others
-and the settings of rosbridge itself are not served here, and are `Ignored`. An operation that is
-served, with a field that is wrong, is `Wrong`: its client gets an answer, if the message says to
-what.
+A message is an object whose `op` names the operation. Operations about publishers, services of
+others and the settings of rosbridge itself are not served here, and are `Ignored`. An operation
+that is served, with a field that is wrong, is `Wrong`: its client gets an answer, if the message
+says to what.
 """
 
 from __future__ import annotations
@@ -66,6 +66,38 @@ class CallService(msgspec.Struct, tag_field="op", tag="call_service"):
     fragment_size: FragmentSize = None
 
 
+class SubscriptionQos(msgspec.Struct):
+    """The quality of service of a subscription, of which only the depth counts."""
+
+    depth: Annotated[int, msgspec.Meta(ge=0)] = 0
+
+
+class Subscribe(msgspec.Struct, tag_field="op", tag="subscribe"):
+    """Request for the messages of a topic."""
+
+    topic: str
+    id: ClientID = None
+    type: str | None = None
+    throttle_rate: Annotated[float, msgspec.Meta(ge=0)] = 0
+    """Milliseconds between two messages, at least."""
+    queue_length: Annotated[int, msgspec.Meta(ge=0)] = 0
+    """Messages that wait for their time, at most; with 0, those that come too early are dropped."""
+    fragment_size: FragmentSize = None
+    qos: SubscriptionQos | None = None
+
+    @property
+    def most_waiting(self) -> int:
+        """Messages that wait for their time, at most."""
+        return self.queue_length if self.qos is None else self.qos.depth
+
+
+class Unsubscribe(msgspec.Struct, tag_field="op", tag="unsubscribe"):
+    """End of the subscription with that ID; of all of that topic, if it has none."""
+
+    topic: str
+    id: ClientID = None
+
+
 class Fragment(msgspec.Struct, tag_field="op", tag="fragment"):
     """A piece of the text of another message."""
 
@@ -98,7 +130,15 @@ class Ignored(msgspec.Struct):
 
 
 Operation: TypeAlias = (
-    SendActionGoal | CancelActionGoal | CallService | Fragment | Auth | Wrong | Ignored
+    SendActionGoal
+    | CancelActionGoal
+    | CallService
+    | Subscribe
+    | Unsubscribe
+    | Fragment
+    | Auth
+    | Wrong
+    | Ignored
 )
 
 _id_type: Any = ClientID
@@ -149,7 +189,9 @@ class OperationReader:
 
 
 _NOT_JSON = object()
-_of_clients = OperationReader(SendActionGoal, CancelActionGoal, CallService, Fragment, Auth)
+_of_clients = OperationReader(
+    SendActionGoal, CancelActionGoal, CallService, Subscribe, Unsubscribe, Fragment, Auth
+)
 
 
 def read(text: str) -> Operation:

@@ -8,6 +8,7 @@ from contextlib import suppress
 import anyio
 from anyio.abc import ByteStream
 
+from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import LEAVE, Channel, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.link import PING
@@ -44,7 +45,7 @@ class _RosbridgeChannel(Channel):
 
     def _reply(self, frames: list[bytes]) -> None:
         """Give the session these frames, and those about what was written."""
-        frames = frames + self.translator.calls.take_replies()
+        frames = frames + self.translator.take_replies()
         while frames and self._handle is not None:
             frames = self._handle(frames)
 
@@ -156,7 +157,9 @@ async def serve_rosbridge(
     server: WireServer, channel: RosbridgeStreamChannel | RosbridgeAsgiChannel
 ) -> None:
     """Serve one client until its connection ends."""
-    await server.serve(channel)
+    async with Background() as tasks:
+        tasks.start_soon(channel.translator.topics.run, channel.wake_writer)
+        await server.serve(channel)
     bound = channel.translator.calls.bound_goals()
     # With "cancel" all goals of a lost client end, by the rules of the server.
     if bound and server.settings.orphans == "keep":

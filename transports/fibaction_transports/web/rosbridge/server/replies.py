@@ -8,16 +8,19 @@ These rules come from the clients, roslibjs 2 and roslibpy 2:
 - A goal that was aborted without a result is `result: false`, so that its reason is shown.
 - There is no feedback behind the result, and never a `status` or an `action_status`: roslibpy
   raises an error for each.
+- A topic is told as `publish` with the name that the client has written, and without an ID.
 """
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import msgspec
 
 from fibaction.schema.payload import PayloadError
-from fibaction.wire.messages import Ended
+from fibaction.wire.messages import Ended, GoalChanged
 from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.fragments import in_fragments
@@ -114,3 +117,46 @@ class ServiceReplies:
     def _told(self, values: object, *, result: bool) -> list[str]:
         text = _encode({**self._members, "values": values, "result": result}).decode()
         return in_fragments(text, self._id, self._fragment_size)
+
+
+# Topics
+
+
+def topic_feedback(goal_id: bytes, payload: bytes) -> Callable[[str], str]:
+    """Return what makes the message with a feedback of a goal on a topic.
+
+    Raises:
+        PayloadError: JSON cannot express it.
+    """
+    uuid, values = _uuid_text(goal_id), values_text(payload)
+    message = f'{{"goal_id":{{"uuid":"{uuid}"}},"feedback":{values}}}'
+    return lambda topic: _published(topic, message)
+
+
+def topic_statuses(topic: str, goals: Iterable[GoalChanged]) -> str:
+    """Return the message with the statuses of goals on a topic."""
+    statuses = [
+        {
+            "goal_info": {
+                "goal_id": {"uuid": _uuid_text(goal.goal_id)},
+                "stamp": _stamp(goal.stamp),
+            },
+            "status": goal.status,
+        }
+        for goal in goals
+    ]
+    return _published(topic, _encode({"status_list": statuses}).decode())
+
+
+def _published(topic: str, message: str) -> str:
+    members = _encode({"op": "publish", "topic": topic}).decode()
+    return f'{members[:-1]},"msg":{message}}}'
+
+
+def _stamp(nanoseconds: int) -> dict[str, int]:
+    seconds, rest = divmod(nanoseconds, 10**9)
+    return {"sec": seconds, "nanosec": rest}
+
+
+def _uuid_text(goal_id: bytes) -> str:
+    return base64.b64encode(goal_id).decode()

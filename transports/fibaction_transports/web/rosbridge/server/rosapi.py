@@ -25,6 +25,10 @@ from fibaction_transports.web.rosbridge.types.type_details import definitions
 
 CANCEL_SUFFIX = "/_action/cancel_goal"
 """The end of the name of the service that cancels goals of an action."""
+FEEDBACK_SUFFIX = "/_action/feedback"
+"""The end of the name of the topic with the feedback of all goals of an action."""
+STATUS_SUFFIX = "/_action/status"
+"""The end of the name of the topic with the statuses of all goals of an action."""
 SECOND = 10**9
 """Nanoseconds of a second."""
 
@@ -71,6 +75,41 @@ def _services(infos: Sequence[ActionInfo], _args: Arguments) -> Values:
     return {"services": [*cancels, *(f"/{name}" for name in _SERVICES)]}
 
 
+STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
+"""The type of the topic with the statuses of an action."""
+
+
+def topic_types(info: ActionInfo) -> tuple[str, str]:
+    """Return the types of the two topics of an action: feedback, which is empty if the type of the
+    action has no name, and status.
+    """
+    return info.type_name and f"{info.type_name}_FeedbackMessage", STATUS_TYPE
+
+
+def _topic_types(infos: Sequence[ActionInfo]) -> dict[str, str]:
+    """Return the types of all topics, by the names of the topics."""
+    return {
+        f"{ros_name(info.name)}{suffix}": kind
+        for info in infos
+        for suffix, kind in zip((FEEDBACK_SUFFIX, STATUS_SUFFIX), topic_types(info), strict=True)
+    }
+
+
+def _topics(infos: Sequence[ActionInfo], _args: Arguments) -> Values:
+    types = _topic_types(infos)
+    return {"topics": list(types), "types": list(types.values())}
+
+
+def _topic_type(infos: Sequence[ActionInfo], args: Arguments) -> Values:
+    name = _text(args, "topic").removeprefix("/")
+    return {"type": _topic_types(infos).get(f"/{name}", "")}
+
+
+def _topics_for_type(infos: Sequence[ActionInfo], args: Arguments) -> Values:
+    wanted = _text(args, "type")
+    return {"topics": [topic for topic, kind in _topic_types(infos).items() if kind == wanted]}
+
+
 def _ros_version(_infos: Sequence[ActionInfo], _args: Arguments) -> Values:
     # Without ROS there is no name of a release.
     return {"version": 2, "distro": os.environ.get("ROS_DISTRO", "")}
@@ -102,6 +141,9 @@ _SERVICES: Mapping[str, Service] = {
     "rosapi/action_feedback_details": _details("feedback"),
     "rosapi/interfaces": _interfaces,
     "rosapi/services": _services,
+    "rosapi/topics": _topics,
+    "rosapi/topic_type": _topic_type,
+    "rosapi/topics_for_type": _topics_for_type,
     "rosapi/get_ros_version": _ros_version,
 }
 

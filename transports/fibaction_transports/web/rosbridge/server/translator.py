@@ -11,9 +11,12 @@ frames of the wire protocol that such a client would send, and JSON text of thos
     cancel_action_goal  CancelGoals     of one goal of this connection
     call_service        CancelGoals     for `<action>/_action/cancel_goal`
                         ListActions     for rosapi, whose answers are made of the list
+    subscribe           WatchStatus     for the topics of an action, status and feedback
+                        Follow          of each goal, for its feedback
     action_feedback     Feedback
     action_result       Ended, Rejected, Failed
     service_response    CancelAnswered, Actions, Failed
+    publish             GoalChanged, Feedback
 
 *The beginning.* rosbridge has no hello, so the translator says it: at once with the token of the
 `Authorization` header, if there is one, or if the server asks for none; otherwise with the token of
@@ -67,6 +70,8 @@ from fibaction_transports.web.rosbridge.operations import (
     Ignored,
     Operation,
     SendActionGoal,
+    Subscribe,
+    Unsubscribe,
     Wrong,
     read,
 )
@@ -79,6 +84,7 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
     known_name,
     service_of,
 )
+from fibaction_transports.web.rosbridge.server.topics import Topics
 from fibaction_transports.web.rosbridge.types.goal_arguments import GoalArguments
 
 PATIENCE = 5.0
@@ -105,6 +111,8 @@ class RosbridgeTranslator:
         """The messages that have not arrived completely."""
         self.calls = PendingCalls(peer, self._note)
         """All that the client waits for."""
+        self.topics = Topics(endpoints, max(settings.limits.goals // 2, 1), self._note)
+        """All topics to which the client subscribes."""
         self.goodbye: Goodbye | None = None
         """The reason of the end, once the session has said it."""
         self._peer = peer
@@ -152,6 +160,10 @@ class RosbridgeTranslator:
                 return frames + self._cancel_goal(operation)
             case CallService():
                 return frames + self._call_service(operation)
+            case Subscribe():
+                return frames + self.topics.subscribe(operation)
+            case Unsubscribe():
+                return frames + self.topics.unsubscribe(operation)
             case Fragment():
                 if was_fragmented:
                     raise ProtocolError("it sent a fragment within fragments")
@@ -238,7 +250,7 @@ class RosbridgeTranslator:
     @property
     def has_texts(self) -> bool:
         """True if there are messages to send that are not about a frame."""
-        return bool(self._texts) and self._is_welcome
+        return self._is_welcome and (bool(self._texts) or self.topics.has_texts)
 
     def _tell(self, texts: list[str]) -> None:
         self._texts += texts
@@ -249,6 +261,8 @@ class RosbridgeTranslator:
     def texts_of(self, frame: bytes) -> list[str]:
         """Return the messages for the client that a frame of the session is."""
         message = decode_from_server(frame)
+        if self.topics.is_about(message):
+            return self.topics.texts_of(message)
         if isinstance(message, Answer):
             return self.calls.texts_of(message)
         if isinstance(message, Welcome):
@@ -262,7 +276,11 @@ class RosbridgeTranslator:
         if not self._is_welcome:
             return []
         texts, self._texts, self._size = self._texts, [], 0
-        return texts
+        return texts + self.topics.take_texts()
+
+    def take_replies(self) -> list[bytes]:
+        """Return the frames for the session about what was written, or is due."""
+        return self.calls.take_replies() + self.topics.take_replies()
 
     def is_alive(self) -> list[bytes]:
         """Return the frames for the session that say that the client is alive."""

@@ -1,0 +1,171 @@
+"""`WatchedAction`: the goals of one action, for the topics of one rosbridge client."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import chain
+
+from fibaction.wire.codec import encode
+from fibaction.wire.messages import (
+    AwaitServer,
+    Follow,
+    GoalChanged,
+    WatchStatus,
+)
+from fibaction_transports.web.rosbridge.operations import Subscribe, Unsubscribe
+from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT
+from fibaction_transports.web.rosbridge.server.replies import topic_statuses
+from fibaction_transports.web.rosbridge.server.topic_outlets import FeedbackOutlet, StatusOutlet
+
+MOST_ENDED = 100
+"""Goals that have ended, and are in the list of statuses; the oldest of more are left out."""
+
+Open = Callable[["WatchedAction", Callable[[int], bytes]], int]
+"""Asks the session something, and returns the number of the request."""
+
+
+class WatchedAction:
+    """The goals of one action, and the topics that tell about them."""
+
+    def __init__(self, action: str, ask: Open, most_goals: int) -> None:
+        """Follow at most so many goals at once."""
+        self.action = action
+        self.feedback: dict[str, FeedbackOutlet] = {}
+        """The topics of feedback, by their names as the client has written them."""
+        self.status: dict[str, StatusOutlet] = {}
+        self.follows: dict[int, bytes] = {}
+        """The IDs of the goals that are followed, by the requests."""
+        self._followed: set[bytes] = set()
+        self.request = 0
+        """The request for the statuses, or the wait for the server."""
+        self.begin_at = math.inf
+        """The time at which the server is asked again; infinite while a request is open."""
+        self._unlisted: int | None = None  # known goals that the session has still to tell
+        self._ask = ask
+        self._most_goals = most_goals
+        self._active: dict[bytes, GoalChanged] = {}
+        self._ended: dict[bytes, GoalChanged] = {}
+
+    @property
+    def subscriptions(self) -> int:
+        """The number of the client's subscriptions."""
+        return sum(len(one.subscriptions) for one in self._outlets())
+
+    @property
+    def is_listed(self) -> bool:
+        """True if all known goals were told."""
+        return self._unlisted == 0
+
+    def _outlets(self) -> chain[FeedbackOutlet | StatusOutlet]:
+        return chain(self.feedback.values(), self.status.values())
+
+    def begin(self, *, is_served: bool) -> None:
+        """Ask for the statuses of the goals, or first wait until the action is served."""
+        self.begin_at, self._unlisted = math.inf, None
+        self._active, self._ended = {}, {}
+        if is_served:
+            self.request = self._ask(
+                self, lambda number: encode(WatchStatus(number, self.action, CREDIT))
+            )
+        else:
+            self.request = self._ask(self, lambda number: encode(AwaitServer(number, self.action)))
+
+    def begin_list(self, known: int) -> None:
+        """Take the number of known goals, which are told first."""
+        self._unlisted = known
+        self._note_statuses()
+
+    def _note_statuses(self) -> None:
+        for outlet in self.status.values():
+            outlet.note()
+
+    # Subscriptions
+
+    def add_status(self, sent: Subscribe) -> None:
+        """Tell the statuses on a topic: those that there are at once."""
+        outlet = self.status.setdefault(sent.topic, StatusOutlet(sent.topic))
+        outlet.subscribe(sent)
+        outlet.note()
+
+    def add_feedback(self, sent: Subscribe) -> None:
+        """Tell the feedback on a topic from now on."""
+        is_first = not self.feedback
+        self.feedback.setdefault(sent.topic, FeedbackOutlet(sent.topic)).subscribe(sent)
+        if is_first:
+            for goal in self._active.values():
+                self._follow(goal, None)
+
+    def remove(self, sent: Unsubscribe) -> list[int]:
+        """Remove subscriptions; return the follows that are not needed any longer."""
+        for outlets in (self.feedback, self.status):
+            outlet = outlets.get(sent.topic)
+            if outlet is not None:
+                outlet.unsubscribe(sent.id)
+                if not outlet.subscriptions:
+                    outlets.pop(sent.topic)
+        return [] if self.feedback else self.leave_all()
+
+    def leave_all(self) -> list[int]:
+        """Follow no goal any longer; return the requests."""
+        left = list(self.follows)
+        self.follows.clear()
+        self._followed.clear()
+        return left
+
+    def leave(self, request: int) -> None:
+        """Forget a goal whose end was told, or which cannot be followed."""
+        self._followed.discard(self.follows.pop(request, b""))
+
+    # Goals
+
+    def change(self, goal: GoalChanged) -> bool:
+        """Take the status of a goal; return False if the goal cannot be followed any more."""
+        before = self._active.pop(goal.goal_id, None) or self._ended.get(goal.goal_id)
+        if goal.status.is_terminal:
+            self._ended[goal.goal_id] = goal
+            if len(self._ended) > MOST_ENDED:
+                del self._ended[next(iter(self._ended))]
+        else:
+            self._active[goal.goal_id] = goal
+        if before is None or before.status != goal.status:
+            self._note_statuses()
+        was_known = bool(self._unlisted)
+        if self._unlisted:
+            self._unlisted -= 1
+        is_new = before is None and not (was_known and goal.status.is_terminal)
+        if not (self.feedback and is_new):
+            return True
+        return self._follow(goal, None if was_known else 0)
+
+    def _follow(self, goal: GoalChanged, after: int | None) -> bool:
+        """Follow a goal from now on, or from its first feedback on."""
+        if goal.goal_id in self._followed:
+            return True
+        if len(self.follows) >= self._most_goals:
+            return False
+        request = self._ask(
+            self,
+            lambda number: encode(
+                Follow(number, self.action, goal.goal_id, after, False, CREDIT, goal.attempt)
+            ),
+        )
+        self.follows[request] = goal.goal_id
+        self._followed.add(goal.goal_id)
+        return True
+
+    # To the client
+
+    def take(self, now: float) -> list[str]:
+        """Return the messages that are due."""
+        texts: list[str] = []
+        for outlet in self.feedback.values():
+            texts += outlet.take(now)
+        if self.is_listed:
+            goals = len(self._active) + len(self._ended)
+            for one in self.status.values():
+                texts += one.take(now, goals, self._status_text)
+        return texts
+
+    def _status_text(self, topic: str) -> str:
+        return topic_statuses(topic, chain(self._ended.values(), self._active.values()))
