@@ -81,6 +81,13 @@ async def test_a_path_that_is_not_a_files_is_not_found(path: str) -> None:
         assert (await fetch(url, "GET", path)).status == 404
 
 
+async def test_the_page_of_the_rest_interface_has_the_same_policy() -> None:
+    async with served("http://127.0.0.1:0/robot") as below:
+        answer = await fetch(below.removesuffix("/robot"), "GET", "/robot/docs")
+    assert answer.status == 200
+    assert answer.headers["content-security-policy"] == PAGE_POLICY
+
+
 async def test_files_are_only_read() -> None:
     async with served() as url:
         answer = await fetch(url, "DELETE", "/")
@@ -100,6 +107,7 @@ async def test_a_server_may_be_without_the_console() -> None:
     async with served("http://127.0.0.1:0?console=false") as url:
         assert (await fetch(url, "GET", "/")).status == 404
         assert (await fetch(url, "GET", "/console/style.css")).status == 404
+        assert (await fetch(url, "GET", "/docs")).status == 404
         assert (await fetch(url, "GET", "/fibaction.js")).status == 200
 
 
@@ -138,15 +146,18 @@ class References(HTMLParser):
 
 
 def test_every_file_that_the_page_and_its_modules_name_is_served_at_a_relative_address() -> None:
-    page = References()
-    page.feed(all_assets()["/"].body.decode())
-    names = [name for name in page.found if not name.startswith("#")]
-    assert "console/main.js" in names
-    assert {f"/{name}" for name in names} <= set(all_assets())
+    for path, script in (("/", "console/main.js"), ("/docs", "docs/main.js")):
+        page = References()
+        page.feed(all_assets()[path].body.decode())
+        names = {name for name in page.found if not name.startswith("#")}
+        assert script in names
+        served = names - {"openapi.json", "./"}  # which are not files
+        assert {f"/{name}" for name in served} <= set(all_assets())
     for path, asset in all_assets().items():
-        if path.startswith("/console/") and path.endswith(".js"):
+        if path.startswith(("/console/", "/docs/")) and path.endswith(".js"):
+            folder = path.rpartition("/")[0]
             for name in re.findall(r'from "(.*)";', asset.body.decode()):
-                wanted = name[2:] if name.startswith("..") else f"/console/{name[2:]}"
+                wanted = name[2:] if name.startswith("..") else f"{folder}/{name[2:]}"
                 assert wanted in all_assets(), f"{path} imports {name}"
 
 
@@ -155,3 +166,10 @@ def test_all_files_of_the_console_are_served_and_small() -> None:
     sizes = {one.name: len(one.read_bytes()) for one in folder.iterdir()}
     assert {f".{name.rpartition('.')[2]}" for name in sizes} <= set(MEDIA_TYPES)
     assert sum(sizes.values()) <= MOST_BYTES
+
+
+def test_the_page_of_the_rest_interface_is_small() -> None:
+    folder = files("fibaction_transports.web") / "api_page"
+    sizes = {one.name: len(one.read_bytes()) for one in folder.iterdir()}
+    assert {f".{name.rpartition('.')[2]}" for name in sizes} <= set(MEDIA_TYPES)
+    assert sum(sizes.values()) <= MOST_BYTES / 5

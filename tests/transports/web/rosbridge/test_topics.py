@@ -34,6 +34,7 @@ from fibaction.wire.messages import (
 from fibaction.wire.settings import ServerSettings
 from fibaction_transports.web.rosbridge.operations import Subscribe, Unsubscribe
 from fibaction_transports.web.rosbridge.server import topics, watched_action
+from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT
 from fibaction_transports.web.rosbridge.server.topics import FIRST_REQUEST, RETRY_AFTER, Topics
 from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
 from tests.support.virtual_time import in_virtual_time
@@ -242,7 +243,7 @@ def test_goals_that_run_are_followed_from_now_on_and_new_ones_from_their_begin()
     partner = Partner()
     watch = watching(partner, FEEDBACK, GoalStatus.EXECUTING, GoalStatus.SUCCEEDED)
     (running,) = partner.say(changed(watch, GoalStatus.EXECUTING, GOAL, feedback_count=7))
-    assert running == Follow(FIRST_REQUEST + 1, "fibonacci", GOAL, None, False, topics.CREDIT)
+    assert running == Follow(FIRST_REQUEST + 1, "fibonacci", GOAL, None, False, CREDIT)
     assert partner.say(changed(watch, GoalStatus.SUCCEEDED, b"e" * 16)) == []
     (new,) = partner.say(changed(watch, GoalStatus.ACCEPTED, OTHER))
     assert isinstance(new, Follow)
@@ -344,7 +345,7 @@ def test_an_action_that_is_not_served_yet_is_waited_for() -> None:
     (wait,) = partner.subscribe("/later/_action/status", type="any")
     assert wait == AwaitServer(FIRST_REQUEST, "/later")
     (watch,) = partner.say(Done(FIRST_REQUEST))
-    assert watch == WatchStatus(FIRST_REQUEST + 1, "/later", topics.CREDIT)
+    assert watch == WatchStatus(FIRST_REQUEST + 1, "/later", CREDIT)
 
 
 @pytest.mark.parametrize("how", ["finished", "lost"])

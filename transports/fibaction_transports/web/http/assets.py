@@ -1,4 +1,6 @@
-"""`Assets`: the static files that a web server has: the console, and the client for JavaScript.
+"""`Assets`: the static files that a web server has: its pages, and the client for JavaScript.
+
+The pages are the console, at the root, and that of the REST interface, at `/docs`.
 
 They are resources of this package, read once by a process. Only the names that were found then are
 served, so a path that climbs out of the folder is one of the many that do not exist.
@@ -35,6 +37,7 @@ MEDIA_TYPES = {
 """The files that are served, by their suffixes."""
 ASSET_METHODS = ("GET", "HEAD")
 PAGE = "/"
+API_PAGE = "/docs"
 CLIENT = ("fibaction.js", "fibaction.d.ts")
 
 
@@ -69,7 +72,7 @@ class Assets:
     """The files of one server, by their paths."""
 
     def __init__(self, *, console: bool) -> None:
-        """Take the client for JavaScript, and the console if it is wanted."""
+        """Take the client for JavaScript, and the pages if they are wanted."""
         self._by_path = {
             path: asset
             for path, asset in all_assets().items()
@@ -111,10 +114,14 @@ async def answer_with(asset: Asset, exchange: Exchange) -> None:
 def all_assets() -> dict[str, Asset]:
     """Return all files, by their paths."""
     web = files("fibaction_transports.web")
-    console = {f"/console/{one.name}": one for one in (web / "console").iterdir()}
-    found: dict[str, Traversable] = {PAGE: web / "console" / "index.html"}
+    found: dict[str, Traversable] = {
+        PAGE: web / "console" / "index.html",
+        API_PAGE: web / "api_page" / "index.html",
+    }
     found |= {f"/{name}": web / "javascript" / name for name in CLIENT}
-    found |= {path: one for path, one in console.items() if one.name != "index.html"}
+    for path, folder in (("/console", "console"), (API_PAGE, "api_page")):
+        files_in = (web / folder).iterdir()
+        found |= {f"{path}/{one.name}": one for one in files_in if one.name != "index.html"}
     return {
         path: Asset(one.read_bytes(), MEDIA_TYPES[suffix])
         for path, one in found.items()
