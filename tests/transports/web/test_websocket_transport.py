@@ -107,7 +107,7 @@ def test_a_path_begins_with_a_slash() -> None:
 
 async def test_an_address_of_the_network_needs_tls() -> None:
     with pytest.raises(
-        TransportError, match=r"use wss://, or, if the network is your own, \?insec"
+        TransportError, match=r"use wss://, or, if the network is your own, append \?insec"
     ):
         async with serve(new_server(), "ws://0.0.0.0:0"):
             pass
