@@ -286,3 +286,13 @@ def test_without_watchfiles_one_sentence_says_so(
 
     assert result.exit_code == ExitCode.USAGE
     assert result.stderr == "Error: --reload needs watchfiles: pip install 'fibaction[reload]'\n"
+
+
+def test_where_processes_do_not_fork_one_sentence_says_that_it_is_not_there(
+    file: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(os, "fork")
+    result = invoke("serve", "reloaded:server", "--reload")
+
+    needs = "Error: --reload needs Linux or macOS: stop and start the server instead\n"
+    assert (result.exit_code, result.stderr) == (ExitCode.USAGE, needs)

@@ -10,6 +10,7 @@ import socket
 import sys
 from pathlib import Path
 from signal import SIGINT, SIGTERM
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -163,6 +164,19 @@ def test_one_that_cannot_be_followed_is_killed(
 
     with pytest.raises(ProcessLookupError):
         os.kill(int(str(caught.value)), 0)
+
+
+def test_windows_locks_the_folder_by_a_call_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[tuple[int, int]] = []
+    windows: Any = ModuleType("msvcrt")
+    windows.LK_NBLCK = 2
+    windows.locking = lambda _file, mode, size: asked.append((mode, size))
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", windows)
+    with run_broker.locked(tmp_path):
+        assert asked == [(2, 1)]
 
 
 def test_a_folder_of_another_broker_is_one_sentence(invoke: Invoke, program: Any) -> None:

@@ -197,3 +197,41 @@ async def test_the_exit_needs_no_terminal(monkeypatch: pytest.MonkeyPatch) -> No
         signal.raise_signal(signal.SIGALRM)
 
     assert codes == [ExitCode.INTERRUPTED]
+
+
+@pytest.mark.asyncio
+async def test_without_a_timer_of_signals_the_next_one_ends_what_computes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    monkeypatch.delattr(signal, "SIGALRM")
+    with signals.SignalReceiver() as receiver:
+        signal.raise_signal(SIGINT)
+        await receiver.next()
+        signal.raise_signal(SIGINT)
+        assert codes == []
+        signal.raise_signal(SIGINT)  # the one before was not taken
+
+    assert codes == [ExitCode.INTERRUPTED]
+
+
+@pytest.mark.asyncio
+async def test_a_system_without_states_of_terminals_has_none_to_restore(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    monkeypatch.setitem(sys.modules, "termios", None)
+    master, slave = pty.openpty()
+    with os.fdopen(slave, "w") as terminal:
+        for name, stream in (("stdin", terminal), ("stdout", None), ("stderr", terminal)):
+            monkeypatch.setattr(sys, f"__{name}__", stream)
+        with signals.SignalReceiver():
+            signal.raise_signal(signal.SIGALRM)
+        monkeypatch.undo()
+    written = os.read(master, 1000)
+    os.close(master)
+
+    assert codes == [ExitCode.INTERRUPTED]
+    assert written.endswith(b"\x1b[?25h")

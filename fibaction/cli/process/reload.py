@@ -42,11 +42,14 @@ def run_reloading(
     The process gets the `options` of `fibaction serve`.
 
     Raises:
-        Failure: There is no such module, or watchfiles is not installed.
+        Failure: There is no such module, watchfiles is not installed, or this is Windows.
         click.exceptions.Exit: A signal came.
     """
     if find_spec("watchfiles") is None:
         raise Failure("--reload needs watchfiles: pip install 'fibaction[reload]'", ExitCode.USAGE)
+    if not hasattr(os, "fork"):
+        needs = "--reload needs Linux or macOS: stop and start the server instead"
+        raise Failure(needs, ExitCode.USAGE)
     import watchfiles
 
     folder = folder_of(parse(target).module)

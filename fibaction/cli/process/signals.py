@@ -8,7 +8,8 @@
 - All others exit at once: `exit_codes.run`.
 
 An event loop handles signals between its tasks only, so a task that computes would keep them
-waiting. `SignalReceiver` ends the process if the loop has not taken a signal within `GRACE`.
+waiting. `SignalReceiver` ends the process if the loop has not taken a signal within `GRACE`; on
+Windows, which has no timer of signals, if another one comes before it is taken.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager, suppress
-from signal import SIGINT, SIGTERM
 from types import TracebackType
 from typing import Any, Self
 
@@ -27,6 +27,7 @@ import anyio
 
 from fibaction._runtime.tasks import Background
 from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.process.received_signals import ReceivedSignals, handle_with
 
 SAME_SIGNAL = 0.1
 """Seconds within which a second signal counts as the first again: some programs, such as `timeout`,
@@ -42,23 +43,24 @@ class SignalReceiver:
     """Receives SIGINT and SIGTERM, one for each `next`, during its block.
 
     If a signal is not taken within `GRACE` seconds, because something computes, the process exits
-    with the code for an interruption.
+    with the code for an interruption; on Windows, it does so at the next signal.
     """
 
     def __init__(self, last_words: Callable[[], object] = lambda: None) -> None:
         """Make a receiver. `last_words` is called before such an exit."""
         self._last_words = last_words
         self._stack = ExitStack()
-        self._signals: Any = None
+        self._has_alarm = hasattr(signal, "SIGALRM")
+        self._is_waiting = False
+        self._signals = ReceivedSignals(self._set_alarm if self._has_alarm else self._exit_at_next)
         self._terminal = _Terminal()
 
     def __enter__(self) -> Self:
-        self._signals = self._stack.enter_context(anyio.open_signal_receiver(SIGINT, SIGTERM))
-        # The loop learns of a signal from the file descriptor that it has set, not from a handler.
-        _handle_with(self._set_alarm)
-        before = signal.signal(signal.SIGALRM, self._exit)
-        self._stack.callback(signal.signal, signal.SIGALRM, before)
-        self._stack.callback(signal.setitimer, signal.ITIMER_REAL, 0)
+        self._stack.enter_context(self._signals)
+        if self._has_alarm:
+            before = signal.signal(signal.SIGALRM, self._exit)
+            self._stack.callback(signal.signal, signal.SIGALRM, before)
+            self._stack.callback(signal.setitimer, signal.ITIMER_REAL, 0)
         return self
 
     def __exit__(
@@ -71,12 +73,19 @@ class SignalReceiver:
 
     async def next(self) -> None:
         """Wait for the next signal."""
-        await anext(self._signals)
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        await self._signals.next()
+        self._is_waiting = False
+        if self._has_alarm:
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
     def _set_alarm(self, _number: int, _frame: object) -> None:
         if signal.getitimer(signal.ITIMER_REAL)[0] == 0:  # more signals are no reprieve
             signal.setitimer(signal.ITIMER_REAL, GRACE)
+
+    def _exit_at_next(self, number: int, frame: object) -> None:
+        if self._is_waiting:
+            self._exit(number, frame)
+        self._is_waiting = True
 
     def _exit(self, _number: int, _frame: object) -> None:
         with suppress(Exception):  # the computation may be within the same stream
@@ -91,9 +100,10 @@ class _Terminal:
     def __init__(self) -> None:
         self._state: list[Any] | None = None
         if sys.__stdin__ is not None and sys.__stdin__.isatty():
-            import termios
+            with suppress(ModuleNotFoundError):  # as on Windows
+                import termios
 
-            self._state = termios.tcgetattr(sys.__stdin__)
+                self._state = termios.tcgetattr(sys.__stdin__)
 
     def restore(self) -> None:
         """Restore the state from when this object was made."""
@@ -143,12 +153,12 @@ async def stop_signals(same: float | None = None) -> AsyncGenerator[anyio.Event,
             end_by(signal.Signals(number))
 
     async def wait_for_first(*, task_status: anyio.abc.TaskStatus[None]) -> None:
-        with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
-            # Not by a task: an executor or a clean-up may block the event loop, and the second
-            # signal must end the process at once. The loop learns of the first one all the same.
-            _handle_with(handle)
+        # The second signal is not for a task: an executor or a clean-up may block the event loop,
+        # and that signal must end the process at once.
+        signals = ReceivedSignals(handle)
+        with signals:
             task_status.started()
-            await anext(signals)
+            await signals.next()
             stop.set()
             await anyio.sleep_forever()
 
@@ -156,12 +166,7 @@ async def stop_signals(same: float | None = None) -> AsyncGenerator[anyio.Event,
         await tasks.start(wait_for_first)
         yield stop
     if stop.is_set():
-        _handle_with(handle)  # the receiver has restored Python's, which raises KeyboardInterrupt
-
-
-def _handle_with(handler: Callable[[int, object], None]) -> None:
-    for number in (SIGINT, SIGTERM):
-        signal.signal(number, handler)
+        handle_with(handle)  # the receiver has restored Python's, which raises KeyboardInterrupt
 
 
 def end_by(number: signal.Signals) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -11,7 +10,9 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Generator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import anyio
 import click
@@ -137,7 +138,7 @@ def locked(folder: Path) -> Generator[Path, None, None]:
         text = exc.strerror or exc
         raise Failure(f"--data {folder} cannot be used: {text}", ExitCode.USAGE) from exc
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _take(lock)
     except OSError as exc:
         os.close(lock)
         raise Failure(f"another broker uses {folder}: give --data DIR", ExitCode.USAGE) from exc
@@ -145,6 +146,21 @@ def locked(folder: Path) -> Generator[Path, None, None]:
         yield folder
     finally:
         os.close(lock)
+
+
+def _take(lock: int) -> None:
+    """Lock a file for as long as it is open.
+
+    Raises:
+        OSError: Another process has it.
+    """
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # on Windows
+        msvcrt: Any = import_module("msvcrt")
+        msvcrt.locking(lock, msvcrt.LK_NBLCK, 1)
+    else:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def settings(port: int, folder: Path) -> str:

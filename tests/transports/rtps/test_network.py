@@ -11,6 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction.border.event_loop import asyncio_loop
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps import sockets as sockets_module
 from fibaction_transports.rtps.events import (
@@ -23,7 +24,7 @@ from fibaction_transports.rtps.events import (
     SampleReceived,
 )
 from fibaction_transports.rtps.loops.fair_inbox import FairInbox
-from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop
+from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop, calls_for
 from fibaction_transports.rtps.network import MOST_AT_ONCE, ParticipantNetwork, open_network
 from fibaction_transports.rtps.ports import (
     PARTICIPANTS,
@@ -287,6 +288,28 @@ def test_a_datagram_of_another_sender_does_not_wait_for_a_flood() -> None:
     assert inbox.put(bytes(3_000), other)
     assert inbox.put(bytes(3_000), ("127.0.0.1", 3))
     assert not inbox.put(bytes(3_000), ("127.0.0.1", 4))
+
+
+@pytest.mark.asyncio
+async def test_a_loop_of_asyncio_that_does_not_call_back_for_sockets_is_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def not_there(*_: object) -> None:
+        raise NotImplementedError
+
+    one, other = socket.socketpair()
+    with one, other:
+        assert calls_for(one)
+        monkeypatch.setattr(asyncio_loop(), "add_reader", not_there)
+        assert not calls_for(one)
+
+
+def test_a_loop_of_trio_does_not_call_back_for_sockets() -> None:
+    async def asked() -> bool:
+        with socket.socket() as one:
+            return calls_for(one)
+
+    assert not anyio.run(asked, backend="trio")
 
 
 @pytest.mark.asyncio

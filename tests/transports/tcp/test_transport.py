@@ -260,6 +260,14 @@ def test_on_trio_too_who_hangs_up_while_shaking_hands_keeps_no_other_out(heard: 
     anyio.run(main, backend="trio")
 
 
+def test_a_unix_socket_is_one_sentence_on_a_system_without_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delattr(socket, "AF_UNIX")
+    with pytest.raises(TransportError, match=r"^unix:///run/robot.sock needs a system with Unix"):
+        UnixTransport("/run/robot.sock")
+
+
 def test_unix_sockets_are_served_on_trio_too(tmp_path: Path) -> None:
     async def main() -> None:
         async with serve(new_server(), f"unix://{tmp_path}/socket") as (url,):

@@ -33,7 +33,7 @@ async def accept(
 def peer_of(stream: AnyByteStream) -> str:
     """Return the address of the peer, for logs."""
     family = stream.extra(SocketAttribute.family)
-    if family == socket.AF_UNIX:
+    if family not in (socket.AF_INET, socket.AF_INET6):
         return "a local process"
     address = stream.extra(SocketAttribute.remote_address, None)
     # A peer that has reset the connection before this has no address any more.

@@ -107,7 +107,7 @@ async def accept_sockets(
 
 
 def _without_delay(accepted: socket.socket) -> socket.socket:
-    if accepted.family != socket.AF_UNIX:
+    if accepted.family in (socket.AF_INET, socket.AF_INET6):
         # asyncio sets it only where the socket names its protocol, which this one does not. A peer
         # that has gone meanwhile is noticed later.
         with suppress(OSError):

@@ -10,7 +10,7 @@ from time import perf_counter
 import anyio
 from msgspec import Struct
 
-from fibaction.border.event_loop import Background, asyncio_task
+from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
@@ -19,7 +19,7 @@ from fibaction_transports.rtps.limits import MIB
 from fibaction_transports.rtps.loops.driven import DrivingLoop
 from fibaction_transports.rtps.loops.fair_inbox import FairInbox
 from fibaction_transports.rtps.loops.on_anyio import AnyioLoop
-from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop
+from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop, calls_for
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
@@ -234,7 +234,7 @@ async def open_network(
             ),
             anyio.current_time(),
         )
-        loop = AnyioLoop() if asyncio_task() is None else AsyncioLoop()
+        loop = AsyncioLoop() if calls_for(sockets.sender) else AnyioLoop()
         own = OwnAddresses(
             number=number,
             hosts=tuple(hosts),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
 from errno import EADDRINUSE
@@ -21,6 +22,7 @@ from fibaction_transports.rtps.ports import (
 RECEIVE_BUFFER = 4 * 2**20
 """Bytes that the system is asked to keep for each socket: several samples of a megabyte."""
 _EVERYWHERE = "0.0.0.0"
+_GROUP_HOST = "" if sys.platform == "win32" else GROUP  # Windows binds to no group
 _LOCAL_NETWORK = 1
 
 
@@ -96,7 +98,7 @@ class ParticipantSockets:
     def _open_multicast(self, domain: int, interfaces: Iterable[str]) -> None:
         group = self._close.enter_context(_udp_socket())
         group.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # all participants share it
-        group.bind((GROUP, multicast_port(domain)))
+        group.bind((_GROUP_HOST, multicast_port(domain)))
         self.received.append(group)
         for interface in interfaces:
             sender = self._close.enter_context(_udp_socket())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import stat
 from pathlib import Path
 from typing import Any, Unpack
@@ -32,7 +33,13 @@ class UnixTransport(StreamTransport):
 
         Raises:
             TypeError, ValueError: As for `TcpTransport`.
+            TransportError: This system has no such sockets for Python, as Windows.
         """
+        if not hasattr(socket, "AF_UNIX"):
+            raise TransportError(
+                f"unix://{path} needs a system with Unix domain sockets, and Python has none on"
+                f" this one: use tcp://127.0.0.1:7400"
+            )
         super().__init__(**settings)
         self._path = Path(path)
         self._socket: tuple[int, int] | None = None  # the file that this server listens at

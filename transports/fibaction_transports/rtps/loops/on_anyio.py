@@ -1,4 +1,4 @@
-"""The driver for trio."""
+"""The driver for trio, and for the event loop of Windows, which has no readers."""
 
 from __future__ import annotations
 

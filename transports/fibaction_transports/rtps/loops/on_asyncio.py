@@ -10,8 +10,22 @@ import math
 import socket
 from collections.abc import Callable, Sequence
 
-from fibaction.border.event_loop import asyncio_loop
+from fibaction.border.event_loop import asyncio_loop, asyncio_task
 from fibaction_transports.rtps.loops.driven import Driven
+
+
+def calls_for(source: socket.socket) -> bool:
+    """Return whether the caller runs on an event loop of asyncio that calls back for sockets, as
+    all do but that of Windows.
+    """
+    if asyncio_task() is None:
+        return False
+    try:
+        asyncio_loop().add_reader(source, bool)
+    except NotImplementedError:
+        return False
+    asyncio_loop().remove_reader(source)
+    return True
 
 
 class AsyncioLoop:
