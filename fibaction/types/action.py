@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, Literal, TypeGuard, TypeVar, cast, get_origin
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
 
@@ -16,6 +16,9 @@ from fibaction.types.collector import collector_paused
 from fibaction.types.encodings import encoding_of
 from fibaction.types.ros_classes import is_message, load
 from fibaction.words.errors import ProtocolError, text_of
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeForm
 
 GoalT = TypeVar("GoalT")
 FeedbackT = TypeVar("FeedbackT")
@@ -50,7 +53,7 @@ class Codec(Generic[T]):
         "type",
     )
 
-    def __init__(self, message_type: type[T], sent: str = "", ros_type: str = "") -> None:
+    def __init__(self, message_type: TypeForm[T], sent: str = "", ros_type: str = "") -> None:
         """Make a codec.
 
         `sent` names the messages that servers send with it, for the text of errors, for example
@@ -61,8 +64,8 @@ class Codec(Generic[T]):
         Raises:
             TypeError: Such a type cannot be encoded and decoded.
         """
-        self.type = message_type
-        """The message type, unchanged."""
+        self.type: type[T] = cast("type[T]", message_type)
+        """The message type, unchanged. It may be a form such as `int | None`, and not a class."""
         self._sent = sent
         self._encoding = encoding_of(message_type)
         self.is_typed = (get_origin(message_type) or message_type) not in _UNTYPED
@@ -172,10 +175,10 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         self,
         name: str,
         *,
-        goal: type[GoalT],
-        feedback: type[FeedbackT],
-        result: type[ResultT],
-        checkpoint: type[Any] | None = None,
+        goal: TypeForm[GoalT],
+        feedback: TypeForm[FeedbackT],
+        result: TypeForm[ResultT],
+        checkpoint: TypeForm[Any] | None = None,
         type_name: str = "",
     ) -> None:
         """Define an action.
@@ -282,7 +285,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         return f"<Action {self.name!r}>"
 
 
-def _codec(message_type: type[T], message: str, ros_type: str = "") -> Codec[T]:
+def _codec(message_type: TypeForm[T], message: str, ros_type: str = "") -> Codec[T]:
     """Return the codec of a message of an action.
 
     Raises:
