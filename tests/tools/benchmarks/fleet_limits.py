@@ -204,8 +204,12 @@ async def measure() -> None:
         )
 
 
-if __name__ == "__main__":
+def main() -> None:
     if PROGRAM is None:
         print("left out is the fleet: nats-server is not installed")
     else:
         anyio.run(measure)
+
+
+if __name__ == "__main__":
+    main()

@@ -35,6 +35,8 @@ from tests.support.certificates import HOST, pems
 FRAME = bytes(100)
 TURNS = 7
 CONNECTIONS = 100
+TRIPS = ((1, 2000), (64, 20_000))
+"""The frames that are under way at once, and how many are sent in all."""
 KINDS = ("asyncio", "anyio", "asyncio, TLS", "anyio, TLS")
 
 
@@ -157,7 +159,7 @@ async def connections(port: int, count: int, *, resume: bool) -> float:
     return (process_time() - begun) / count
 
 
-async def main() -> None:
+async def measure() -> None:
     async with tls_port() as port:
         ways: dict[bool, list[float]] = {False: [], True: []}
         for _ in range(TURNS):
@@ -165,7 +167,7 @@ async def main() -> None:
                 taken.append(await connections(port, CONNECTIONS, resume=resume))
         anew, resumed = (statistics.median(taken) * 1e3 for taken in ways.values())
         print(f"a connection with TLS: {anew:.2f} ms, resumed {resumed:.2f} ms of the processor")
-    for at_once, count in ((1, 2000), (64, 20_000)):
+    for at_once, count in TRIPS:
         times: dict[str, list[float]] = {kind: [] for kind in KINDS}
         for _ in range(TURNS):
             for kind, taken in times.items():
@@ -178,5 +180,9 @@ async def main() -> None:
             print(f"{at_once:3} at once: {kind:12} {median:6.1f} us a frame, ratio {ratio:.2f}")
 
 
+def main() -> None:
+    anyio.run(measure)
+
+
 if __name__ == "__main__":
-    anyio.run(main)
+    main()

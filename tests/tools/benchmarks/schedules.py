@@ -20,6 +20,7 @@ from time import process_time
 from typing import TypeAlias
 
 import anyio
+from msgspec.structs import replace
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalID, Schedule, serve
 from fibaction import connect as connect_to
@@ -149,7 +150,9 @@ async def growth(name: str, schedule: Schedule, steps: list[Step], rounds: int) 
     async with AsyncExitStack() as stack:
         queues: list[tuple[Queue, dict[str, list[float]]]] = []
         for waiting, found in ((FEW, few), (MANY, many)):
-            server = ActionServer(WORK, work, schedule=schedule, shutdown_timeout=0)
+            # Servers with the same object would share its places.
+            alone = replace(schedule)
+            server = ActionServer(WORK, work, schedule=alone, shutdown_timeout=0)
             queue = Queue(await stack.enter_async_context(server))
             await queue.fill(waiting)
             queues.append((queue, found))

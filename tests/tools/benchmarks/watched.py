@@ -108,7 +108,11 @@ async def run(url: str) -> None:
         print(f"{name:10} {goals:9,.0f} {ratios[0]:6.2f} {feedback:11,.0f} {ratios[1]:6.2f}")
 
 
-if __name__ == "__main__":
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("url", nargs="?", default="tcp://127.0.0.1:0")
     anyio.run(run, parser.parse_args().url)
+
+
+if __name__ == "__main__":
+    main()
