@@ -42,7 +42,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest release lock audit ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest release lock audit ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -123,6 +123,10 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 	    then $(MAKE) --no-print-directory build/python$$version/.installed PYTHON=$$python || exit; fi; \
 	done
 	$(BIN)/python -m tests.tools.benchmarks.pythons --write
+
+# Against the newest commit that is a day old, or BASE=COMMIT.
+regression: $(VENV)/.tools  ## Compare the speed with that of yesterday, and fail if it is 15 % less
+	$(BIN)/python -m tests.tools.benchmarks.regression --base "$(BASE)"
 
 MINUTES ?= 10
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes, or MINUTES=60

@@ -88,6 +88,13 @@ def test_every_long_trial_runs_each_night() -> None:
     assert trials == longer
 
 
+def test_each_night_the_speed_is_compared_with_that_of_the_commits_before() -> None:
+    job = load(ROOT / ".github/workflows/nightly.yml")["jobs"]["speed"]
+
+    assert job["steps"][0]["with"]["fetch-depth"] == 0
+    assert {"run": "make regression"} in job["steps"]
+
+
 def test_every_supported_python_is_checked() -> None:
     matrix = load(ROOT / ".github/workflows/check.yml")["jobs"]["test"]["strategy"]["matrix"]
     promised = [

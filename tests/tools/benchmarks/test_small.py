@@ -19,6 +19,7 @@ import pytest
 from tests.support.nats_server import IS_LEFT_OUT
 from tests.tools.benchmarks import growing, pages, rounds, starting, suite, versions
 from tests.tools.benchmarks.pictures import picture
+from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.ways import WAYS
 
 pytestmark = pytest.mark.timeout(240)
@@ -85,7 +86,7 @@ def test_a_program_prints_its_rows(name: str, tmp_path: Path) -> None:
 
     done = subprocess.run(
         [sys.executable, "-c", SMALLER, name, repr(work), *given],
-        cwd=suite.ROOT,
+        cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
@@ -124,7 +125,7 @@ def test_this_version_beside_itself_has_a_ratio_for_each_order(
         monkeypatch, versions, {"WORK": {"goals": 2, "batches": 1, "feedback": 10}, "WARM_UP": 0}
     )
 
-    anyio.run(versions.run, suite.ROOT, 2, 1, versions.ORDERS)
+    anyio.run(versions.run, ROOT, 2, 1, versions.ORDERS)
 
     printed = capsys.readouterr().out
     assert all(order in printed for order in versions.ORDERS)
