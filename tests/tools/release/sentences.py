@@ -87,6 +87,32 @@ SENTENCES = [
         "You need Python 3.11 or later, and fibaction: run `pip install fibaction`.\n",
     ),
     Sentence(
+        "docs/howto/colcon.md",
+        "It is not published yet, so you install it from a clone; this page assumes that your clone"
+        " is in `~/fibaction`.\n",
+        "This page takes its example from a clone of fibaction's repository in `~/fibaction`.\n",
+    ),
+    Sentence(
+        "docs/howto/colcon.md",
+        '$ python -m pip install "$HOME/fibaction[cli]"\n',
+        '$ python -m pip install "fibaction[cli]"\n',
+    ),
+    Sentence(
+        "docs/howto/colcon.md",
+        "Once fibaction is published, give rosdep the rule of the repository:\n",
+        "Give it the rule of the repository:\n",
+    ),
+    Sentence(
+        "docs/howto/colcon.md",
+        "With a virtual environment, and until then, leave fibaction out:",
+        "With a virtual environment, leave fibaction out:",
+    ),
+    Sentence(
+        "docs/howto/colcon.md",
+        "COPY fibaction /fibaction\nRUN pip install --break-system-packages /fibaction\n",
+        "RUN pip install --break-system-packages fibaction\n",
+    ),
+    Sentence(
         "docs/howto/fleet.md",
         "$ pip install '.[broker,cli]'\n",
         "$ pip install 'fibaction[broker,cli]'\n",
