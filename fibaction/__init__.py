@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fibaction.client.events import Events, GoalFeedback
     from fibaction.client.goal import ClientGoal, SendingGoal
     from fibaction.client.retry import Retry
+    from fibaction.client.track import track
     from fibaction.server import (
         ActionServer,
         Executor,
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
         Sender,
         WorkerInfo,
     )
+    from fibaction.words.progress import Progress
     from fibaction.words.returned import Return
     from fibaction.words.statuses import GoalEvent, GoalStatus
 else:
@@ -90,9 +92,11 @@ else:
             "ActionPeers CancelAnswer CancelCode GoalID GoalInfo Outcome Parent Sender WorkerInfo"
         ),
         "client.retry": "Retry",
+        "client.track": "track",
         "server": (
             "ActionServer Executor FunctionAction GoalFields GoalHandle Report Schedule action"
         ),
+        "words.progress": "Progress",
         "words.returned": "Return",
         "words.statuses": "GoalEvent GoalStatus",
         "stores.sqlite_store": "SqliteStore",
@@ -156,6 +160,7 @@ __all__ = [
     "Parent",
     "Peer",
     "Permission",
+    "Progress",
     "ProtocolError",
     "Report",
     "Retry",
@@ -177,4 +182,5 @@ __all__ = [
     "call",
     "connect",
     "serve",
+    "track",
 ]

@@ -30,6 +30,17 @@ def test_an_active_goal_that_has_begun_is_executing_for_clients(
     assert goal.told_status is told
 
 
+def test_a_goal_is_listed_with_its_times_and_the_start_of_its_reason() -> None:
+    goal = a_goal(1)
+    assert (goal.info.began_at, goal.info.ended_at, goal.info.reason) == (None, None, "")
+    goal.status, goal.attempt, goal.reason = GoalStatus.ABORTED, 2, "stuck " * 100
+    goal.began_at, goal.ended_at = goal.stamp + 1, goal.stamp + 2
+    info = goal.info
+    assert (info.goal_id, info.stamp, info.status) == (goal.goal_id, goal.stamp, GoalStatus.ABORTED)
+    assert (info.began_at, info.ended_at) == (goal.stamp + 1, goal.stamp + 2)
+    assert (info.attempt, len(info.reason)) == (2, 200)
+
+
 @pytest.mark.asyncio
 async def test_the_goals_of_a_store_without_leases_belong_to_their_server_for_ever(
     tmp_path: Path,

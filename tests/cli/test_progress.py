@@ -10,29 +10,8 @@ import pytest
 from rich.console import Console
 
 from fibaction.cli.output.lines import note
-from fibaction.cli.output.progress import LiveLine, Meter, on_one_line
-
-
-@pytest.mark.parametrize(
-    ("feedbacks", "fractions"),
-    [
-        ([{"percent": 50}], [0.5]),
-        ([{"percent_complete": 0.5}], [0.005]),
-        ([{"fraction": 0.25, "percent": 99}], [0.25]),
-        ([{"progress": 0.25}, {"progress": 1.0}], [0.25, 1.0]),
-        ([{"progress": 1}, {"progress": 2}, {"progress": 1}], [1.0, 0.02, 0.01]),
-        ([{"progress": 120}], [1.0]),
-        ([{"progress": -1}], [0.0]),
-        ([{"progress": float("nan")}], [None]),
-        ([{"progress": True}, {"progress": "half"}, {"step": 1}, [1], 5, None], [None] * 6),
-    ],
-)
-def test_a_number_of_the_feedback_tells_how_far(
-    feedbacks: list[Any], fractions: list[float | None]
-) -> None:
-    meter = Meter()
-
-    assert [meter.read(feedback) for feedback in feedbacks] == fractions
+from fibaction.cli.output.progress import LiveLine, on_one_line, text_beside_bar
+from fibaction.words.progress import Progress
 
 
 @pytest.mark.parametrize(
@@ -68,6 +47,14 @@ def test_the_line_of_a_hostile_feedback_is_short() -> None:
         assert len(on_one_line(feedback)) < 200_000
 
     assert on_one_line(deep) == "[" * 22 + "..." + "]" * 22
+
+
+def test_the_text_beside_a_bar_has_the_counts_and_what_else_there_is() -> None:
+    copied = {"done": 3, "total": 10, "text": "a\nb", "speed": 2}
+    whole = text_beside_bar(copied, Progress(3, 10, "a\nb"), ("done", "total"))
+    assert whole == "3/10 a\\x0ab  speed: 2"
+    assert text_beside_bar({"percent": 5, "n": 1}, Progress(5, 100), ("percent",)) == "n: 1"
+    assert text_beside_bar({"percent": 5}, Progress(5, 100), ("percent",)) == ""
 
 
 def drawn(feedback: Any, width: int = 80) -> str:

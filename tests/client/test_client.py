@@ -767,3 +767,12 @@ async def test_a_goal_is_sent_as_a_step_of_another() -> None:
         async with client.send_goal(Goal(1), step=other) as child:
             assert child.goal_id == other.child_id("fibonacci")
             assert await child.result() == Result([0, 1])
+
+
+async def test_a_list_of_goals_has_results_if_they_are_asked_for() -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        client = ActionClient(server, FIBONACCI)
+        await client.call(Goal(1))
+        [info] = await client.goals()
+        [whole] = await client.goals(results=True)
+        assert (info.result, whole.result) == (None, Result([0, 1]))

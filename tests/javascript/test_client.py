@@ -20,6 +20,7 @@ from fibaction.schema.typescript import typescript_source
 from tests.support.fibonacci import FIBONACCI
 from tests.support.golden import GOLDEN
 from tests.support.node import IS_LEFT_OUT, MISSING, MODULES, PROGRAM
+from tests.support.progress_cases import CASES
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -124,6 +125,7 @@ def run(folder: Path, *command: str) -> None:
 @pytest.mark.parametrize("name", sorted(path.name for path in HERE.glob("*.test.mjs")))
 def test_in_node(name: str, folder: Path) -> None:
     (folder / "cases.json").write_text(json.dumps(cases()))
+    (folder / "progress.json").write_text(json.dumps(CASES))
     run(folder, "--test", "--test-timeout=100000", name)
 
 

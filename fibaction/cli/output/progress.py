@@ -5,6 +5,7 @@ progress of the goal.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from itertools import islice
 from types import TracebackType
 from typing import Any, Self
@@ -18,11 +19,7 @@ from rich.text import Text
 
 from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.cli.output.escape import clean
-
-PERCENT = ("percent", "percentage", "percent_complete", "percentage_complete", "percent_done")
-FRACTION = ("fraction", "fraction_complete", "fraction_done", "ratio", "completion", "progress")
-"""Names of fields for the progress of a goal, from 0 to 100 and from 0 to 1. A field of the second
-kind counts to 100 as soon as it is larger than 1, since `progress` is used both ways."""
+from fibaction.words.progress import Progress, ProgressMeter
 
 BAR_SHARE = 4
 """Width of the terminal, in widths of the bar."""
@@ -38,44 +35,14 @@ MOST_LEVELS = 20
 _WORDS = {None: "null", False: "false", True: "true"}
 
 
-class Meter:
-    """Finds the progress of a goal in its feedback."""
-
-    def __init__(self) -> None:
-        self.field = ""
-        """The field of the last feedback that has told it; empty if none has."""
-        self._of_hundred = False
-
-    def read(self, feedback: Any) -> float | None:
-        """Return the progress, from 0 to 1; None if the feedback does not tell."""
-        self.field = ""
-        if not is_map(feedback):
-            return None
-        for name, value in feedback.items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                continue
-            if name in PERCENT:
-                self.field = name
-                return _within(value / 100)
-            if name in FRACTION:
-                self.field = name
-                self._of_hundred = self._of_hundred or value > 1
-                return _within(value / 100 if self._of_hundred else value)
-        return None
-
-
-def _within(fraction: float) -> float | None:
-    return min(max(fraction, 0.0), 1.0) if fraction == fraction else None  # NaN is not itself
-
-
 class LiveLine:
     """One line on a terminal, until the end of the block."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._meter = Meter()
+        self._meter = ProgressMeter()
         self._spinner = Spinner("line")
-        self._latest: tuple[int, Any] | None = None
+        self._latest: tuple[int, str] | None = None
         self._done: float | None = None
         # It draws the latest feedback ten times a second, from a thread of its own.
         self._live = Live(
@@ -100,10 +67,12 @@ class LiveLine:
 
     def show(self, number: int, feedback: Any) -> None:
         """Show a feedback in place of the one before."""
-        done = self._meter.read(feedback)
-        if done is not None:  # the bar shows it
-            feedback = {name: feedback[name] for name in feedback if name != self._meter.field}
-        self._latest, self._done = (number, feedback), done
+        progress, fields = self._meter.read(feedback), self._meter.fields
+        done = None if progress is None else progress.fraction
+        text = on_one_line(feedback)
+        if progress is not None and done is not None:  # the bar shows it
+            text = text_beside_bar(feedback, progress, fields)
+        self._latest, self._done = (number, text), done
 
     def _line(self) -> Table:
         line = Table.grid(padding=(0, 2, 0, 0), expand=True)
@@ -115,15 +84,28 @@ class LiveLine:
         if self._latest is None:
             line.add_row(self._spinner, Text("waiting for feedback"), "")
             return line
-        number, feedback = self._latest
-        text = Text(on_one_line(feedback))
+        number, text = self._latest
         if self._done is None:
-            line.add_row(self._spinner, Text(f"feedback {number}"), text)
+            line.add_row(self._spinner, Text(f"feedback {number}"), Text(text))
         else:
             width = self._console.width // BAR_SHARE
             bar = ProgressBar(1.0, self._done, width=width, complete_style="green")
-            line.add_row(bar, Text(f"{self._done:4.0%}"), text)
+            line.add_row(bar, Text(f"{self._done:4.0%}"), Text(text))
         return line
+
+
+def text_beside_bar(feedback: dict[Any, Any], progress: Progress, fields: Sequence[str]) -> str:
+    """Return the rest of a feedback, of which the `fields` have told the progress, on one line.
+
+    Counts stay, since a bar does not show them.
+    """
+    if len(fields) > 1:
+        counts = clean(progress.label)
+        fields = [*fields, "text"]
+    else:
+        counts = ""
+    rest = on_one_line({name: feedback[name] for name in feedback if name not in fields})
+    return "  ".join(filter(None, (counts, rest)))
 
 
 def on_one_line(feedback: Any) -> str:

@@ -12,10 +12,11 @@ from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.family import Family
 from fibaction.cli.output.goal_details import GoalDetails
 from fibaction.cli.output.goal_table import FAMILY, STYLES, GoalRow, unambiguous
-from fibaction.cli.output.progress import Meter, on_one_line
+from fibaction.cli.output.progress import on_one_line, text_beside_bar
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import message_of
 from fibaction.observe.monitor import ActionSnapshot, GoalKey, GoalSnapshot
+from fibaction.words.progress import ProgressMeter
 
 WIDE = 110
 """Width of a screen with room for the client, the parent and the children, too."""
@@ -37,18 +38,17 @@ class FeedbackText(NamedTuple):
     yaml: str
     """As YAML; large feedback is cut."""
     progress: dict[str, Any]
-    """The field that tells the progress of the goal, if there is one."""
+    """The fields that tell the progress of the goal, if there are some."""
 
     @classmethod
     def of(cls, feedback: Any) -> Self:
         """Make the texts of a feedback."""
-        meter = Meter()
-        if meter.read(feedback) is None:
-            return cls(on_one_line(feedback), as_yaml(feedback, indent=2), {})
-        rest = {name: feedback[name] for name in feedback if name != meter.field}
-        return cls(
-            on_one_line(rest), as_yaml(feedback, indent=2), {meter.field: feedback[meter.field]}
-        )
+        meter = ProgressMeter()
+        progress, yaml = meter.read(feedback), as_yaml(feedback, indent=2)
+        if progress is None or progress.fraction is None:
+            return cls(on_one_line(feedback), yaml, {})
+        line = text_beside_bar(feedback, progress, meter.fields)
+        return cls(line, yaml, {name: feedback[name] for name in meter.fields})
 
 
 class Table(NamedTuple):
@@ -91,11 +91,11 @@ class GoalTable:
 
     def __init__(self, details: GoalDetails) -> None:
         self._details = details
-        self._meters: dict[GoalKey, Meter] = {}
+        self._meters: dict[GoalKey, ProgressMeter] = {}
 
     def table(self, goals: Sequence[GoalSnapshot], width: int, now: float) -> Table:
         """Return the table for a screen of that width, at a time in seconds since 1970."""
-        self._meters = {goal.key: self._meters.get(goal.key) or Meter() for goal in goals}
+        self._meters = {goal.key: self._meters.get(goal.key) or ProgressMeter() for goal in goals}
         done = [self._progress(goal) for goal in goals]
         has_bars = any(fraction is not None for fraction in done)
         family, is_wide = Family(goal.info for goal in goals), width >= WIDE
@@ -126,7 +126,8 @@ class GoalTable:
     def _progress(self, goal: GoalSnapshot) -> float | None:
         if goal.latest is None or not goal.info.status.is_active:
             return None
-        return self._meters[goal.key].read(goal.latest.progress)
+        progress = self._meters[goal.key].read(goal.latest.progress)
+        return None if progress is None else progress.fraction
 
     def _latest(self, goal: GoalSnapshot) -> Text:
         """Return the reason or the result of a goal that has ended, or else the latest feedback."""

@@ -18,11 +18,11 @@ from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals, go
 from fibaction_transports.mcp.tools.answers import (
     data_answer,
     error_answer,
-    feedback_text,
     goal_answer,
 )
 from fibaction_transports.mcp.tools.consent import Consents, goal_text
 from fibaction_transports.mcp.tools.goal_overview import overview
+from fibaction_transports.mcp.tools.progress_reports import ProgressReports
 from fibaction_transports.mcp.tools.robot_actions import RobotAction, RobotActions
 from fibaction_transports.mcp.tools.tool_error import ToolError
 from fibaction_transports.mcp.tools.tool_list import tool_list
@@ -138,10 +138,8 @@ class ToolCalls:
     async def _wait(
         self, context: ServerRequestContext[Any, Any], goal: AgentGoal, seconds: float
     ) -> None:
-        async def report(number: int, feedback: Any) -> None:
-            await context.session.report_progress(number, message=feedback_text(feedback))
-
-        await goal.wait(seconds, report)
+        reports = ProgressReports(context.session.report_progress)
+        await goal.wait(seconds, reports.report)
 
     def _action(self, tool: str) -> RobotAction:
         """Return the action of a tool.

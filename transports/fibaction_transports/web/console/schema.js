@@ -2,6 +2,7 @@
 
 const PERCENT = ["percent", "percentage", "percent_complete", "percentage_complete", "percent_done"];
 const FRACTION = ["fraction", "fraction_complete", "fraction_done", "ratio", "completion", "progress"];
+const COUNTS = ["done", "completed", "current", "progress"]; // next to "total"
 const MOST_LEVELS = 8;
 const MOST_SERIES = 24;
 const MOST_INDEXED = 6;
@@ -161,7 +162,11 @@ export function progressOf(root) {
   const percent = fields.find((name) => PERCENT.includes(name));
   const fraction = fields.find((name) => FRACTION.includes(name));
   let isOfHundred = Boolean(percent);
+  const count = fields.includes("total") && COUNTS.find((name) => fields.includes(name));
   return function read(feedback) {
+    if (count && feedback?.total > 0 && Number.isFinite(Number(feedback[count] ?? NaN))) {
+      return Math.min(Math.max(Number(feedback[count]) / Number(feedback.total), 0), 1);
+    }
     const value = Number(feedback?.[percent ?? fraction]);
     if (!Number.isFinite(value)) {
       return null;

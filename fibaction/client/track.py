@@ -1,0 +1,134 @@
+"""`track`: the progress of a goal on one line at its client, until the result is there."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import Any, Protocol, TextIO, TypeVar
+
+from fibaction._runtime.text import printable
+from fibaction.client.goal import ClientGoal
+from fibaction.words.progress import Progress, ProgressMeter
+
+FeedbackT = TypeVar("FeedbackT")
+ResultT = TypeVar("ResultT")
+
+
+class _Bar(Protocol):
+    """A line that shows the progress."""
+
+    def show(self, progress: Progress | None, number: int) -> None:
+        """Show the progress; None for feedback of this number that does not tell any."""
+
+    def close(self) -> None:
+        """Leave the line as it is."""
+
+
+async def track(
+    goal: ClientGoal[FeedbackT, ResultT], text: str = "", *, file: TextIO | None = None
+) -> ResultT:
+    """Read the feedback of a goal, show its progress on one line, and return its result.
+
+    For example:
+
+        async with client.send_goal(files) as goal:
+            copied = await track(goal, "copying")
+
+    The bar is that of tqdm, which knows notebooks, or of rich, if one of them is installed: see the
+    extra `progress`. Otherwise lines of text tell the progress in steps of ten percent. Feedback
+    that is not a `Progress`, and has no fields for it, is counted. `text` stands in front of the
+    bar, unless the feedback has a text of its own. The line goes to `file`, by default to stderr.
+
+    Raises:
+        GoalAborted, GoalCanceled, GoalTimeout, UnknownGoal: As for `ClientGoal.result`.
+        TransportError, ProtocolError: As for `ClientGoal.result`.
+    """
+    meter, bar = ProgressMeter(), _bar(text, sys.stderr if file is None else file)
+    try:
+        async for feedback in goal.feedback:
+            bar.show(meter.read(feedback), goal.feedback.number)
+    finally:
+        bar.close()
+    return await goal.result()
+
+
+def _bar(text: str, file: TextIO) -> _Bar:
+    for make in (_TqdmBar, _RichBar):
+        try:
+            return make(text, file)
+        except ImportError:
+            continue
+    return _TextLines(text, file)
+
+
+class _TqdmBar:
+    """The bar of tqdm."""
+
+    def __init__(self, text: str, file: TextIO) -> None:
+        tqdm: Any = import_module("tqdm.auto").tqdm
+        self._text = text
+        self._bar = tqdm(desc=text or None, file=file)
+
+    def show(self, progress: Progress | None, number: int) -> None:
+        bar = self._bar
+        bar.n = number if progress is None else _whole(progress.done)
+        bar.total = None if progress is None else _whole(progress.total)
+        text = self._text if progress is None else printable(progress.text) or self._text
+        bar.set_description_str(text, refresh=False)
+        bar.refresh()
+
+    def close(self) -> None:
+        self._bar.close()
+
+
+class _RichBar:
+    """The bar of rich."""
+
+    def __init__(self, text: str, file: TextIO) -> None:
+        console: Any = import_module("rich.console").Console(file=file)
+        self._progress: Any = import_module("rich.progress").Progress(console=console)
+        self._text = text
+        self._task = self._progress.add_task(_unmarked(text), total=None)
+        self._progress.start()
+
+    def show(self, progress: Progress | None, number: int) -> None:
+        progress = progress or Progress(number)
+        text = _unmarked(printable(progress.text) or self._text)
+        self._progress.update(
+            self._task, completed=progress.done, total=progress.total, description=text
+        )
+
+    def close(self) -> None:
+        self._progress.stop()
+
+
+class _TextLines:
+    """Lines of text, one for each ten percent and for each new text."""
+
+    def __init__(self, text: str, file: TextIO) -> None:
+        self._text = text
+        self._file = file
+        self._line = ""
+
+    def show(self, progress: Progress | None, number: int) -> None:
+        if progress is None:
+            line = f"{self._text} feedback {number}"
+        else:
+            text, fraction = printable(progress.text) or self._text, progress.fraction
+            line = text if fraction is None else f"{text} {int(fraction * 10) * 10} %"
+        if line != self._line:
+            self._line = line
+            print(line.strip(), file=self._file, flush=True)
+
+    def close(self) -> None:
+        """Do nothing: each line is whole."""
+
+
+def _whole(value: float | None) -> float | None:
+    """Return a number without its fraction if that is 0: `3`, not `3.0`."""
+    return int(value) if value is not None and float(value).is_integer() else value
+
+
+def _unmarked(text: str) -> str:
+    """Return a text in which rich finds no markup."""
+    return text.replace("[", "\\[")
