@@ -11,8 +11,8 @@ from mcp.server.context import ServerRequestContext
 from mcp.server.models import InitializationOptions
 from mcp_types import (
     CallToolRequestParams,
-    CallToolResult,
-    InputRequiredResult,
+    CancelTaskRequestParams,
+    GetTaskRequestParams,
     ListToolsResult,
     PaginatedRequestParams,
 )
@@ -24,6 +24,7 @@ from fibaction_transports.mcp.agent_policy import AgentPolicy
 from fibaction_transports.mcp.list_changes import ListChanges
 from fibaction_transports.mcp.tools.agent_goals import AgentGoals
 from fibaction_transports.mcp.tools.calls import ToolCalls
+from fibaction_transports.mcp.tools.goal_tasks import EXTENSION, GoalTasks, UpdateTaskParams
 from fibaction_transports.mcp.tools.robot_actions import RobotActions
 from fibaction_transports.mcp.tools.tool_list import instructions, tool_list
 
@@ -52,6 +53,7 @@ class ToolServer:
         self._actions = RobotActions(group, policy)
         self._changes = ListChanges()
         self._calls: ToolCalls
+        self._tasks: GoalTasks
         self._block: AsyncExitStack
         self.server: Server[Any] = _McpServer(
             "fibaction",
@@ -64,6 +66,20 @@ class ToolServer:
             on_subscriptions_listen=self._changes.listen,
         )
         """The server of the SDK."""
+        self._serve_tasks(self.server)
+
+    def _serve_tasks(self, server: Server[Any]) -> None:
+        """Serve the methods of the extension for tasks."""
+        server.extensions[EXTENSION] = {}
+        server.add_request_handler(
+            "tasks/get", GetTaskRequestParams, lambda *asked: self._tasks.get(*asked)
+        )
+        server.add_request_handler(
+            "tasks/update", UpdateTaskParams, lambda *asked: self._tasks.update(*asked)
+        )
+        server.add_request_handler(
+            "tasks/cancel", CancelTaskRequestParams, lambda *asked: self._tasks.cancel(*asked)
+        )
 
     @property
     def names(self) -> list[str]:
@@ -74,7 +90,9 @@ class ToolServer:
         """Begin to follow the goals that are sent, and the list of tools."""
         async with AsyncExitStack() as stack:
             tasks = await stack.enter_async_context(Background())
-            self._calls = ToolCalls(self._actions, AgentGoals(tasks), self._policy)
+            goals = AgentGoals(tasks)
+            self._calls = ToolCalls(self._actions, goals, self._policy)
+            self._tasks = GoalTasks(self._actions, goals, self._policy)
             tasks.start_soon(self._actions.follow)
             tasks.start_soon(self._tell_changes)
             self._block = stack.pop_all()
@@ -102,5 +120,5 @@ class ToolServer:
 
     async def _call_tool(
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
-    ) -> CallToolResult | InputRequiredResult:
+    ) -> Any:  # an answer, a question or a task: the SDK has no type for the latter
         return await self._calls.call(context, params)

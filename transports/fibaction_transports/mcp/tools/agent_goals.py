@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from time import time
 from typing import Any
 
 import anyio
@@ -62,12 +63,19 @@ class AgentGoal:
         self.ended = anyio.Event()
         """Set when there is an outcome, or an error."""
         self.news = Notifier()
+        self.updated_at = time()
+        """The time of the newest change that was read here, in seconds since 1970."""
         self._goal = goal
 
     @property
     def goal_id(self) -> GoalID:
         """The goal's ID."""
         return self._goal.goal_id
+
+    @property
+    def stamp(self) -> int:
+        """The time of the acceptance, in nanoseconds since 1970."""
+        return self._goal.stamp
 
     @property
     def status(self) -> GoalStatus:
@@ -80,11 +88,15 @@ class AgentGoal:
             async for feedback in self._goal.feedback:
                 self.feedback, self.number = feedback, self._goal.feedback.number
                 self.updates += 1
-                self.news.notify()
+                self._note_change()
             self.outcome = await self._goal.outcome()
         except ActionError as exc:
             self.error = exc
         self.ended.set()
+        self._note_change()
+
+    def _note_change(self) -> None:
+        self.updated_at = time()
         self.news.notify()
 
     async def wait(self, seconds: float, report: Report) -> None:

@@ -24,6 +24,7 @@ from fibaction_transports.mcp.tools.consent import Consents, goal_text
 from fibaction_transports.mcp.tools.goal_overview import overview
 from fibaction_transports.mcp.tools.progress_reports import ProgressReports
 from fibaction_transports.mcp.tools.robot_actions import RobotAction, RobotActions
+from fibaction_transports.mcp.tools.goal_tasks import created, wants_task
 from fibaction_transports.mcp.tools.tool_error import ToolError
 from fibaction_transports.mcp.tools.tool_list import tool_list
 from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
@@ -32,7 +33,8 @@ from fibaction_transports.mcp.tools.tool_schema import GOAL
 CANCEL_WAIT = 5.0
 """Seconds that `cancel_goal` waits for the end of the goal, if it is not told otherwise."""
 
-Answer = CallToolResult | InputRequiredResult
+Answer = CallToolResult | InputRequiredResult | dict[str, Any]
+"""The answer of a tool; a task of the extension is a mapping."""
 
 
 class ToolCalls:
@@ -60,13 +62,18 @@ class ToolCalls:
     async def _run(
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
     ) -> Answer:
-        """Send a goal, and wait for its end; cancel it if the client cancels the call."""
+        """Send a goal, and wait for its end; cancel it if the client cancels the call.
+
+        A client that takes tasks gets one as soon as the goal is accepted.
+        """
         action = self._action(params.name)
         message = await _message(action, params.arguments or {})
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
         goal = await self._goals.send(action, message)
         try:
+        if wants_task(context):
+            return created(goal)
             await self._wait(context, goal, self._policy.patience)
         except anyio.get_cancelled_exc_class():
             await goal.leave()

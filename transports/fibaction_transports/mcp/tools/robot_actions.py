@@ -71,6 +71,13 @@ class RobotActions:
 
     @property
     def tools(self) -> dict[str, RobotAction]:
+    @property
+    def are_all_reached(self) -> bool:
+        """True if all servers have told their actions, and can be asked now."""
+        self.refresh()
+        problems = self._group.problems
+        return all(server in self._taken and not text for server, text in problems.items())
+
         """The actions by the names of their tools."""
         self.refresh()
         # In the order of the servers, whichever of them has answered first.

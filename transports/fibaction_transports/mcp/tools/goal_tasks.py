@@ -1,0 +1,192 @@
+"""`GoalTasks`: goals as tasks of MCP, by the extension `io.modelcontextprotocol/tasks`.
+
+Theory of operation
+-------------------
+
+A client of the protocol from 2026-07-28 on may declare the extension with a request. Then a tool
+that sends a goal answers with a task as soon as the goal is accepted, and the client asks for it:
+
+    tasks/get       the newest status, and at the end the answer that the tool would have given
+    tasks/cancel    cancels the goal
+    tasks/update    is acknowledged: a task never waits for input, since the user is asked before
+
+The ID of a task is the ID of its goal, and all else is asked of the server of the action. So a task
+needs no memory here: it outlives its client, and this bridge, too, for as long as its server knows
+the goal. With a store, that is also after a restart of the server.
+
+    goal                            task
+    accepted, executing, canceling  working, with the newest feedback as its message
+    succeeded, aborted              completed: an aborted goal is an answer with `isError`
+    canceled                        cancelled; the partial result is in `result`
+    forgotten by its server         failed
+
+A goal that cannot be followed now, because its server is away, is still working: what is final must
+stay true. A task whose goal no server knows is an error, but only if all servers can be asked.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from mcp.server.context import ServerRequestContext
+from mcp.shared.exceptions import MCPError
+from mcp_types import CancelTaskRequestParams, GetTaskRequestParams, RequestParams
+from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
+from mcp_types.version import MODERN_PROTOCOL_VERSIONS
+
+from fibaction.words.errors import ActionError, UnknownGoal
+from fibaction.words.goals import CancelCode, GoalID
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals
+from fibaction_transports.mcp.tools.answers import feedback_text, goal_answer
+from fibaction_transports.mcp.tools.robot_actions import RobotActions
+from fibaction_transports.mcp.tools.tool_error import ToolError
+from fibaction_transports.mcp.tools.tool_names import CANCEL
+
+EXTENSION = "io.modelcontextprotocol/tasks"
+"""The identifier of the extension."""
+POLL_INTERVAL = 1000
+"""Milliseconds between two requests for a task, as the client is told."""
+
+Context = ServerRequestContext[Any, Any]
+
+
+class UpdateTaskParams(RequestParams):
+    """The parameters of `tasks/update`, whose responses are not read."""
+
+    task_id: str
+
+
+def wants_task(context: Context) -> bool:
+    """Return whether a client takes a task in place of an answer."""
+    if context.protocol_version not in MODERN_PROTOCOL_VERSIONS:
+        return False
+    capabilities = context.session.client_capabilities
+    return capabilities is not None and EXTENSION in (capabilities.extensions or {})
+
+
+class GoalTasks:
+    """The tasks of one bridge."""
+
+    def __init__(self, actions: RobotActions, goals: AgentGoals, policy: AgentPolicy) -> None:
+        self._actions = actions
+        self._goals = goals
+        self._policy = policy
+
+    async def get(self, context: Context, params: GetTaskRequestParams) -> dict[str, Any]:
+        """Return the newest status of a task.
+
+        Raises:
+            MCPError: There is none of that ID.
+        """
+        return detailed(await self._find(context, params.task_id))
+
+    async def update(self, context: Context, params: UpdateTaskParams) -> dict[str, Any]:
+        """Acknowledge input for a task.
+
+        Raises:
+            MCPError: There is none of that ID.
+        """
+        await self._find(context, params.task_id)
+        return {}
+
+    async def cancel(self, context: Context, params: CancelTaskRequestParams) -> dict[str, Any]:
+        """Cancel the goal of a task.
+
+        Raises:
+            MCPError: There is none of that ID, or it may not be canceled so, or goes on.
+        """
+        goal = await self._find(context, params.task_id)
+        if goal.outcome is not None:
+            return {}
+        action = goal.action
+        if self._policy.read_only:
+            raise MCPError(INVALID_PARAMS, "this bridge is read-only: nothing can be canceled")
+        if not goal.own and self._policy.asks(action.server, action.info.name):
+            raise MCPError(
+                INVALID_PARAMS,
+                f"another program has sent the goal {goal.goal_id}, or this one before a restart:"
+                f" the tool {CANCEL} asks the user",
+            )
+        try:
+            answer = await goal.cancel()
+        except ActionError as exc:
+            raise MCPError(INTERNAL_ERROR, f"the goal may go on: {exc}") from exc
+        if answer.return_code is CancelCode.REJECTED:
+            reason = answer.reason or "it gives no reason"
+            raise MCPError(INTERNAL_ERROR, f"the server rejects the cancel: {reason}")
+        return {}
+
+    async def _find(self, context: Context, task_id: str) -> AgentGoal:
+        if context.protocol_version not in MODERN_PROTOCOL_VERSIONS:
+            raise MCPError(METHOD_NOT_FOUND, "tasks need the protocol 2026-07-28 or later")
+        try:
+            goal_id = GoalID.parse(task_id)
+            return await self._goals.find(goal_id, list(self._actions.tools.values()))
+        except ValueError as exc:
+            raise MCPError(INVALID_PARAMS, f"there is no task of this ID: {exc}") from exc
+        except ToolError as exc:
+            if self._actions.are_all_reached:
+                raise MCPError(INVALID_PARAMS, f"there is no task of this ID: {exc}") from exc
+            raise MCPError(
+                INTERNAL_ERROR, "a server of the actions cannot be reached now: ask again"
+            ) from exc
+
+
+def created(goal: AgentGoal) -> dict[str, Any]:
+    """Return the answer to a call that has become a task."""
+    return {"resultType": "task", **_members(goal, "working")}
+
+
+def detailed(goal: AgentGoal) -> dict[str, Any]:
+    """Return a task with its answer, once it has ended."""
+    outcome = goal.outcome
+    if lost := _loss_of(goal):
+        error = {"code": INTERNAL_ERROR, "message": f"the result is lost: {lost}"}
+        return {**_members(goal, "failed"), "error": error}
+    if outcome is None:
+        return _members(goal, "working")
+    is_canceled = outcome.status is GoalStatus.CANCELED
+    members = _members(goal, "cancelled" if is_canceled else "completed")
+    if is_canceled and outcome.result is None:
+        return members
+    answer = goal_answer(goal, cancel_wanted=True)
+    result = answer.model_dump(by_alias=True, mode="json", exclude_none=True)
+    return {**members, "result": result}
+
+
+def _loss_of(goal: AgentGoal) -> str:
+    """Return why no result of a goal will come any more; empty if one may come, or is there."""
+    if isinstance(goal.error, UnknownGoal):
+        return str(goal.error)
+    outcome = goal.outcome
+    return outcome.reason if outcome and outcome.status is GoalStatus.UNKNOWN else ""
+
+
+def _members(goal: AgentGoal, status: str) -> dict[str, Any]:
+    members = {
+        "taskId": str(goal.goal_id),
+        "status": status,
+        "createdAt": _time_text(goal.stamp / 1e9),
+        "lastUpdatedAt": _time_text(max(goal.updated_at, goal.stamp / 1e9)),
+        "ttlMs": None,  # the server of the action decides
+        "pollIntervalMs": POLL_INTERVAL,
+    }
+    message = _message(goal)
+    return members | {"statusMessage": message} if message else members
+
+
+def _message(goal: AgentGoal) -> str:
+    """Return what people read about the state of a goal; empty if there is nothing to say."""
+    if goal.outcome is not None:
+        return goal.outcome.reason
+    if goal.error is not None:
+        return f"The goal cannot be followed now: {goal.error}"
+    return feedback_text(goal.feedback) if goal.number else ""
+
+
+def _time_text(seconds: float) -> str:
+    moment = datetime.fromtimestamp(seconds, UTC)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
