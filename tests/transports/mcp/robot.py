@@ -105,6 +105,8 @@ class Talk:
         self.asked: list[str] = []
         """The questions to the user."""
         self.progress: list[tuple[float, str | None]] = []
+        self.totals: list[float | None] = []
+        """The totals of the progress."""
         self.told = anyio.Event()
         """Set at each change of the list of tools."""
 
@@ -134,8 +136,8 @@ class Talk:
     async def _note_progress(
         self, progress: float, total: float | None, message: str | None
     ) -> None:
-        assert total is None
         self.progress.append((progress, message))
+        self.totals.append(total)
 
 
 def text_of(result: CallToolResult) -> str:

@@ -1,14 +1,15 @@
-"""The input schemas of tools."""
+"""The schemas of tools."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import jsonschema
 import msgspec
 import pytest
 
 from fibaction import Action
-from fibaction_transports.mcp.tools.tool_schema import tool_input
+from fibaction_transports.mcp.tools.tool_schema import tool_input, tool_output
 
 
 class Leaf(msgspec.Struct):
@@ -77,3 +78,41 @@ def test_a_reference_without_an_end_is_any_goal() -> None:
     schema = {"$ref": "#/$defs/A", "$defs": {"A": {"$ref": "#/$defs/A"}}}
     assert tool_input(schema).is_wrapped
     assert tool_input({"$ref": "#/$defs/Gone"}).schema["properties"]["goal"]["$ref"]
+
+
+# The output
+
+
+def output_of(result: Any) -> dict[str, Any]:
+    made = tool_output(schema_of(result), ["SUCCEEDED", "ABORTED"])
+    jsonschema.Draft202012Validator.check_schema(made)
+    return made
+
+
+def test_the_output_tells_about_the_goal_and_has_the_result() -> None:
+    made = output_of(Tree)
+    validator = jsonschema.Draft202012Validator(made)
+    result = {"leaves": [{"x": 1}], "left": {"leaves": []}}
+    assert validator.is_valid({"goal_id": "a", "status": "SUCCEEDED", "result": result})
+    assert validator.is_valid({"goal_id": "a", "status": "ABORTED", "reason": "why"})
+    assert validator.is_valid({"error": "JSON cannot express it"})
+    assert not validator.is_valid({"result": {"leaves": [{"x": "1"}]}})
+    assert not validator.is_valid({"status": "RUNNING"})
+    assert set(made["$defs"]) == {"Leaf", "Tree"}
+    assert "$defs" not in output_of(int)
+
+
+def test_a_number_may_be_null_which_json_has_in_place_of_nan() -> None:
+    made = output_of(dict[str, list[float]])
+    assert jsonschema.Draft202012Validator(made).is_valid({"result": {"a": [1.5, None]}})
+    assert not jsonschema.Draft202012Validator(made).is_valid({"result": {"a": ["1"]}})
+
+
+@pytest.mark.parametrize("reference", ["#", "#/properties/a", "https://else/where", "#/$defs/No"])
+def test_a_schema_that_refers_to_something_outside_of_it_allows_everything(reference: str) -> None:
+    part = {"type": "object", "properties": {"a": {"$ref": reference}}}
+    made = tool_output(part, ["SUCCEEDED"])
+    assert made["properties"]["result"] == {}
+    nested = tool_output({"$ref": "#/$defs/A", "$defs": {"A": part}}, ["SUCCEEDED"])
+    assert nested["properties"]["result"] == {}
+    assert "$defs" not in nested

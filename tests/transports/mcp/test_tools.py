@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -287,10 +289,31 @@ async def test_a_result_that_is_too_long_for_a_model_is_cut(
     monkeypatch.setattr(answers, "LONGEST_ANSWER", 100)
     async with robot_and_talk("auto", UNASKED) as (_, made):
         result = await made.call("count", goal=1000)
-        assert result.structured_content is None
+        assert set(result.structured_content or {}) == {"goal_id", "action", "status"}
         assert text_of(result).startswith("The first 100 of 10")
         assert len(text_of(result)) < 200
 
 
 async def test_what_json_cannot_express_is_said() -> None:
     assert "cannot be written as JSON" in answers.json_text({"a": object()})
+
+
+async def test_feedback_with_a_total_is_progress_with_a_total_and_never_goes_back() -> None:
+    told: list[tuple[float, float | None]] = []
+
+    class Session:
+        async def report_progress(self, done: float, total: float | None, *, message: str) -> None:
+            told.append((done, total))
+
+    class Goal:
+        async def wait(self, seconds: float, report: Any) -> None:
+            steps = [(1, 4), (1, 4), (3.5, 4), (2, 4), (math.inf, 4), (True, 4), (6, None), (-1, 4)]
+            for number, (done, total) in enumerate(steps, 1):
+                await report(number, {"done": done, "total": total})
+            await report(9, "text")
+
+    context: Any = SimpleNamespace(session=Session())
+    goal: Any = Goal()
+    async with robot_and_talk("auto", UNASKED) as (_, made):
+        await made.bridge._tools._calls._wait(context, goal, 1)
+    assert told == [(1, 4), (3.5, 4), (5, None), (6, None), (7, None), (8, None), (9, None)]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
-from mcp_types import CallToolResult, TextContent
+from mcp_types import CallToolResult, ImageContent, TextContent
 
 from fibaction.border.peer_text import shortened
 from fibaction.schema.payload import PayloadError, to_json
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.mcp.tools.agent_goals import AgentGoal
+from fibaction_transports.mcp.tools.images import Images
 from fibaction_transports.mcp.tools.tool_names import CANCEL, STATUS
 
 LONGEST_ANSWER = 50_000
@@ -19,17 +21,31 @@ LONGEST_FEEDBACK = 500
 """Characters of feedback in a notification of progress."""
 
 
-def data_answer(data: dict[str, Any], sentence: str = "", *, error: bool = False) -> CallToolResult:
-    """Return an answer with data, below a sentence if there is one."""
+_HEAD = ("goal_id", "action", "status")
+
+
+def data_answer(
+    data: dict[str, Any],
+    sentence: str = "",
+    *,
+    error: bool = False,
+    images: Sequence[ImageContent] = (),
+) -> CallToolResult:
+    """Return an answer with data, below a sentence if there is one, and with images after it.
+
+    Of data that are too long, the text has the beginning, and the structured content which goal it
+    is about.
+    """
     text = json_text(data)
     structured: Any = None
     if len(text) > LONGEST_ANSWER:
         text = f"The first {LONGEST_ANSWER} of {len(text)} characters: {text[:LONGEST_ANSWER]}"
+        structured = {name: data[name] for name in _HEAD if name in data} or None
     else:
         structured = json.loads(text)
     text = f"{sentence}\n{text}" if sentence else text
     return CallToolResult(
-        content=[TextContent(type="text", text=text)],
+        content=[TextContent(type="text", text=text), *images],
         structured_content=structured,
         is_error=error,
     )
@@ -65,28 +81,32 @@ def goal_answer(goal: AgentGoal, *, cancel_wanted: bool = False) -> CallToolResu
         "status": goal.status.name,
     }
     outcome = goal.outcome
+    images = Images()
     if goal.number and (outcome is None or outcome.status is not GoalStatus.SUCCEEDED):
-        data |= {"feedback_count": goal.number, "feedback": goal.feedback}
+        feedback = images.take(goal.feedback, goal.action.info.feedback)
+        data |= {"feedback_count": goal.number, "feedback": feedback}
     if goal.error is not None:
         sentence = (
             f"The goal cannot be followed any more, and may go on: {goal.error}. Call {STATUS} with"
             f" its goal_id to try again."
         )
-        return data_answer(data, sentence, error=True)
+        return data_answer(data, sentence, error=True, images=images.found)
     if outcome is None:
         sentence = (
             f"The goal has not ended yet. To wait for it, call {STATUS} with its goal_id and wait;"
             f" to stop it, call {CANCEL}."
         )
-        return data_answer(data, sentence)
+        return data_answer(data, sentence, images=images.found)
     if outcome.result is not None or outcome.status is GoalStatus.SUCCEEDED:
-        data["result"] = outcome.result
+        data["result"] = images.take(outcome.result, goal.action.info.result)
     if outcome.reason:
         data["reason"] = outcome.reason
     if outcome.status is GoalStatus.SUCCEEDED:
-        return data_answer(data)
+        return data_answer(data, images=images.found)
     reason = f": {outcome.reason}" if outcome.reason else "."
     if outcome.status is GoalStatus.CANCELED:
-        return data_answer(data, f"The goal was canceled{reason}", error=not cancel_wanted)
-    what = "was aborted" if outcome.status is GoalStatus.ABORTED else "is unknown"
-    return data_answer(data, f"The goal {what}{reason}", error=True)
+        sentence, error = f"The goal was canceled{reason}", not cancel_wanted
+    else:
+        what = "was aborted" if outcome.status is GoalStatus.ABORTED else "is unknown"
+        sentence, error = f"The goal {what}{reason}", True
+    return data_answer(data, sentence, error=error, images=images.found)

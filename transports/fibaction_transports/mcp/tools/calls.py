@@ -22,9 +22,9 @@ from fibaction_transports.mcp.tools.answers import (
 )
 from fibaction_transports.mcp.tools.consent import Consents, goal_text
 from fibaction_transports.mcp.tools.goal_overview import overview
+from fibaction_transports.mcp.tools.goal_tasks import created, wants_task
 from fibaction_transports.mcp.tools.progress_reports import ProgressReports
 from fibaction_transports.mcp.tools.robot_actions import RobotAction, RobotActions
-from fibaction_transports.mcp.tools.goal_tasks import created, wants_task
 from fibaction_transports.mcp.tools.tool_error import ToolError
 from fibaction_transports.mcp.tools.tool_list import tool_list
 from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
@@ -71,9 +71,9 @@ class ToolCalls:
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
         goal = await self._goals.send(action, message)
-        try:
         if wants_task(context):
             return created(goal)
+        try:
             await self._wait(context, goal, self._policy.patience)
         except anyio.get_cancelled_exc_class():
             await goal.leave()

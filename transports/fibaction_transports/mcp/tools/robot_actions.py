@@ -15,9 +15,10 @@ from fibaction.client.client import ActionClient
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import TransportError
+from fibaction.words.statuses import GoalStatus
 from fibaction_transports.mcp.agent_policy import AgentPolicy
 from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS, tool_name
-from fibaction_transports.mcp.tools.tool_schema import tool_input
+from fibaction_transports.mcp.tools.tool_schema import tool_input, tool_output
 
 MOST_ACTIONS = 200
 """Actions of one server that become tools; far fewer are too many for most models."""
@@ -43,6 +44,7 @@ class RobotAction:
         """The name of its tool."""
         self.goals = JsonCodec(info.goal)
         self.input = tool_input(info.goal)
+        self.output = tool_output(info.result, (status.name for status in GoalStatus))
         self.client = ActionClient(connection.endpoint(info), Action.untyped(info))
 
     @property
@@ -70,14 +72,14 @@ class RobotActions:
         return self._group.problems
 
     @property
-    def tools(self) -> dict[str, RobotAction]:
-    @property
     def are_all_reached(self) -> bool:
         """True if all servers have told their actions, and can be asked now."""
         self.refresh()
         problems = self._group.problems
         return all(server in self._taken and not text for server, text in problems.items())
 
+    @property
+    def tools(self) -> dict[str, RobotAction]:
         """The actions by the names of their tools."""
         self.refresh()
         # In the order of the servers, whichever of them has answered first.

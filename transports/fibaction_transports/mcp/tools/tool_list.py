@@ -54,6 +54,7 @@ def _action_tool(action: RobotAction, policy: AgentPolicy) -> Tool:
         title=action.title,
         description=text,
         input_schema=action.input.schema,
+        output_schema=action.output,
         annotations=_moves(),
     )
 

@@ -1,12 +1,13 @@
-"""The input schema of a tool, made from the JSON Schema of a goal.
+"""The schemas of a tool, made from the JSON Schemas of a goal and of a result.
 
 The input of a tool is always an object. A goal that is one is the input itself; any other goal, for
-example a number, is the field `goal` of the input.
+example a number, is the field `goal` of the input. The output tells about the goal, and has the
+result as the field `result`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from fibaction.border.plain_values import is_list, is_map
@@ -46,6 +47,43 @@ def tool_input(goal: Mapping[str, Any]) -> ToolInput:
     if used := _used(schema, definitions):
         schema["$defs"] = used
     return ToolInput(schema, is_wrapped)
+
+
+def tool_output(result: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """Return the schema of what a tool answers for an action with results of that schema.
+
+    `names` are those of the statuses. No field is required: a goal that still runs has no result,
+    and an answer that is too long has only its beginning.
+    """
+    definitions = result.get("$defs", {})
+    root = {name: part for name, part in result.items() if name != "$defs"}
+    used = _used(root, definitions)
+    known = {f"{_PREFIX}{name}" for name in used}
+    if not known.issuperset(_references([root, used])):
+        root, used = {}, {}  # it refers to itself as a whole, or to something outside
+    schema: dict[str, Any] = {
+        "type": "object",
+        "properties": {
+            "goal_id": {"type": "string"},
+            "action": {"type": "string"},
+            "status": {"enum": list(names)},
+            "result": _with_nulls(root),
+            "reason": {"type": "string"},
+            "feedback_count": {"type": "integer"},
+            "feedback": {},
+        },
+    }
+    return schema | ({"$defs": _with_nulls(used)} if used else {})
+
+
+def _with_nulls(part: Any) -> Any:
+    """Return a schema that allows null for each number: NaN and infinities are null in JSON."""
+    if is_list(part):
+        return [_with_nulls(one) for one in part]
+    if not is_map(part):
+        return part
+    made = {name: _with_nulls(one) for name, one in part.items()}
+    return made | {"type": ["number", "null"]} if part.get("type") == "number" else made
 
 
 def _resolved(schema: dict[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:
