@@ -210,7 +210,7 @@ class Lost:
 def lost(error: ActionError) -> AgentGoal:
     goal: Any = Lost()
     action: Any = None
-    made = AgentGoal(action, goal, own=True)
+    made = AgentGoal(action, goal, own=True, on_change=lambda _: None)
     made.error = error
     return made
 

@@ -13,7 +13,12 @@ from typing import Any
 import anyio
 from mcp.server.context import ServerRequestContext
 from mcp.server.session import ServerSession
-from mcp.server.subscriptions import InMemorySubscriptionBus, ListenHandler, ToolsListChanged
+from mcp.server.subscriptions import (
+    InMemorySubscriptionBus,
+    ListenHandler,
+    ServerEvent,
+    ToolsListChanged,
+)
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
 MOST_SESSIONS = 1000
@@ -56,9 +61,13 @@ class ListChanges:
         if len(self._sessions) > self._most_sessions:
             del self._sessions[next(iter(self._sessions))]
 
+    async def publish(self, event: ServerEvent) -> None:
+        """Tell the clients that have asked for a stream of such changes."""
+        await self._bus.publish(event)
+
     async def tell(self) -> None:
         """Tell all clients that the list has changed."""
-        await self._bus.publish(ToolsListChanged())
+        await self.publish(ToolsListChanged())
         with anyio.move_on_after(self._tell_timeout):
             async with anyio.create_task_group() as tasks:
                 for session in self._sessions.values():

@@ -13,20 +13,27 @@ from mcp_types import (
     CallToolRequestParams,
     CancelTaskRequestParams,
     GetTaskRequestParams,
+    ListResourcesResult,
+    ListResourceTemplatesResult,
     ListToolsResult,
     PaginatedRequestParams,
+    ReadResourceRequestParams,
+    ReadResourceResult,
 )
 
 from fibaction import __version__
 from fibaction.border.event_loop import Background
 from fibaction.border.gateway import ServerGroup
 from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports.mcp.goal_resources import GoalResources
 from fibaction_transports.mcp.list_changes import ListChanges
 from fibaction_transports.mcp.tools.agent_goals import AgentGoals
 from fibaction_transports.mcp.tools.calls import ToolCalls
 from fibaction_transports.mcp.tools.goal_tasks import EXTENSION, GoalTasks, UpdateTaskParams
 from fibaction_transports.mcp.tools.robot_actions import RobotActions
 from fibaction_transports.mcp.tools.tool_list import instructions, tool_list
+
+Context = ServerRequestContext[Any, Any]
 
 
 class _McpServer(Server[object]):
@@ -54,6 +61,7 @@ class ToolServer:
         self._changes = ListChanges()
         self._calls: ToolCalls
         self._tasks: GoalTasks
+        self._resources: GoalResources
         self._block: AsyncExitStack
         self.server: Server[Any] = _McpServer(
             "fibaction",
@@ -63,6 +71,9 @@ class ToolServer:
             lifespan=lambda _: self._changes.connection(),
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
+            on_list_resources=self._list_resources,
+            on_list_resource_templates=self._list_templates,
+            on_read_resource=self._read_resource,
             on_subscriptions_listen=self._changes.listen,
         )
         """The server of the SDK."""
@@ -71,15 +82,9 @@ class ToolServer:
     def _serve_tasks(self, server: Server[Any]) -> None:
         """Serve the methods of the extension for tasks."""
         server.extensions[EXTENSION] = {}
-        server.add_request_handler(
-            "tasks/get", GetTaskRequestParams, lambda *asked: self._tasks.get(*asked)
-        )
-        server.add_request_handler(
-            "tasks/update", UpdateTaskParams, lambda *asked: self._tasks.update(*asked)
-        )
-        server.add_request_handler(
-            "tasks/cancel", CancelTaskRequestParams, lambda *asked: self._tasks.cancel(*asked)
-        )
+        server.add_request_handler("tasks/get", GetTaskRequestParams, self._get_task)
+        server.add_request_handler("tasks/update", UpdateTaskParams, self._update_task)
+        server.add_request_handler("tasks/cancel", CancelTaskRequestParams, self._cancel_task)
 
     @property
     def names(self) -> list[str]:
@@ -93,6 +98,8 @@ class ToolServer:
             goals = AgentGoals(tasks)
             self._calls = ToolCalls(self._actions, goals, self._policy)
             self._tasks = GoalTasks(self._actions, goals, self._policy)
+            self._resources = GoalResources(self._actions, goals)
+            tasks.start_soon(self._resources.tell_changes, self._changes)
             tasks.start_soon(self._actions.follow)
             tasks.start_soon(self._tell_changes)
             self._block = stack.pop_all()
@@ -113,12 +120,40 @@ class ToolServer:
             await self._changes.tell()
 
     async def _list_tools(
-        self, context: ServerRequestContext[Any, Any], _: PaginatedRequestParams | None
+        self, context: Context, _: PaginatedRequestParams | None
     ) -> ListToolsResult:
         self._changes.note(context)
         return ListToolsResult(tools=tool_list(self._actions.tools, self._policy))
 
     async def _call_tool(
-        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+        self, context: Context, params: CallToolRequestParams
     ) -> Any:  # an answer, a question or a task: the SDK has no type for the latter
         return await self._calls.call(context, params)
+
+    # What follows is asked of parts that are there while the block lasts only.
+
+    async def _get_task(self, context: Context, params: GetTaskRequestParams) -> dict[str, Any]:
+        return await self._tasks.get(context, params)
+
+    async def _update_task(self, context: Context, params: UpdateTaskParams) -> dict[str, Any]:
+        return await self._tasks.update(context, params)
+
+    async def _cancel_task(
+        self, context: Context, params: CancelTaskRequestParams
+    ) -> dict[str, Any]:
+        return await self._tasks.cancel(context, params)
+
+    async def _list_resources(
+        self, context: Context, _: PaginatedRequestParams | None
+    ) -> ListResourcesResult:
+        return await self._resources.running()
+
+    async def _list_templates(
+        self, context: Context, _: PaginatedRequestParams | None
+    ) -> ListResourceTemplatesResult:
+        return self._resources.templates()
+
+    async def _read_resource(
+        self, context: Context, params: ReadResourceRequestParams
+    ) -> ReadResourceResult:
+        return await self._resources.read(params.uri)

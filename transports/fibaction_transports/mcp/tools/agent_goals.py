@@ -47,7 +47,15 @@ Report = Callable[[int, Any], Awaitable[None]]
 class AgentGoal:
     """One goal, as far as it is known."""
 
-    def __init__(self, action: RobotAction, goal: ClientGoal[Any, Any], *, own: bool) -> None:
+    def __init__(
+        self,
+        action: RobotAction,
+        goal: ClientGoal[Any, Any],
+        *,
+        own: bool,
+        on_change: Callable[[AgentGoal], None],
+    ) -> None:
+        """Call `on_change` after each change."""
         self.action = action
         self.own = own
         """True if this bridge has sent it."""
@@ -66,6 +74,7 @@ class AgentGoal:
         self.updated_at = time()
         """The time of the newest change that was read here, in seconds since 1970."""
         self._goal = goal
+        self._on_change = on_change
 
     @property
     def goal_id(self) -> GoalID:
@@ -98,6 +107,7 @@ class AgentGoal:
     def _note_change(self) -> None:
         self.updated_at = time()
         self.news.notify()
+        self._on_change(self)
 
     async def wait(self, seconds: float, report: Report) -> None:
         """Wait for the end for so long, and report the feedback meanwhile, the newest one only."""
@@ -142,6 +152,26 @@ class AgentGoals:
     def __init__(self, tasks: TaskGroup) -> None:
         self._tasks = tasks
         self._goals: dict[GoalID, AgentGoal] = {}
+        self.news = Notifier()
+        """Notified when a goal has changed."""
+        self._changed: dict[GoalID, None] = {}
+        self._is_other_list = False
+
+    @property
+    def has_changes(self) -> bool:
+        """True if a goal has changed since they were taken."""
+        return bool(self._changed)
+
+    def take_changes(self) -> tuple[list[GoalID], bool]:
+        """Return the goals that have changed, and whether others run now than before."""
+        changed, is_other_list = list(self._changed), self._is_other_list
+        self._changed, self._is_other_list = {}, False
+        return changed, is_other_list
+
+    def _note_change(self, goal: AgentGoal, *, is_new: bool = False) -> None:
+        self._changed[goal.goal_id] = None
+        self._is_other_list |= is_new or goal.ended.is_set()
+        self.news.notify()
 
     async def send(self, action: RobotAction, message: Any) -> AgentGoal:
         """Send a goal.
@@ -166,7 +196,7 @@ class AgentGoals:
             ) from exc
         except ActionError as exc:
             raise ToolError(f"The goal was not sent: {exc}") from exc
-        return self._add(AgentGoal(action, goal, own=True))
+        return self._add(AgentGoal(action, goal, own=True, on_change=self._note_change))
 
     async def find(self, goal_id: GoalID, actions: list[RobotAction]) -> AgentGoal:
         """Return a goal that is followed already, or follow a goal of these actions from now on.
@@ -196,7 +226,7 @@ class AgentGoals:
             goal = await action.client.attach(info.goal_id, after=after, attempt=info.attempt)
         except ActionError as exc:
             raise ToolError(f"The goal cannot be followed: {exc}") from exc
-        found = self._add(AgentGoal(action, goal, own=own))
+        found = self._add(AgentGoal(action, goal, own=own, on_change=self._note_change))
         await found.first_update()
         return found
 
@@ -206,6 +236,7 @@ class AgentGoals:
         for one in ended[: max(len(ended) - MOST_ENDED + 1, 0)]:
             del self._goals[one.goal_id]
         self._goals[goal.goal_id] = goal
+        self._note_change(goal, is_new=True)
         self._tasks.start_soon(goal.follow)
         return goal
 
