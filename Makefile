@@ -13,6 +13,9 @@ export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(( $$(getconf _NPROCESSOR
 # mutmut has an environment of its own, since the tests must pass without its dependencies.
 MUTANTS_VENV := .venv-mutants
 
+# So have the programs of others for OpenAPI, one of which is a plugin of pytest.
+OPENAPI_VENV := .venv-openapi
+
 # The libraries of JavaScript that tests use. Without Node these tests are left out, unless
 # FIBACTION_NODE is `required`.
 JAVASCRIPT := build/javascript
@@ -42,7 +45,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest release lock audit ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi test-ros test-wheel test-pythons test-lowest release lock audit ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -167,6 +170,9 @@ attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, be
 
 mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
 	$(MUTANTS_VENV)/bin/python -m tests.tools.mutants --keep
+
+openapi: $(VENV)/.tools $(OPENAPI_VENV)/.installed  ## Try the programs of others for OpenAPI at a server: clients, random requests
+	FIBACTION_OPENAPI=required $(BIN)/python -m pytest -q tests/transports/web/test_openapi_clients.py
 
 # The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The code is
 # that of `make test`, so what runs against it is what a wheel can lack: modules, entry points, files.
@@ -296,7 +302,7 @@ test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2 Kilted
 ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros, or with ROS=jazzy .venv-ros-jazzy: ROS 2 and interfaces
 
 clean:  ## Remove all generated files
-	rm -rf $(VENV) $(MUTANTS_VENV) .venv-ros .venv-ros-* .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(MUTANTS_VENV) $(OPENAPI_VENV) .venv-ros .venv-ros-* .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -r {} +
 
 $(VENV)/.made:
@@ -331,6 +337,11 @@ $(VENV)/.release: $(VENV)/.tools
 
 $(VENV)/.fuzz: $(VENV)/.tools
 	$(call install,$(VENV)) --group fuzz
+	@touch $@
+
+$(OPENAPI_VENV)/.installed: pyproject.toml
+	$(call new_venv,$(OPENAPI_VENV))
+	$(call install,$(OPENAPI_VENV)) --group openapi
 	@touch $@
 
 $(MUTANTS_VENV)/.made:

@@ -81,6 +81,7 @@ def test_every_long_trial_runs_each_night() -> None:
         "kills",
         "lossy",
         "mutants",
+        "openapi",
         "properties",
         "simulate",
         "soak",

@@ -100,8 +100,8 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(folder: Path, *command: str) -> None:
-    """Run a program of Node, which must succeed."""
+def run(folder: Path, *command: str) -> str:
+    """Run a program of Node, which must succeed, and return what it prints."""
     assert PROGRAM is not None, MISSING
     assert not MISSING, MISSING
     env = os.environ | {"FIBACTION_PYTHON": sys.executable, "FIBACTION_ROOT": str(ROOT)}
@@ -118,6 +118,7 @@ def run(folder: Path, *command: str) -> None:
         finally:
             process.kill()
     assert process.returncode == 0, out
+    return out
 
 
 @needs_node

@@ -29,11 +29,13 @@ class Finished(NamedTuple):
         return [json.loads(line) for line in self.lines]
 
 
-def ended(process: subprocess.Popen[str], input: str | None = None) -> Finished:
+def ended(
+    process: subprocess.Popen[str], input: str | None = None, *, patience: float = PATIENCE
+) -> Finished:
     """Wait for the end of a process, and kill it after a timeout."""
     with process:
         try:
-            out, err = process.communicate(input, timeout=PATIENCE)
+            out, err = process.communicate(input, timeout=patience)
         finally:
             process.kill()
     return Finished(process.returncode, out, err)

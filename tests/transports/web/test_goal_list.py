@@ -98,6 +98,8 @@ def test_wrong_parameters_are_refused(limit: str | None, after: str | None) -> N
 def test_a_parent_that_is_not_the_id_of_a_goal_is_refused() -> None:
     with pytest.raises(Refused, match=r"^parent is the ID of a goal: a goal ID has 32 hexadecimal"):
         page_of(None, None, "me")
+    with pytest.raises(Refused, match="zeros means all goals"):
+        page_of(None, None, "0" * 32)
 
 
 def test_a_page_has_a_size_that_the_server_bounds() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from typing import Any
 
 import msgspec
@@ -12,6 +14,7 @@ from fibaction import Action
 from fibaction.types.action import ActionInfo
 from fibaction_transports.web.rest.openapi import describe
 from tests.support.fibonacci import FIBONACCI
+from tests.support.nested_actions import COUNT, FETCH
 
 
 class Arm(msgspec.Struct):
@@ -48,11 +51,134 @@ def test_a_list_of_goals_comes_before_an_action_of_the_same_address(names: tuple
     assert "post" in paths["/actions/arm/goals/goals"]
 
 
-def test_references_lead_to_where_the_definitions_are() -> None:
-    schemas = described(ARM.info)["components"]["schemas"]
-    assert schemas[".left.arm.goal"] == {"$ref": "#/components/schemas/.left.arm.goal.Arm"}
-    parts = schemas[".left.arm.goal.Arm"]["properties"]["parts"]
-    assert parts["items"] == {"$ref": "#/components/schemas/.left.arm.goal.Arm"}
+def schemas_of(*infos: ActionInfo) -> Any:
+    return described(*infos)["components"]["schemas"]
+
+
+def shared(name: str) -> dict[str, str]:
+    return {"$ref": f"#/components/schemas/{name}"}
+
+
+def test_a_message_is_its_type_and_no_name_for_it() -> None:
+    arm = schemas_of(ARM.info)[".left.arm.goal"]
+    assert arm["properties"]["parts"]["items"] == shared(".left.arm.goal")
+
+
+def test_all_references_and_discriminators_lead_to_where_the_definitions_are() -> None:
+    schemas = schemas_of(FETCH.info, COUNT.info, ARM.info)
+    target = schemas["fetch.goal"]["properties"]["target"]
+    variants = [shared("fetch.goal.ToPoint"), shared("fetch.goal.ToShelf")]
+    assert target["anyOf"] == variants
+    assert target["discriminator"]["mapping"] == {
+        "point": variants[0]["$ref"],
+        "shelf": variants[1]["$ref"],
+    }
+    found = re.findall(r'"#/components/schemas/([^"]+)"', json.dumps(schemas))
+    assert set(found) <= set(schemas)
+    assert schemas["fetch.goal.Part"]["properties"]["parts"]["items"] == shared("fetch.goal.Part")
+
+
+@pytest.mark.parametrize(
+    ("schema", "moved"),
+    [
+        ({"$ref": "#/$defs/a~1b/items", "$defs": {"a/b": {"items": {}}}}, "odd.goal.a.b/items"),
+        ({"$ref": "#/$defs/a%20b/items", "$defs": {"a b": {"items": {}}}}, "odd.goal.a.b/items"),
+        ({"$ref": "#/$defs/no", "$defs": {"no": True}}, "odd.goal.no"),
+        ({"$ref": "#/$defs/missing"}, None),
+        ({"$ref": "https://elsewhere.example/schema"}, None),
+        ({"$ref": 7}, None),
+        ({"$ref": "#/$defs/missing", "$defs": []}, None),
+    ],
+)
+def test_a_reference_that_leads_nowhere_allows_any_value(schema: Any, moved: str | None) -> None:
+    goal = schemas_of(ActionInfo("odd", "", schema, {}, {}))["odd.goal"]
+    if moved is None:
+        assert goal == {}
+    else:
+        assert goal["$ref"] == shared(moved)["$ref"]
+
+
+def test_a_variant_that_leads_nowhere_is_left_out_of_the_mapping() -> None:
+    choice = {"discriminator": {"propertyName": "t", "mapping": {"a": "#/$defs/a", "b": "b"}}}
+    plain = {"discriminator": {"propertyName": "t"}}
+    schema = {"properties": {"choice": choice, "plain": plain}, "$defs": {"a": {}}}
+    goal = schemas_of(ActionInfo("odd", "", schema, {}, {}))["odd.goal"]
+    mapping = goal["properties"]["choice"]["discriminator"]["mapping"]
+    assert mapping == {"a": "#/components/schemas/odd.goal.a"}
+    assert goal["properties"]["plain"] == plain
+
+
+def test_no_two_schemas_or_operations_have_the_same_name_for_a_generator() -> None:
+    part = {"$defs": {"Goal": {"title": "Goal"}, "goal": {"title": "Goal"}}, "title": "Goal"}
+    infos = [ActionInfo(name, "", part, part, part) for name in ("arm", "/arm", "arm/goal", "Arm")]
+    made = described(*infos)
+    schemas = made["components"]["schemas"]
+    assert not any("title" in schema for schema in schemas.values())
+    ids = [one["operationId"] for path in made["paths"].values() for one in path.values()]
+    for names in (list(schemas), ids):
+        plain = [re.sub("[^a-z0-9]", "", name.lower()) for name in names]
+        assert len(plain) == len(set(plain))
+
+
+def test_a_goal_allows_what_the_server_accepts() -> None:
+    goal = schemas_of(FETCH.info)["fetch.goal"]
+    assert goal["additionalProperties"] is False
+    assert re.fullmatch(goal["properties"]["label"]["pattern"], "AAE=")
+    assert not re.fullmatch(goal["properties"]["label"]["pattern"], "AAE")
+    number = schemas_of(FETCH.info)["fetch.goal.ToShelf"]["properties"]["number"]
+    assert (number["minimum"], number["maximum"]) == (-(2**63), 2**64 - 1)
+    result = schemas_of(FETCH.info)["fetch.result"]
+    assert "additionalProperties" not in result
+    limits = {"type": "integer", "exclusiveMinimum": 0, "exclusiveMaximum": 9}
+    limited = schemas_of(ActionInfo("odd", "", limits, {}, {}))["odd.goal"]
+    assert limited == limits
+
+
+@pytest.mark.parametrize(
+    "schema",
+    [
+        {"allOf": [{"properties": {"a": {}}}, {"properties": {"b": {}}}]},
+        {"properties": {"a": {}}, "anyOf": [{"properties": {"b": {}}}]},
+        {"properties": {"a": {}}, "$ref": "#/$defs/b", "$defs": {"b": {"properties": {"b": {}}}}},
+    ],
+)
+def test_types_that_are_described_in_parts_allow_the_fields_of_each_other(schema: Any) -> None:
+    made = schemas_of(ActionInfo("odd", "", schema, {}, {}))
+    assert "additionalProperties" not in json.dumps(
+        {name: part for name, part in made.items() if name.startswith("odd.goal")}
+    )
+
+
+def test_the_values_of_defaults_are_no_schemas() -> None:
+    schema = {"properties": {"a": {"default": {"$ref": "#", "properties": {}}}}}
+    goal = schemas_of(ActionInfo("odd", "", schema, {}, {}))["odd.goal"]
+    assert goal["properties"]["a"] == schema["properties"]["a"]
+
+
+def test_all_operations_have_a_tag_a_description_and_an_answer_of_a_type() -> None:
+    made = described(FETCH.info)
+    tags = {tag["name"] for tag in made["tags"]}
+    for path in made["paths"].values():
+        for operation in path.values():
+            assert operation["description"]
+            assert set(operation["tags"]) <= tags
+            content = [answer.get("content", {}) for answer in operation["responses"].values()]
+            json_answers = [one["application/json"] for one in content if "application/json" in one]
+            assert all(one["schema"] for one in json_answers)
+
+
+def test_parameters_allow_what_the_server_accepts() -> None:
+    paths = described(FETCH.info)["paths"]
+    goals, events = paths["/actions/fetch/goals"], paths["/actions/fetch/goals/{goal_id}/events"]
+    (wait,) = goals["post"]["parameters"]
+    assert wait["schema"]["maximum"] == 3600
+    (before,) = goals["delete"]["parameters"]
+    assert not re.fullmatch(before["schema"]["pattern"], "")
+    goal_id, after = (one["schema"]["pattern"] for one in events["get"]["parameters"])
+    assert not re.fullmatch(goal_id, "0" * 32)
+    assert re.fullmatch(goal_id, f"{1:032x}")
+    assert all(re.fullmatch(after, one) for one in ("17", "2.17", "end"))
+    assert not any(re.fullmatch(after, one) for one in ("", "x", "0.1"))
 
 
 def test_a_schema_of_itself_refers_to_itself() -> None:

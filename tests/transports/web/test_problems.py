@@ -10,6 +10,7 @@ from fibaction import GoalID, GoalRejected, TransportError
 from fibaction._runtime.http_rules import Refused
 from fibaction.schema.payload import PayloadError
 from fibaction.words.errors import ActionError, ConnectionLost, GoalKept, LimitReached, UnknownGoal
+from fibaction.words.goals import ID_IN_USE
 from fibaction.words.statuses import GoalEvent, GoalStatus, InvalidTransition
 from fibaction_transports.web.http.problems import RETRY, STATUSES, problem_of
 
@@ -20,6 +21,7 @@ GOAL = GoalID(bytes(15) + b"\1")
     ("error", "status", "kind", "detail"),
     [
         (GoalRejected("too far", goal_id=GOAL), 422, "GoalRejected", "too far"),
+        (GoalRejected(ID_IN_USE), 409, "GoalRejected", ID_IN_USE),
         (GoalRejected("busy: later"), 503, "GoalRejected", "busy: later"),
         (UnknownGoal(GOAL), 404, "UnknownGoal", str(UnknownGoal(GOAL))),
         (GoalKept("later"), 503, "GoalKept", "later"),

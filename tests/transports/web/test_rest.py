@@ -187,7 +187,7 @@ async def test_a_goal_that_is_put_runs_once() -> None:
         assert (first.status, again.status) == (201, 200)
         assert first.json == again.json
         other = await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 4})
-        assert other.status == 422
+        assert other.status == 409
         assert len((await fetch(url, "GET", GOALS)).json) == 1
 
 
@@ -474,12 +474,16 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("POST", f"{GOALS}?wait=x", b'{"order": 3}', {}, 400),
         ("POST", f"{GOALS}?wait=nan", b'{"order": 3}', {}, 400),
         ("POST", f"{GOALS}?wait=1e9", b'{"order": 3}', {}, 400),
+        ("POST", f"{GOALS}?wait=1_0", b'{"order": 3}', {}, 400),
         ("POST", "/actions/no/goals", b'{"order": 3}', {}, 404),
         ("GET", "/../actions", None, {}, 404),
         ("GET", "/actions/%2e%2e/%2e%2e/etc", None, {}, 404),
         ("GET", f"{GOALS}/x", None, {}, 400),
         ("DELETE", f"{GOALS}/{'0' * 32}", None, {}, 400),
         ("DELETE", f"{GOALS}?before=now", None, {}, 400),
+        ("DELETE", f"{GOALS}?before=", None, {}, 400),
+        ("GET", f"{GOALS}?parent=", None, {}, 400),
+        ("GET", f"{GOALS}/{ID}/events?after=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=x", None, {}, 400),
         ("PATCH", GOALS, None, {}, 405),
         ("GET", "/actions", None, {"origin": "http://evil.example"}, 403),

@@ -1,6 +1,7 @@
 /** JSON Schemas of a description as text that people read, and as values to begin with. */
 
 const DEEPEST = 8;
+const LARGEST = 2 ** 53; // beyond it are the limits of all integers, which JavaScript rounds
 
 /** Return the schema that a reference names; an empty one if there is none. */
 export function target(schema, description) {
@@ -51,7 +52,8 @@ const LIMITS = {
 };
 
 function limits(schema) {
-  const found = Object.entries(LIMITS).filter(([name]) => schema[name] !== undefined);
+  const isTold = (limit) => limit !== undefined && !(Math.abs(limit) > LARGEST);
+  const found = Object.entries(LIMITS).filter(([name]) => isTold(schema[name]));
   return found.map(([name, sign]) => ` ${sign} ${schema[name]}`).join("");
 }
 
@@ -76,7 +78,8 @@ export function sample(schema, description, depth = 0) {
   }
   const type = [found.type].flat().find((one) => one !== "null");
   const least = found.minimum ?? (found.exclusiveMinimum === undefined ? 0 : found.exclusiveMinimum + 1);
-  const simple = { integer: least, number: least, string: "", boolean: false, array: [], object: {} };
+  const first = Math.abs(least) > LARGEST ? 0 : least; // that of all integers, which is no beginning
+  const simple = { integer: first, number: first, string: "", boolean: false, array: [], object: {} };
   return simple[type] ?? null;
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import (
     AsyncGenerator,
     Awaitable,
@@ -42,6 +43,8 @@ COMMON_HEADERS = (
     ("X-Content-Type-Options", "nosniff"),
 )
 """Headers of every answer that does not have its own."""
+
+_NUMBER = re.compile(r"-?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def headers_of(scope: Scope) -> dict[str, str]:
@@ -98,7 +101,8 @@ class Exchange:
         """True if the answer has begun."""
         self.more_headers: list[tuple[str, str]] = []
         """Headers that the answer has beside its own."""
-        self._query = dict(parse_qsl(scope.get("query_string", b"").decode("latin-1")))
+        query: str = scope.get("query_string", b"").decode("latin-1")
+        self._query = dict(parse_qsl(query, keep_blank_values=True))
         self._receive = receive
         self._send = send
         self._write_timeout = write_timeout
@@ -121,9 +125,8 @@ class Exchange:
         text = self.parameter(name)
         if text is None:
             return None
-        with suppress(ValueError):
-            if 0 <= (seconds := float(text)) <= most:
-                return seconds
+        if _NUMBER.fullmatch(text) and 0 <= (seconds := float(text)) <= most:
+            return seconds
         raise Refused(400, f"{name} is a number of seconds between 0 and {most:g}")
 
     @property

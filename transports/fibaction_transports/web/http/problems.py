@@ -30,6 +30,7 @@ from fibaction.words.errors import (
     TransportError,
     UnknownGoal,
 )
+from fibaction.words.goals import ID_IN_USE
 
 PROBLEM_JSON = "application/problem+json"
 RETRY = ("Retry-After", "1")
@@ -89,6 +90,8 @@ def problem_of(error: Refused | PayloadError | ActionError) -> Problem:
         text = sendable(error.reason)
         if error.is_busy:
             status, headers = 503, (RETRY,)
+        elif error.reason == ID_IN_USE:
+            status = 409
     elif status in (429, 503):
         headers = (RETRY,)
     return Problem(status, text, title, _type(known.__name__), headers=headers)

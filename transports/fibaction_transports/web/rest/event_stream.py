@@ -14,6 +14,8 @@ from fibaction_transports.web.http.exchange import Exchange
 from fibaction_transports.web.http.problems import problem_of
 from fibaction_transports.web.rest.goal_events import KEEP_ALIVE, GoalEvents
 
+LONGEST_WAIT = 3600.0
+"""Seconds that a request may wait for the end of a goal."""
 BATCH = 64
 """Feedback messages that are taken at once."""
 KEEP_ALIVE_AFTER = 15.0

@@ -21,7 +21,7 @@ import msgspec
 from fibaction.border.abc import StatusStream
 from fibaction.border.event_loop import SLICE
 from fibaction.border.http_access import Refused
-from fibaction.words.goals import GoalID, GoalInfo, Parent
+from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo, Parent
 
 LARGEST_PAGE = 10_000
 """Goals of the largest page."""
@@ -61,6 +61,8 @@ def page_of(limit: str | None, after: str | None, parent: str | None = None) -> 
             whole = whole._replace(parent=GoalID.parse(parent))
         except ValueError as exc:
             raise Refused(400, f"parent is the ID of a goal: {exc}") from None
+        if whole.parent == NO_GOAL:
+            raise Refused(400, "parent is the ID of a goal, and that of zeros means all goals")
     if after is None:
         return whole
     found = _PAGE_CURSOR.fullmatch(after)

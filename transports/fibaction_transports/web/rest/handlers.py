@@ -32,14 +32,12 @@ from fibaction.words.errors import ActionError, AuthenticationFailed, CancelReje
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import trace_meta
 from fibaction_transports.web.http.exchange import Exchange, bearer_of
-from fibaction_transports.web.rest.event_stream import tell_goal, wait_for_end
+from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
 from fibaction_transports.web.rest.goal_list import listed, members_of, page_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import Resource, Route, route_of
 
-LONGEST_WAIT = 3600.0
-"""Seconds that a request may wait for the end of a goal."""
 CANCEL_TIMEOUT = 5.0
 """Seconds for the cancel of a goal whose client has gone."""
 
@@ -234,7 +232,7 @@ class RestInterface:
 
     async def _follow_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         last = exchange.headers.get("last-event-id") or exchange.parameter("after")
-        cursor = cursor_of(last) if last else Cursor()
+        cursor = Cursor() if last is None else cursor_of(last)
         endpoint = await self._own_or_observed(client, route)
         if cursor is None:
             await exchange.answer(204, b"")  # a browser comes back after the end, too

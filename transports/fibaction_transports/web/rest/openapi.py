@@ -1,14 +1,18 @@
-"""The description of the REST interface: OpenAPI 3.1, from the JSON Schemas of the actions."""
+"""The description of the REST interface: OpenAPI 3.1, from the JSON Schemas of the actions.
+
+It says what the server checks, so that what it allows is accepted, and what it does not allow is
+rejected: generators of clients and of requests take it at its word.
+"""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
-from fibaction.border.plain_values import is_list, is_map
 from fibaction.types.action import ActionInfo
 from fibaction.words.statuses import GoalStatus
+from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
+from fibaction_transports.web.rest.openapi_schemas import SHARED, Names, moved
 
 Json = dict[str, Any]
 
@@ -16,8 +20,14 @@ API_VERSION = "1"
 """The version of the interface."""
 
 _ID = {"type": "string", "pattern": "^[0-9a-f]{32}$"}
+_ONE_ID = {"type": "string", "pattern": "^(?!0{32}$)[0-9a-f]{32}$"}
 _STATUS = {"type": "string", "enum": [status.name for status in GoalStatus]}
-_STAMP = {"type": "string", "description": "Time of the acceptance: nanoseconds since 1970."}
+_STAMP = {
+    "type": "string",
+    "pattern": "^[0-9]+$",
+    "description": "Time of the acceptance: nanoseconds since 1970.",
+}
+_SCHEMA = {"type": "object", "description": "JSON Schema; empty for any value."}
 _SHARED_SCHEMAS: Json = {
     "Problem": {
         "type": "object",
@@ -30,8 +40,21 @@ _SHARED_SCHEMAS: Json = {
         },
         "required": ["type", "title", "status", "detail"],
     },
+    "Action": {
+        "type": "object",
+        "description": "An action, and the schemas of its messages.",
+        "properties": {
+            "name": {"type": "string"},
+            "type_name": {"type": "string", "description": "Its type of ROS 2; may be empty."},
+            "goal": _SCHEMA,
+            "feedback": _SCHEMA,
+            "result": _SCHEMA,
+        },
+        "required": ["name", "type_name", "goal", "feedback", "result"],
+    },
     "Goal": {
         "type": "object",
+        "description": "A goal, and how far it is.",
         "properties": {
             "goal_id": _ID,
             "stamp": _STAMP,
@@ -40,40 +63,43 @@ _SHARED_SCHEMAS: Json = {
             "began_at": {"type": "string", "description": "Time of the begin, as the stamp."},
             "ended_at": {"type": "string", "description": "Time of the end, as the stamp."},
             "reason": {"type": "string", "description": "Why it was canceled or aborted."},
-            "parent": {
-                "type": "object",
-                "description": "The goal whose executor has sent this one, and the step.",
-                "properties": {"goal_id": _ID, "step": {"type": "string"}},
-                "required": ["goal_id", "step"],
-            },
+            "parent": {"$ref": "#/components/schemas/Parent"},
         },
         "required": ["goal_id", "stamp", "status"],
     },
+    "Parent": {
+        "type": "object",
+        "description": "The goal whose executor has sent this one, and the step.",
+        "properties": {"goal_id": _ID, "step": {"type": "string"}},
+        "required": ["goal_id", "step"],
+    },
     "Cancel": {
         "type": "object",
+        "description": "The answer to a cancel.",
         "properties": {
             "code": {"type": "string"},
             "goals_canceling": {"type": "array", "items": {"$ref": "#/components/schemas/Goal"}},
             "reason": {"type": "string"},
         },
+        "required": ["code", "goals_canceling", "reason"],
     },
 }
 _PROBLEM = {
     "description": "A problem.",
     "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
 }
-_GOAL_ID = {"name": "goal_id", "in": "path", "required": True, "schema": _ID}
+_GOAL_ID = {"name": "goal_id", "in": "path", "required": True, "schema": _ONE_ID}
 _WAIT = {
     "name": "wait",
     "in": "query",
     "description": "Seconds to wait for the end of the goal before the answer.",
-    "schema": {"type": "number", "minimum": 0},
+    "schema": {"type": "number", "minimum": 0, "maximum": LONGEST_WAIT},
 }
 _BEFORE = {
     "name": "before",
     "in": "query",
     "description": "Only goals that were accepted at or before this stamp.",
-    "schema": {"type": "string"},
+    "schema": {"type": "string", "pattern": "^[0-9]+$"},
 }
 _LIMIT = {
     "name": "limit",
@@ -85,13 +111,13 @@ _AFTER_PAGE = {
     "name": "after",
     "in": "query",
     "description": "The cursor in the header Link of the page before.",
-    "schema": {"type": "string"},
+    "schema": {"type": "string", "pattern": r"^[0-9]{1,19}\.[0-9a-f]{32}$"},
 }
 _PARENT = {
     "name": "parent",
     "in": "query",
     "description": "Only goals that the executor of this goal has sent.",
-    "schema": _ID,
+    "schema": _ONE_ID,
 }
 _NEXT = {
     "Link": {
@@ -103,22 +129,53 @@ _AFTER = {
     "name": "after",
     "in": "query",
     "description": "The ID of the last event that is known, as in the header Last-Event-ID.",
-    "schema": {"type": "string"},
+    "schema": {"type": "string", "pattern": r"^(end|([1-9][0-9]{0,8}\.)?[0-9]{1,18})$"},
+}
+
+
+_DESCRIPTIONS = {
+    "describe": "The action, with the JSON Schemas of its messages.",
+    "list": "The goals that the server remembers. With `limit` they come in pages.",
+    "send": "The answer comes at once, or with `wait` at the end of the goal. If you accept"
+    " `text/event-stream`, it is the events of the goal.",
+    "put": "As for POST. If you send the same goal again under its ID, it still runs once.",
+    "cancel_all": "Asks all goals to stop, or those that were accepted before a time.",
+    "status": "The status, and the result once the goal has ended; with `wait`, the answer waits"
+    " for the end.",
+    "cancel": "Asks the goal to stop. It ends when its executor has cleaned up.",
+    "events": "The events of a goal, from its first feedback or from the one after `after`.",
 }
 
 
 def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool) -> Json:
     """Return the description of an interface whose paths are below `root`."""
-    paths: Json = {
-        "/actions": {"get": _operation("List the actions.", "list_actions", _anything("Actions."))}
-    }
+    infos = list(actions)
+    listed = {"type": "array", "items": _ref("Action")}
+    all_actions = _operation(
+        "List the actions.",
+        "list_actions",
+        {"200": _answer("The actions.", listed)},
+        tag="actions",
+        description="All actions of this server, each with the JSON Schemas of its messages.",
+    )
+    paths: Json = {"/actions": {"get": all_actions}}
     schemas = dict(_SHARED_SCHEMAS)
-    for info in actions:
-        _add(info, paths, schemas)
+    schema_names, operations = Names(*schemas), Names("list_actions")
+    for info in infos:
+        _Described(info, schemas, schema_names, operations).add(paths)
     described: Json = {
         "openapi": "3.1.0",
-        "info": {"title": "Actions", "version": API_VERSION},
+        "info": {
+            "title": "Actions",
+            "version": API_VERSION,
+            "description": "Goals that take time: send them, follow them, cancel them.",
+        },
         "servers": [{"url": root or "/"}],
+        "tags": [{"name": "actions", "description": "The actions of this server."}]
+        + [
+            {"name": info.name, "description": f"Goals of {info.type_name or info.name}."}
+            for info in infos
+        ],
         "paths": paths,
         "components": {"schemas": schemas},
     }
@@ -129,102 +186,112 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
     return described
 
 
-def _add(info: ActionInfo, paths: Json, schemas: Json) -> None:
-    """Add one action to the paths and the schemas."""
-    name = re.sub(r"[^A-Za-z0-9_]", ".", info.name)
-    for part in ("goal", "feedback", "result"):
-        schemas[f"{name}.{part}"] = _moved(getattr(info, part), f"{name}.{part}", schemas)
-    result: Json = {"anyOf": [_ref(f"{name}.result"), {"type": "null"}]}
-    schemas[f"{name}.status"] = {
-        "allOf": [_ref("Goal")],
-        "properties": {"result": result, "reason": {"type": "string"}},
-    }
-    body = {
-        "required": True,
-        "content": {"application/json": {"schema": _ref(f"{name}.goal")}},
-    }
-    goal = _answer("The goal.", f"{name}.status")
-    stream = {"text/event-stream": {"schema": {"type": "string"}}}
-    sent = {"description": "The goal was accepted.", "content": {**goal["content"], **stream}}
-    events = {"description": f"Events; feedback is of {name}.feedback.", "content": stream}
-    cancel = _answer("The cancel was accepted.", "Cancel")
-    goals = {"type": "array", "items": _ref("Goal")}
-    content = {"application/json": {"schema": goals}}
-    listed = {"description": "Goals.", "content": content, "headers": _NEXT}
-    base = f"/actions/{info.name.replace('/', '%2F') if info.name[0] in '/~' else info.name}"
-    described = _operation("Describe the action.", f"describe.{name}", _anything("The action."))
-    paths.setdefault(base, {"get": described})  # a list of goals at this address comes before it
-    paths[f"{base}/goals"] = {
-        "get": _operation(
-            *("List the goals.", f"list.{name}", {"200": listed}), _LIMIT, _AFTER_PAGE, _PARENT
-        ),
-        "post": _operation("Send a goal.", f"send.{name}", {"201": sent}, _WAIT)
-        | {"requestBody": body},
-        "delete": _operation("Cancel goals.", f"cancel_all.{name}", {"202": cancel}, _BEFORE),
-    }
-    one = {"200": goal}
-    paths[f"{base}/goals/{{goal_id}}"] = {
-        "get": _operation("Get status and result.", f"status.{name}", one, _GOAL_ID, _WAIT),
-        "put": _operation(
-            "Send a goal with an ID of your own.",
-            f"put.{name}",
-            {"200": sent, "201": sent},
-            _GOAL_ID,
-            _WAIT,
+class _Described:
+    """One action, whose schemas are added to the shared ones."""
+
+    def __init__(
+        self, info: ActionInfo, schemas: Json, schema_names: Names, operations: Names
+    ) -> None:
+        self._info = info
+        self._operations = operations
+        name = info.name
+        self._goal, feedback, result, self._status = (
+            schema_names.unique(f"{name}.{part}")
+            for part in ("goal", "feedback", "result", "status")
         )
-        | {"requestBody": body},
-        "delete": _operation("Cancel the goal.", f"cancel.{name}", {"202": cancel}, _GOAL_ID),
-    }
-    paths[f"{base}/goals/{{goal_id}}/events"] = {
-        "get": _operation("Follow a goal.", f"events.{name}", {"200": events}, _GOAL_ID, _AFTER)
-    }
+        schemas |= moved(info.goal, self._goal, schema_names, is_goal=True)
+        schemas |= moved(info.feedback, feedback, schema_names)
+        schemas |= moved(info.result, result, schema_names)
+        schemas[self._status] = {
+            "description": f"A goal of {name}, and its result once it has ended.",
+            "allOf": [
+                _ref("Goal"),
+                {
+                    "type": "object",
+                    "properties": {
+                        "result": {"anyOf": [_ref(result), {"type": "null"}]},
+                    },
+                },
+            ],
+        }
+        self._events = f"Server-sent events; the data of feedback is of {feedback}."
+
+    def add(self, paths: Json) -> None:
+        """Add the paths of the action."""
+        name = self._info.name
+        base = f"/actions/{name.replace('/', '%2F') if name[0] in '/~' else name}"
+        answer = {"200": _answer("The action.", _ref("Action"))}
+        described = self._operation("describe", "Describe the action.", answer)
+        paths.setdefault(base, {"get": described})  # a list of goals at this address goes first
+        paths[f"{base}/goals"] = self._goals()
+        paths[f"{base}/goals/{{goal_id}}"] = self._one_goal()
+        events = {"200": {"description": self._events, "content": _STREAM}, "204": _NO_MORE}
+        paths[f"{base}/goals/{{goal_id}}/events"] = {
+            "get": self._operation("events", "Follow a goal.", events, _GOAL_ID, _AFTER)
+        }
+
+    def _goals(self) -> Json:
+        goals = _answer("Goals.", {"type": "array", "items": _ref("Goal")}) | {"headers": _NEXT}
+        return {
+            "get": self._operation(
+                *("list", "List the goals.", {"200": goals}), _LIMIT, _AFTER_PAGE, _PARENT
+            ),
+            "post": self._sending("send", "Send a goal.", {"201": self._sent()}, _WAIT),
+            "delete": self._operation("cancel_all", "Cancel goals.", _CANCELED, _BEFORE),
+        }
+
+    def _one_goal(self) -> Json:
+        found = {"200": _answer("The goal.", _ref(self._status))}
+        sent = {"200": self._sent("The goal was known."), "201": self._sent()}
+        return {
+            "get": self._operation("status", "Get status and result.", found, _GOAL_ID, _WAIT),
+            "put": self._sending("put", "Send a goal with an ID of your own.", sent, *_PUT),
+            "delete": self._operation("cancel", "Cancel the goal.", _CANCELED, _GOAL_ID),
+        }
+
+    def _sent(self, description: str = "The goal was accepted.") -> Json:
+        # Not the events as well: a generator would make them another type of each answer.
+        return _answer(description, _ref(self._status))
+
+    def _sending(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
+        content = {"application/json": {"schema": _ref(self._goal)}}
+        body = {"requestBody": {"required": True, "content": content}}
+        return self._operation(verb, summary, answers, *parameters) | body
+
+    def _operation(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
+        return _operation(
+            summary,
+            self._operations.unique(f"{verb}.{self._info.name}"),
+            answers,
+            *parameters,
+            tag=self._info.name,
+            description=_DESCRIPTIONS[verb],
+        )
 
 
-def _operation(summary: str, operation: str, answers: Json, *parameters: Json) -> Json:
-    described: Json = {"summary": summary, "operationId": operation}
+def _operation(
+    summary: str, operation: str, answers: Json, *parameters: Json, tag: str, description: str
+) -> Json:
+    described: Json = {
+        "summary": summary,
+        "description": description,
+        "operationId": operation,
+        "tags": [tag],
+    }
     if parameters:
         described["parameters"] = list(parameters)
     return described | {"responses": answers | {"default": _PROBLEM}}
 
 
 def _ref(name: str) -> Json:
-    return {"$ref": f"#/components/schemas/{name}"}
+    return {"$ref": SHARED + name}
 
 
-def _answer(description: str, schema: str) -> Json:
-    return {
-        "description": description,
-        "content": {"application/json": {"schema": _ref(schema)}},
-    }
+def _answer(description: str, schema: Json) -> Json:
+    return {"description": description, "content": {"application/json": {"schema": schema}}}
 
 
-def _anything(description: str) -> Json:
-    return {"200": {"description": description, "content": {"application/json": {"schema": {}}}}}
-
-
-def _moved(schema: Json, name: str, schemas: Json) -> Json:
-    """Return a schema whose definitions are among the `schemas`, below a name of its own.
-
-    A schema that refers to itself, or that is too deep, is left out: it allows any value.
-    """
-    try:
-        rest: Json = _renamed(schema, name)
-    except RecursionError:
-        return {}
-    for key, part in rest.pop("$defs", {}).items():
-        schemas[f"{name}.{key}"] = part
-    return rest
-
-
-def _renamed(part: Any, name: str) -> Any:
-    """Return a part of a schema with its references pointing to where the definitions are moved."""
-    if is_map(part):
-        return {
-            key: f"#/components/schemas/{name}.{item.removeprefix('#/$defs/')}"
-            if key == "$ref" and isinstance(item, str) and item.startswith("#/$defs/")
-            else f"#/components/schemas/{name}"
-            if key == "$ref" and item == "#"
-            else _renamed(item, name)
-            for key, item in part.items()
-        }
-    return [_renamed(item, name) for item in part] if is_list(part) else part
+_CANCELED = {"202": _answer("The cancel was accepted.", _ref("Cancel"))}
+_PUT = (_GOAL_ID, _WAIT)
+_STREAM: Json = {"text/event-stream": {}}
+_NO_MORE = {"description": "There is nothing after the event with the ID `end`."}

@@ -1,0 +1,87 @@
+"""Actions that are hard to describe: with tags, types in themselves, and classes of one name.
+
+    python -m tests.support.nested_actions URL
+
+serves them.
+"""
+
+from __future__ import annotations
+
+import datetime
+import sys
+from collections.abc import AsyncGenerator
+from typing import Annotated, Any, Literal
+
+import anyio
+import msgspec
+
+from fibaction import Action, ActionServer, GoalHandle, serve
+
+
+class Point(msgspec.Struct):
+    x: Annotated[float, msgspec.Meta(ge=-100, le=100)]
+    y: float = 0.0
+
+
+class ToPoint(msgspec.Struct, tag="point"):
+    point: Point
+
+
+class ToShelf(msgspec.Struct, tag="shelf"):
+    number: int
+    side: Literal["left", "right"] = "left"
+
+
+class Part(msgspec.Struct):
+    name: str
+    parts: list[Part] = []
+
+
+class Goal(msgspec.Struct):
+    target: ToPoint | ToShelf
+    fallback: ToPoint | ToShelf | None = None
+    parts: list[Part] = []
+    label: bytes = b""
+    at: Annotated[datetime.datetime, msgspec.Meta(tz=True)] | None = None
+
+
+class Feedback(msgspec.Struct):
+    done: int
+
+
+class Result(msgspec.Struct):
+    total: int
+
+
+OtherGoal = msgspec.defstruct("Goal", [("order", Annotated[int, msgspec.Meta(ge=0, le=50)])])
+FETCH = Action("fetch", goal=Goal, feedback=Feedback, result=Result)
+COUNT: Action[Any, Feedback, Result] = Action(
+    "left/count", goal=OtherGoal, feedback=Feedback, result=Result
+)
+
+
+async def fetch(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    """End at once."""
+    yield Feedback(1)
+    yield Result(len(goal.request.parts))
+
+
+async def count(goal: GoalHandle[Any]) -> AsyncGenerator[Feedback | Result, None]:
+    """Count with pauses, and without an end if the order is 50."""
+    for number in range(goal.request.order):
+        yield Feedback(number)
+        await anyio.sleep(0.01)
+    if goal.request.order == 50:
+        await anyio.sleep_forever()
+    yield Result(goal.request.order)
+
+
+async def main(url: str) -> None:
+    """Serve both actions until the process is ended."""
+    async with serve([ActionServer(FETCH, fetch), ActionServer(COUNT, count)], url) as (served,):
+        print(served, flush=True)
+        await anyio.sleep_forever()
+
+
+if __name__ == "__main__":
+    anyio.run(main, sys.argv[1])
