@@ -7,6 +7,7 @@ feedback.
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import AsyncGenerator
@@ -95,6 +96,32 @@ class Cleaned(msgspec.Struct):
     percent: float
 
 
+NUMBERS = itertools.count(100)
+"""A default that no schema can tell."""
+
+
+class ToPoint(msgspec.Struct, tag="point"):
+    """A place."""
+
+    point: Point
+
+
+class ToShelf(msgspec.Struct, tag="shelf"):
+    """A shelf, by its number."""
+
+    number: int = 3
+
+
+class Fetch(msgspec.Struct):
+    """What to fetch, and where to."""
+
+    source: ToShelf | ToPoint
+    target: ToPoint | ToShelf = msgspec.field(default_factory=lambda: ToShelf(7))
+    spare: ToPoint | ToShelf = msgspec.field(default_factory=lambda: ToShelf(next(NUMBERS)))
+    fallback: ToPoint | ToShelf | None = None
+
+
+FETCH = Action("fetch", goal=Fetch, feedback=int, result=str)
 DRIVE = Action("arm/drive", goal=Drive, feedback=Driving, result=Driven)
 FLOOD = Action("flood", goal=Load, feedback=Wave, result=int)
 CLEAN = Action("clean", goal=Cleaning, feedback=Cleaned, result=str)
@@ -114,6 +141,11 @@ async def fibonacci(goal: GoalHandle[Goal]) -> Items:
         sequence.append(sequence[-1] + sequence[-2])
         yield Feedback(list(sequence))
     yield Result(sequence)
+
+
+async def fetch(goal: GoalHandle[Fetch]) -> Items:
+    """Tell what the goal is once it is read."""
+    yield repr(goal.request)
 
 
 def check_order(goal: Goal) -> None:
@@ -203,6 +235,7 @@ def servers() -> list[ActionServer[Any, Any, Any]]:
         ActionServer(FLOOD, flood),
         ActionServer(CLEAN, clean, schedule=Schedule(concurrency=1, queue=10)),
         ActionServer(BREAK, fail),
+        ActionServer(FETCH, fetch),
         ActionServer(ODD, be_odd),
         ActionServer(STUBBORN, wait, on_cancel=keep_on),
     ]

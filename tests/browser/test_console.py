@@ -53,7 +53,8 @@ def test_a_goal_is_sent_in_three_clicks_and_followed_to_its_result(
     page: Page, robot: RobotProcess
 ) -> None:
     page.goto(robot.url)
-    page.get_by_role("link", name="fibonacci").click()
+    actions = page.get_by_role("navigation", name="Actions")
+    actions.get_by_role("link", name="fibonacci").click()
     page.get_by_label("order").fill("10")
     page.get_by_role("button", name="Send goal").click()
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
@@ -109,6 +110,76 @@ def test_the_form_has_every_kind_of_field_and_sends_what_was_entered(
         expect(sent).to_contain_text(text)
     expect(sent).to_contain_text('"load": "heavy"')
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+
+def test_a_variant_is_chosen_and_has_its_own_fields(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "fetch")
+    source = page.get_by_label("variant of source")
+    assert source.locator("option").all_inner_texts() == ["shelf", "point"]
+    page.get_by_role("group", name="source").get_by_label("number").fill("9")
+    expect(page.get_by_role("group", name="target").get_by_label("number")).to_have_value("7")
+    page.get_by_label("variant of target").select_option("point")
+    page.get_by_role("group", name="target").get_by_label("x m").fill("1.5")
+    page.get_by_label("variant of spare").select_option("shelf")
+    page.get_by_label("set fallback").check()
+    page.get_by_label("variant of fallback").select_option("shelf")
+    send(page)
+    expect(goal(page).get_by_label("Result", exact=True)).to_have_text(
+        '"Fetch(source=ToShelf(number=9), target=ToPoint(point=Point(x=1.5, y=0.0)),'
+        ' spare=ToShelf(number=3), fallback=ToShelf(number=3))"'
+    )
+
+
+def test_a_variant_that_is_not_chosen_is_left_to_the_server(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "fetch")
+    expect(page.get_by_label("variant of spare")).to_have_value("-1")
+    send(page)
+    result = goal(page).get_by_label("Result", exact=True)
+    expect(result).to_contain_text("target=ToShelf(number=7)")
+    expect(result).to_contain_text(re.compile(r"spare=ToShelf\(number=1\d\d\)"))
+    expect(goal(page).get_by_label("Goal", exact=True)).not_to_contain_text("spare")
+
+
+def test_a_goal_with_variants_is_edited_as_json_and_back(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "fetch")
+    page.get_by_role("button", name="Edit as JSON").click()
+    page.get_by_label("goal (JSON)").fill(
+        '{"source": {"type": "point", "point": {"x": 4}}, "spare": {"type": "shelf", "number": 8}}'
+    )
+    page.get_by_role("button", name="Edit as JSON").click()
+    expect(page.get_by_label("variant of source")).to_have_value("1")
+    expect(page.get_by_role("group", name="spare").get_by_label("number")).to_have_value("8")
+    page.get_by_role("button", name="Edit as JSON").click()
+    page.get_by_label("goal (JSON)").fill('{"source": {"type": "shelf"}}')
+    page.get_by_role("button", name="Edit as JSON").click()
+    expect(page.get_by_label("variant of spare")).to_have_value("-1")
+    send(page)
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        ("nothing", "The server has no action nothing."),
+        (f"fibonacci/{'e' * 32}", f"The server knows no goal {'e' * 32} of fibonacci"),
+    ],
+)
+def test_a_link_to_what_the_server_does_not_have_says_so(
+    page: Page, robot: RobotProcess, address: str, told: str
+) -> None:
+    page.goto(f"{robot.url}/#/{address}")
+    expect(page.get_by_text(told)).to_be_visible()
+    page.goto(f"{robot.url}/#/fibonacci")
+    expect(page.get_by_text(told)).to_have_count(0)
+
+
+def test_one_message_is_counted_as_one(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    send(page, order="2")
+    expect(goal(page)).to_contain_text("Feedback: 1 message")
+    expect(goal(page)).not_to_contain_text("1 messages")
 
 
 @pytest.mark.parametrize(

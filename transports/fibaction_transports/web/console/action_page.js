@@ -4,9 +4,11 @@ import { announce, h, show } from "./dom.js";
 import { confirmed } from "./dialogs.js";
 import { GoalForm } from "./form.js";
 import { GoalList } from "./goal_list.js";
-import { linkTo, shortId, stateOf } from "./goal_text.js";
+import { counted, linkTo, shortId, stateOf } from "./goal_text.js";
 import { GoalView } from "./goal_view.js";
 import { Timeline } from "./timeline.js";
+
+const A_MOMENT = 1000;
 
 export class ActionPage {
   /** Make the page of an action; without an `info`, that of all actions. */
@@ -25,6 +27,7 @@ export class ActionPage {
     for (const input of [this.list.search, this.list.filter]) {
       input.addEventListener("input", () => store.change());
     }
+    this.missing = h("p", { class: "error", role: "status", hidden: true });
     this.error = h("p", { class: "error", role: "alert", hidden: true });
     this.place = h("div", { class: "goal-place" });
     this.form = info ? new GoalForm(info, (goal) => this.send(goal)) : null;
@@ -33,7 +36,7 @@ export class ActionPage {
     const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null);
     const form = this.form && h("section", { class: "card", "aria-label": "New goal" }, h("h2", {}, "New goal"), this.form.element);
     const left = h("div", { class: "left" }, form, this.timeline.element);
-    this.element = h("div", { class: "page" }, head, this.error, h("div", { class: "halves" }, left, this.place), this.list.element);
+    this.element = h("div", { class: "page" }, head, this.missing, this.error, h("div", { class: "halves" }, left, this.place), this.list.element);
   }
 
   /** Show what there is now. */
@@ -66,6 +69,16 @@ export class ActionPage {
         this.states.set(goal.key, state);
         announce(`Goal ${shortId(goal.id)}: ${state} ${goal.reason}`);
       }
+    }
+  }
+
+  /** Say what the address names and the server does not have, if it still has not in a moment. */
+  tellMissing(text) {
+    if (this.missing.textContent !== text) {
+      this.missing.textContent = text;
+      show(this.missing, false);
+      clearTimeout(this.telling);
+      this.telling = setTimeout(() => show(this.missing, Boolean(this.missing.textContent)), A_MOMENT);
     }
   }
 
@@ -106,10 +119,10 @@ export class ActionPage {
 
   async cancelAll() {
     const active = this.store.goalsOf(this.info?.name ?? "").filter((goal) => goal.isActive);
-    const text = `This asks the server to cancel ${active.length} active goals, those of other clients included.`;
+    const text = `This asks the server to cancel ${counted(active.length, "active goal")}, those of other clients included.`;
     if (await confirmed("Cancel all goals?", text, "Cancel all", "Keep them")) {
       const reasons = await this.store.cancelAll(this.info?.name ?? "");
-      this.fail(reasons.length ? `${reasons.length} cancels were rejected: ${reasons[0]}` : "");
+      this.fail(reasons.length ? `${counted(reasons.length, "cancel")} rejected: ${reasons[0]}` : "");
     }
   }
 

@@ -1,7 +1,7 @@
 /** A form for a goal, made from its JSON Schema. */
 
 import { h, show } from "./dom.js";
-import { defaultOf, kindOf, resolverOf, unitOf } from "./schema.js";
+import { defaultOf, fits, fixedOf, isLeftOut, kindOf, resolverOf, unitOf, variantName } from "./schema.js";
 import { base64Of, bytesOf, parsed, textOf } from "./values.js";
 
 const MOST_LEVELS = 6;
@@ -10,10 +10,13 @@ let lastId = 0;
 /** A value that is not valid, and the field that it is in. */
 export class FieldError extends Error {}
 
-/** Return a field for a schema: an element, a function that reads the value, and one that sets it. */
-export function fieldFor(given, name, value, resolve, level = 0) {
+/**
+ * Return a field for a schema: an element, a function that reads the value, and one that sets it.
+ * One that may be left out reads undefined if it is.
+ */
+export function fieldFor(given, name, value, resolve, level = 0, mayBeLeftOut = false) {
   const schema = resolve(given);
-  const { kind, inner } = level > MOST_LEVELS ? { kind: "json" } : kindOf(schema, resolve);
+  const { kind, inner, choices } = level > MOST_LEVELS ? { kind: "json" } : kindOf(schema, resolve);
   const makers = {
     array: listField,
     boolean: checkField,
@@ -22,9 +25,10 @@ export function fieldFor(given, name, value, resolve, level = 0) {
     nullable: nullableField,
     object: objectField,
     json: jsonField,
+    variants: variantsField,
   };
   const make = makers[kind] ?? inputField;
-  return make({ schema: inner ?? schema, kind, name, value, resolve, level });
+  return make({ schema: inner ?? schema, kind, choices, name, value, resolve, level, mayBeLeftOut });
 }
 
 function labelled(schema, name, input, ...more) {
@@ -111,8 +115,8 @@ function choiceField({ schema, name, value }) {
 }
 
 function constField({ schema, name }) {
-  const element = h("p", { class: "field" }, `${name}: ${textOf(schema.const)}`);
-  return { element, read: () => schema.const, set: () => {} };
+  const element = h("p", { class: "field" }, `${name}: ${textOf(fixedOf(schema))}`);
+  return { element, read: () => fixedOf(schema), set: () => {} };
 }
 
 function nullableField({ schema, name, value, resolve, level }) {
@@ -133,18 +137,41 @@ function nullableField({ schema, name, value, resolve, level }) {
   return { element, read: () => (isSet.checked ? field.read() : null), set };
 }
 
+function variantsField({ schema, choices, name, value, resolve, level, mayBeLeftOut }) {
+  const tag = schema.discriminator?.propertyName;
+  const names = choices.map((one) => variantName(one, tag, resolve));
+  const place = h("div", { class: "variant" });
+  let field = null;
+  const pick = (index, one) => {
+    select.value = String(index);
+    field = index < 0 ? null : fieldFor(choices[index], name, one ?? defaultOf(choices[index], resolve), resolve, level + 1);
+    place.replaceChildren(...(field ? [field.element] : []));
+  };
+  const options = names.map((text, index) => h("option", { value: index }, text));
+  const left = mayBeLeftOut ? h("option", { value: -1 }, "default of the server") : null;
+  const select = h("select", { onchange: () => pick(Number(select.value)) }, left, ...options);
+  const set = (one) => {
+    const found = choices.findIndex((choice) => fits(one, choice, resolve));
+    pick(found < 0 && !mayBeLeftOut ? 0 : found, found < 0 ? undefined : one);
+  };
+  set(value);
+  const element = h("div", { class: "optional" }, labelled(schema, `variant of ${name}`, select), place);
+  return { element, read: () => field?.read(), set };
+}
+
 function objectField({ schema, name, value, resolve, level }) {
   const fields = Object.entries(schema.properties).map(([part, one]) => {
-    const start = value?.[part] ?? defaultOf(one, resolve);
-    return [part, fieldFor(one, part, start, resolve, level + 1)];
+    const mayBeLeftOut = isLeftOut(schema, part, resolve);
+    const start = value?.[part] ?? (mayBeLeftOut ? undefined : defaultOf(one, resolve));
+    return [part, fieldFor(one, part, start, resolve, level + 1, mayBeLeftOut)];
   });
   const elements = fields.map(([, field]) => field.element);
   const legend = name ? h("legend", {}, name) : null;
   const element = legend ? h("fieldset", {}, legend, ...elements) : h("div", { class: "fields" }, ...elements);
   return {
     element,
-    read: () => Object.fromEntries(fields.map(([part, field]) => [part, field.read()])),
-    set: (one) => fields.forEach(([part, field]) => part in (one ?? {}) && field.set(one[part])),
+    read: () => Object.fromEntries(fields.map(([part, field]) => [part, field.read()]).filter(([, one]) => one !== undefined)),
+    set: (one) => fields.forEach(([part, field]) => (part in (one ?? {}) || isLeftOut(schema, part, resolve)) && field.set(one?.[part])),
   };
 }
 

@@ -60,6 +60,11 @@ export function timeOf(stamp) {
   return time.toDateString() === new Date().toDateString() ? clock : `${time.toLocaleDateString()} ${clock}`;
 }
 
+/** Return a number of things with their name. */
+export function counted(number, name) {
+  return `${number} ${name}${number === 1 ? "" : "s"}`;
+}
+
 /** Return the first letters of a goal's ID. */
 export function shortId(id) {
   return id.slice(0, 8);

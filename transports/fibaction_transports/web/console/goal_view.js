@@ -3,7 +3,7 @@
 import { Chart } from "./chart.js";
 import { h, setText, show } from "./dom.js";
 import { GoalFamily } from "./goal_family.js";
-import { durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
+import { counted, durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
 import { textOf } from "./values.js";
 
 export class GoalView {
@@ -67,8 +67,7 @@ export class GoalView {
 
   updateFeedback(record) {
     const dropped = record.feedbackDropped ? `, ${record.feedbackDropped} dropped` : "";
-    const count = record.feedbackCount === 1 ? "1 message" : `${record.feedbackCount} messages`;
-    setText(this.feedbackTitle, `Feedback: ${count}${dropped}`);
+    setText(this.feedbackTitle, `Feedback: ${counted(record.feedbackCount, "message")}${dropped}`);
     show(this.latest, record.feedback !== undefined);
     setText(this.latest, textOf(record.feedback));
     show(this.log, record.lines.length > 0);

@@ -36,7 +36,7 @@ class Console {
     this.page = null;
     this.ticks = 0;
     this.connect(takeToken());
-    window.addEventListener("hashchange", () => this.route());
+    window.addEventListener("hashchange", () => this.update());
     window.addEventListener("keydown", (event) => this.press(event));
     setInterval(() => this.tick(), TICK);
   }
@@ -92,6 +92,19 @@ class Console {
     }
   }
 
+  /** Return what the address names and the server does not have; empty if all is there. */
+  missing() {
+    const { action, goal } = shownIn(window.location.hash, this.store.actions);
+    if (!this.store.isDescribed || this.store.state !== "ready" || !action) {
+      return "";
+    }
+    if (!this.store.actions.has(action)) {
+      return `The server has no action ${action}. The others are in the list.`;
+    }
+    const isThere = !goal || this.store.goals.has(this.store.shown.goal);
+    return isThere ? "" : `The server knows no goal ${goal} of ${action}: it may have forgotten it.`;
+  }
+
   update() {
     this.route();
     const words = { ready: "connected", lost: "connection lost, trying again" };
@@ -99,6 +112,7 @@ class Console {
     this.status.dataset.state = this.store.state;
     this.actions.update();
     this.page.update();
+    this.page.tellMissing(this.missing());
   }
 
   /** Let the times of active goals go on. */

@@ -26,10 +26,11 @@ function unescape(name) {
 
 /**
  * Return the kind of field that a schema needs: object, array, boolean, integer, number, string,
- * bytes, choice, const, nullable (with the schema `inner`), or json for everything else.
+ * bytes, choice, const, nullable (with the schema `inner`), variants (with the `choices`, at least
+ * one of which has fields), or json for everything else.
  */
 export function kindOf(schema, resolve) {
-  if ("const" in schema) {
+  if ("const" in schema || schema.enum?.length === 1) {
     return { kind: "const" };
   }
   if (Array.isArray(schema.enum)) {
@@ -42,7 +43,8 @@ export function kindOf(schema, resolve) {
     if (others.length === 1 && choices.length === 2) {
       return { kind: "nullable", inner: { ...beside, ...resolve(others[0]) } };
     }
-    return { kind: "json" };
+    const hasFields = others.some((one) => "properties" in resolve(one));
+    return hasFields ? { kind: "variants", choices } : { kind: "json" };
   }
   if (schema.type === "object" && schema.properties) {
     return { kind: "object" };
@@ -63,10 +65,13 @@ export function defaultOf(given, resolve, level = 0) {
   if ("default" in schema) {
     return filled(schema.default, schema, resolve, level);
   }
-  const { kind } = kindOf(schema, resolve);
+  const { kind, choices } = kindOf(schema, resolve);
+  if (kind === "variants" && level < MOST_LEVELS) {
+    return defaultOf(choices[0], resolve, level + 1);
+  }
   const least = schema.minimum ?? (schema.exclusiveMinimum ?? -1) + 1;
   const simple = {
-    const: schema.const,
+    const: fixedOf(schema),
     choice: schema.enum?.[0],
     array: [],
     boolean: false,
@@ -86,9 +91,55 @@ function filled(value, schema, resolve, level) {
   if (!isObject || !schema.properties || level >= MOST_LEVELS) {
     return value;
   }
-  const names = Object.keys(schema.properties);
+  const names = Object.keys(schema.properties).filter((name) => name in value || !isLeftOut(schema, name, resolve));
   const of = (name) => value[name] ?? defaultOf(schema.properties[name], resolve, level + 1);
   return { ...value, ...Object.fromEntries(names.map((name) => [name, of(name)])) };
+}
+
+/** Return the only value that a schema allows; undefined if there are others. */
+export function fixedOf(schema) {
+  return "const" in schema || schema.enum?.length !== 1 ? schema.const : schema.enum[0];
+}
+
+/**
+ * Return whether a field is left to the server at first: a choice of variants whose default only
+ * the server knows.
+ */
+export function isLeftOut(schema, name, resolve) {
+  const part = resolve(schema.properties[name]);
+  const isRequired = (schema.required ?? []).includes(name);
+  return !isRequired && !("default" in part) && kindOf(part, resolve).kind === "variants";
+}
+
+/** Return whether a value is of a variant, judging by its type, its fields and their fixed values. */
+export function fits(value, given, resolve) {
+  const schema = resolve(given);
+  const fixed = fixedOf(schema);
+  if (fixed !== undefined || schema.type === "null") {
+    return value === (fixed ?? null);
+  }
+  if (!("properties" in schema)) {
+    const names = { integer: ["number", "bigint"], number: ["number", "bigint"], array: ["object"] };
+    return (names[schema.type] ?? [schema.type]).includes(typeof value);
+  }
+  if (value === null || typeof value !== "object" || Array.isArray(value)) {
+    return false;
+  }
+  const isFixed = ([name, one]) => {
+    const only = fixedOf(resolve(one));
+    return only === undefined || !(name in value) || value[name] === only;
+  };
+  const hasAll = (schema.required ?? []).every((name) => name in value);
+  const isKnown = Object.keys(value).every((name) => name in schema.properties);
+  return hasAll && isKnown && Object.entries(schema.properties).every(isFixed);
+}
+
+/** Return what a variant is called: its tag, its title, or its type. */
+export function variantName(given, tag, resolve) {
+  const schema = resolve(given);
+  const named = schema.properties?.[tag];
+  const title = schema.title ?? given.$ref?.split("/").pop() ?? schema.type;
+  return String((named && fixedOf(resolve(named))) ?? title ?? "JSON");
 }
 
 /** Return the unit of a schema, as its author has named it; empty if it has none. */

@@ -31,6 +31,7 @@ export class Store {
     this.connection = connection;
     this.history = history;
     this.actions = new Map();
+    this.isDescribed = false;
     this.goals = new Map();
     this.watches = new Map();
     this.sending = new Set();
@@ -80,6 +81,7 @@ export class Store {
 
   takeActions(infos) {
     this.actions = new Map(infos.map((info) => [info.name, info]));
+    this.isDescribed = true;
     for (const [name, stop] of this.watches) {
       if (!this.actions.has(name)) {
         stop();

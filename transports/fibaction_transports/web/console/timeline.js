@@ -2,7 +2,7 @@
 
 import { h, svg } from "./dom.js";
 import { WAITING } from "./goal_record.js";
-import { durationOf, shortId, stateOf, wordOf } from "./goal_text.js";
+import { counted, durationOf, shortId, stateOf, wordOf } from "./goal_text.js";
 
 const MOST_GOALS = 12;
 const ROW = 18;
@@ -39,7 +39,7 @@ export class Timeline {
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     this.svg.setAttribute("height", height);
     const words = newest.map((goal) => `${shortId(goal.id)} ${stateOf(goal)}`).join(", ");
-    this.svg.setAttribute("aria-label", `Timeline of ${newest.length} goals: ${words}`);
+    this.svg.setAttribute("aria-label", `Timeline of ${counted(newest.length, "goal")}: ${words}`);
     this.svg.replaceChildren(...rows);
   }
 }
