@@ -113,6 +113,16 @@ SENTENCES = [
         "RUN pip install --break-system-packages fibaction\n",
     ),
     Sentence(
+        "docs/howto/windows.md",
+        "In PowerShell, from your clone:\n",
+        "In PowerShell:\n",
+    ),
+    Sentence(
+        "docs/howto/windows.md",
+        'PS> pip install ".[cli]"\n',
+        'PS> pip install "fibaction[cli]"\n',
+    ),
+    Sentence(
         "docs/howto/fleet.md",
         "$ pip install '.[broker,cli]'\n",
         "$ pip install 'fibaction[broker,cli]'\n",
