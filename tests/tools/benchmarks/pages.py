@@ -202,7 +202,7 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str], str]] = {
     "goal_latency": ("How long a goal takes", _goal_latencies, SHORTER),
     "feedback_latency": ("How long a feedback message takes", _feedback_latencies, SHORTER),
     "memory": ("Memory of a process with active goals", _memory, ""),
-    "growth": ("What one more goal costs beside many", _growth, ""),
+    "growth": ("What one more goal costs among many", _growth, ""),
     "start": ("The processor's time that a start takes", _start, ""),
 }
 """For each comparison: the subject of its picture, its table, and the subject of its ratios."""
