@@ -93,6 +93,27 @@ async def test_a_look_waits_for_a_quiet_time_which_news_begin_anew() -> None:
     assert current_time() - start >= 0.2 + 99 * 0.001
 
 
+async def test_the_quiet_time_begins_when_the_view_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+
+    def grow(graph: Graph, look: int) -> None:
+        nonlocal now
+        now += 0.01
+        graph.names.add(f"/robot{min(look, 2)}")
+
+    @asynccontextmanager
+    async def observed() -> AsyncGenerator[GraphView, None]:
+        nonlocal now
+        now += 1.5  # as a scout on a busy machine
+        yield graph
+
+    graph = Graph(grow)
+    graph.names, graph.quiet = {"/robot1"}, 1.0
+    monkeypatch.setattr(graph, "observed", observed)
+    monkeypatch.setattr(graph_looks, "current_time", lambda: now)
+    assert await looks(graph).settled(nodes_of) == {"/robot1", "/robot2"}
+
+
 async def test_that_there_is_nothing_is_said_after_the_timeout_only() -> None:
     start = current_time()
     assert await looks(Graph(), 0.1).settled(nodes_of) == set()

@@ -53,9 +53,10 @@ class GraphLooks:
             ConnectionLost: ROS has been shut down.
         """
         self.check()
-        began = changed = current_time()
+        began = current_time()
         async with self._view() as view:
             found, state = self.once(look, view), view.discovery()
+            changed = current_time()  # not before: on a busy machine, a scout takes a second
             while not self._is_over(bool(found), began):
                 is_quiet = self._is_grown() or current_time() - changed >= state.quiet
                 if found and is_quiet and not state.pending:
