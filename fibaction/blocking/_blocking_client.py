@@ -61,11 +61,12 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         goal_id: GoalID | str | None = None,
         timeout: float | None = None,
     ) -> BlockingGoal[FeedbackT, ResultT]:
-        """Send a goal, and return it as soon as the server has accepted it.
+        """Send a goal, and return it: **`with send_goal` cancels, `goal.detach()` prevents it.**
 
-        `with client.send_goal(...) as goal` cancels the goal at the end of the block, if it has not
-        ended. Without a block, the end of the block of `connect` cancels it. Both do not after
-        `goal.detach()`. `goal_id` and `timeout` are those of `ActionClient.send_goal`.
+        It returns as soon as the server has accepted the goal. `with client.send_goal(...) as goal`
+        cancels the goal at the end of the block, if it has not ended. Without a block, the end of
+        the block of `connect` cancels it. Both do not after `goal.detach()`. `goal_id` and
+        `timeout` are those of `ActionClient.send_goal`.
 
         Raises:
             ActionError, TypeError, ValueError: As for `ActionClient.send_goal`.

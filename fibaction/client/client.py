@@ -76,14 +76,13 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         timeout: float | None = None,
         step: GoalStep | None = None,
     ) -> SendingGoal[FeedbackT, ResultT]:
-        """Send a goal: `async with` the returned object, or `await` it. An action without a goal
-        takes `send_goal()`, and `call()`.
+        """Send a goal: **`async with send_goal` cancels, `await send_goal` does not.**
 
-        Both return a `ClientGoal` as soon as the server has accepted the goal. The end of the block
-        of `async with` cancels the goal if it has not ended, without waiting for the executor's
-        clean-up; after `await`, the goal goes on by itself. A cancellation of the task before the
-        answer has arrived cancels the goal, too. `goal_id` serves to send the same goal again after
-        its answer was lost.
+        The end of the block of `async with` cancels the goal if it has not ended, without waiting
+        for the executor's clean-up. After `goal = await client.send_goal(...)` it runs to its end.
+        Both return a `ClientGoal` as soon as the server has accepted the goal; a cancellation of
+        the task before that cancels it. An action without a goal takes `send_goal()`. `goal_id`
+        serves to send the same goal again after its answer was lost.
 
         `timeout` is the number of seconds for the goal as a whole, from here to its end. Then each
         wait for the goal ends: for its acceptance, its feedback, its outcome. It cancels the goal,

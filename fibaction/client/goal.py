@@ -169,7 +169,10 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 
 
 class SendingGoal(Generic[FeedbackT, ResultT]):
-    """A goal to be sent, by `await` or `async with`: see `ActionClient.send_goal`."""
+    """A goal to be sent: `async with` cancels it at the end of the block, `await` does not.
+
+    See `ActionClient.send_goal`.
+    """
 
     def __init__(
         self,
