@@ -230,6 +230,9 @@ LOOSE: Any = {"type": "object", "additionalProperties": {"type": "integer"}}
         ({"type": ["integer", "null"]}, None),
         ({"oneOf": [{"type": "integer"}, {"type": "null"}]}, 1),
         ({"oneOf": [{"type": "integer"}, {"type": "number"}]}, 1),
+        ({"type": "string", "contentEncoding": "base64", "minLength": 8}, "AAAAAA=="),
+        ({"type": "string", "contentEncoding": "base64", "minLength": 8}, [0, 0, 0, 255]),
+        ({"type": "string", "contentEncoding": "base64", "maxLength": 4}, "AAAAAA=="),
     ],
 )
 def test_a_shape_and_the_search_agree_about_odd_cases(schema: Any, value: Any) -> None:
@@ -237,6 +240,12 @@ def test_a_shape_and_the_search_agree_about_odd_cases(schema: Any, value: Any) -
     expected, found = by_search(read, value), by_shape(read, value)
 
     assert found == expected
+
+
+def test_bytes_of_a_fixed_length_are_sent_as_bytes() -> None:
+    schema = {"type": "string", "contentEncoding": "base64", "minLength": 8, "maxLength": 8}
+    sent, mismatch = by_shape(JsonSchema({"properties": {"a": schema}}), {"a": "AAAA/w=="})
+    assert (sent, mismatch) == ({"a": b"\x00\x00\x00\xff"}, None)
 
 
 def test_a_shape_is_prepared_once() -> None:
