@@ -34,6 +34,7 @@ MODULES = {
 
 NO_DOOR = {
     "broker": "it brings a program and no module; test_run_broker hides the program",
+    "progress": "without tqdm and rich, `track` prints lines of text",
     "pydantic": "whoever has a model of pydantic has pydantic",
     "uvloop": "without it, the event loop is that of asyncio",
 }
