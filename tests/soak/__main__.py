@@ -1,6 +1,6 @@
 """A soak: fifty connections with goals of all kinds, for some minutes, between two processes.
 
-    make soak            # ten minutes alone, and ten beside load, for docs/shown_to_hold.md
+    make soak            # ten minutes alone, and ten under load, for docs/shown_to_hold.md
     python -m tests.soak --seconds 60 --over ws --load 4
 
 It records, 120 times, how much memory the server and the clients use, and how many tasks, open

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "figures"
 PAGE = ROOT / "docs" / "shown_to_hold.md"
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
-SOAKS = {"soak": "alone", "soak_beside_load": "beside load"}
+SOAKS = {"soak": "alone", "soak_beside_load": "under load"}
 """The reports of soaks, each with its name on the page."""
 MUTANTS = "mutants"
 MEGA = 1e6

@@ -103,6 +103,12 @@ def _otel() -> None:
     anyio.run(_drives, ActionServer(drive, watchers=[Tracing()]), "inproc://robot")
 
 
+def _progress() -> None:
+    import tqdm
+
+    assert tqdm.tqdm(total=3).total == 3
+
+
 def _pydantic() -> None:
     from pydantic import BaseModel
 
@@ -162,6 +168,7 @@ CHECKS: dict[str, Callable[[], None]] = {
     "metrics": _metrics,
     "nats": _nats,
     "otel": _otel,
+    "progress": _progress,
     "pydantic": _pydantic,
     "reload": _reload,
     "ros-types": _ros_types,

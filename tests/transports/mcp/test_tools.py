@@ -302,7 +302,7 @@ async def test_feedback_with_a_total_is_progress_with_a_total_and_never_goes_bac
     told: list[tuple[float, float | None]] = []
 
     class Session:
-        async def report_progress(self, done: float, total: float | None, *, message: str) -> None:
+        async def report_progress(self, done: float, total: float | None, message: str) -> None:
             told.append((done, total))
 
     class Goal:

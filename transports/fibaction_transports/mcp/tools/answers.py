@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any, TypeAlias
 
 from mcp_types import CallToolResult, ImageContent, TextContent
 
 from fibaction.border.peer_text import shortened
 from fibaction.schema.payload import PayloadError, to_json
+from fibaction.words.progress import Progress, ProgressMeter
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.mcp.tools.agent_goals import AgentGoal
 from fibaction_transports.mcp.tools.images import Images
@@ -67,6 +69,28 @@ def json_text(value: Any) -> str:
 def feedback_text(feedback: Any) -> str:
     """Return feedback as a short text."""
     return shortened(json_text(feedback), LONGEST_FEEDBACK)
+
+
+ReportProgress: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]
+"""Sends the progress, the total if it is known, and a text."""
+
+
+class ProgressReports:
+    """The notifications of progress of one call: of each the progress is larger than before, as the
+    protocol demands.
+    """
+
+    def __init__(self, send: ReportProgress) -> None:
+        self._send = send
+        self._meter = ProgressMeter()
+        self._told = -math.inf
+
+    async def report(self, number: int, feedback: Any) -> None:
+        """Send the progress that a feedback tells, with its total; if it tells none, its number."""
+        progress = self._meter.read(feedback) or Progress(number)
+        if progress.done > self._told:
+            self._told = progress.done
+            await self._send(progress.done, progress.total, feedback_text(feedback))
 
 
 def goal_answer(goal: AgentGoal, *, cancel_wanted: bool = False) -> CallToolResult:

@@ -16,6 +16,7 @@ from fibaction.words.goals import CancelCode, GoalID
 from fibaction_transports.mcp.agent_policy import AgentPolicy
 from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals, goals_of
 from fibaction_transports.mcp.tools.answers import (
+    ProgressReports,
     data_answer,
     error_answer,
     goal_answer,
@@ -23,7 +24,6 @@ from fibaction_transports.mcp.tools.answers import (
 from fibaction_transports.mcp.tools.consent import Consents, goal_text
 from fibaction_transports.mcp.tools.goal_overview import overview
 from fibaction_transports.mcp.tools.goal_tasks import created, wants_task
-from fibaction_transports.mcp.tools.progress_reports import ProgressReports
 from fibaction_transports.mcp.tools.robot_actions import RobotAction, RobotActions
 from fibaction_transports.mcp.tools.tool_error import ToolError
 from fibaction_transports.mcp.tools.tool_list import tool_list
