@@ -77,13 +77,15 @@ class ProgressMeter:
         if not values:
             return None
         found = self._count(values) or self._part(values)
-        return None if found is None or math.isnan(found.done) else found
+        return found if found is not None and math.isfinite(found.done) else None
 
     def _count(self, values: dict[Any, Any]) -> Progress | None:
         total, text = values.get("total"), values.get("text")
         is_progress = total is None and values.keys() == {"done", "total", "text"}
         if not (is_number(total) or is_progress):
             return None
+        if total is not None and not math.isfinite(total):
+            total = None
         for name in COUNTS:
             if is_number(done := values.get(name)):
                 self.fields = (name, "total")

@@ -84,3 +84,10 @@ def test_the_counts_and_the_text_are_a_label() -> None:
 def test_it_is_feedback_as_plain_data() -> None:
     assert msgspec.to_builtins(Progress(1, 2)) == {"done": 1, "total": 2, "text": ""}
     assert msgspec.convert({"done": 3}, Progress) == Progress(3)
+
+
+def test_a_number_that_is_not_finite_is_no_progress_and_no_total() -> None:
+    meter = ProgressMeter()
+    assert meter.read({"done": math.inf, "total": 4}) is None
+    assert meter.read({"percent": math.nan}) is None
+    assert meter.read({"done": 1, "total": math.inf}) == Progress(1)

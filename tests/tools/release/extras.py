@@ -104,9 +104,9 @@ def _otel() -> None:
 
 
 def _progress() -> None:
-    import tqdm
+    from tqdm import tqdm
 
-    assert tqdm.tqdm(total=3).total == 3
+    assert list(tqdm([1, 2], disable=True)) == [1, 2]
 
 
 def _pydantic() -> None:

@@ -316,4 +316,4 @@ async def test_feedback_with_a_total_is_progress_with_a_total_and_never_goes_bac
     goal: Any = Goal()
     async with robot_and_talk("auto", UNASKED) as (_, made):
         await made.bridge._tools._calls._wait(context, goal, 1)
-    assert told == [(1, 4), (3.5, 4), (5, None), (6, None), (7, None), (8, None), (9, None)]
+    assert told == [(1, 4), (3.5, 4), (5, None), (6, None), (7, None), (9, None)]
