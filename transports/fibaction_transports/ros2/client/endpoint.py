@@ -76,8 +76,8 @@ class RosEndpoint(Endpoint):
         """Return the rejection of a goal that is not of the type, with the text of other doors."""
         try:
             checking = self._check.check(request.goal, misread)
-            if checking is not None:
-                await checking
+            assert checking is not None  # a small goal is rejected at once
+            await checking
         except GoalRejected as exc:
             misread = exc.reason
         return GoalRejected(shortened(misread), goal_id=request.goal_id, is_unreadable=True)
