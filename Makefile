@@ -264,7 +264,7 @@ NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills pa
     server/test_registry.py server/test_schedule_load.py server/test_scheduler.py server/test_fair_queue.py \
     schema/test_check.py schema/test_keywords.py schema/test_json_schema.py schema/test_steps.py \
     transports/cdr/test_codec.py transports/cdr/test_hostile.py transports/cdr/test_type_hashes.py \
-    transports/mcp/test_page.py $(RTPS_WITHOUT_SOCKETS) transports/web/test_assets.py \
+    transports/mcp/test_page.py $(RTPS_WITHOUT_SOCKETS) transports/web/test_assets.py transports/web/test_openapi.py \
     words/test_goals.py words/test_statuses.py \
     test_answers.py test_contributing.py test_cookbook.py test_docs.py test_examples.py test_guarantees.py \
     test_notebook_page.py test_project.py test_stories.py test_structure.py test_style.py test_way_of_a_goal.py

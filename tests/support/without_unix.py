@@ -37,7 +37,6 @@ OF_OS = (
     "mkfifo",
     "chown",
     "fchmod",
-    "sched_getaffinity",
 )
 OF_LOOP = (
     "add_signal_handler",
