@@ -34,13 +34,13 @@ from fibaction import GoalCanceled, Report, action
 
 @action("drive")
 async def drive(meters: int, report: Report[int]) -> str:
-    for done in range(1, meters + 1):
-        await report(done)
-        if done > 3:  # so that it is on the way for long
-            try:
+    try:
+        for done in range(1, meters + 1):
+            await report(done)
+            if done > 3:  # so that it is on the way for long
                 await anyio.sleep(0.1)
-            except anyio.get_cancelled_exc_class():
-                raise GoalCanceled(result="braked") from None
+    except anyio.get_cancelled_exc_class():
+        raise GoalCanceled(result="braked") from None
     return f"drove {meters} m"
 """
 

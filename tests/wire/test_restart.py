@@ -34,7 +34,7 @@ from fibaction.wire.messages import (
     StatusChanged,
     Why,
 )
-from fibaction.words.errors import GoalKept, GoalRejected, UnknownGoal
+from fibaction.words.errors import ConnectionLost, GoalKept, GoalRejected, UnknownGoal
 from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, digest_of
 from fibaction.words.statuses import GoalStatus
 from tests.wire import memory
@@ -554,6 +554,8 @@ async def test_a_client_does_not_notice_a_restart_but_for_the_attempt() -> None:
     lines: list[memory.MemoryChannel] = []
 
     async def dial() -> memory.MemoryChannel:
+        if not served:
+            raise ConnectionLost("both servers have gone")
         end, other = memory.pair(other=WHERE)
         lines.append(end)
         served[-1].serve(end)
@@ -585,3 +587,4 @@ async def test_a_client_does_not_notice_a_restart_but_for_the_attempt() -> None:
                     assert kept.owned == [True]
                     goal.close()
                     other.close()
+                    served.clear()  # its end may be noticed before that of the connection
