@@ -7,8 +7,8 @@ SCALE ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
 
-# Many tests wait for timeouts and for other processes, so four of them share two cores.
-export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(( $$(getconf _NPROCESSORS_ONLN) * 2 )))
+# Many tests wait for timeouts, so three of them share two cores.
+export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
 
 # mutmut has an environment of its own, since the tests must pass without its dependencies.
 MUTANTS_VENV := .venv-mutants
