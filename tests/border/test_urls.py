@@ -139,6 +139,20 @@ def test_a_missing_module_is_named_with_the_package_that_needs_it(
     assert isinstance(caught.value.__cause__, ModuleNotFoundError)
 
 
+def test_a_missing_extra_is_named_with_the_scheme(
+    install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pigeon_loft.py").write_text(
+        "from fibaction.words.extras import NeedsExtra\n\n"
+        "with NeedsExtra('pigeon_loft', 'pigeon-post[wings]'):\n    import no_such_wings\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    install(EntryPoints([entry("pigeon", "pigeon_loft:Pigeon")]))
+    with pytest.raises(TransportError) as caught:
+        transport_for("pigeon://loft")
+    assert str(caught.value) == "pigeon:// needs no_such_wings: pip install 'pigeon-post[wings]'"
+
+
 def test_a_missing_module_is_named_also_if_the_package_is_not_known(install: Install) -> None:
     install(EntryPoints([entry("pigeon", "no_such_module:Pigeon")]))
     with pytest.raises(TransportError, match="or the extra of 'its package' that brings it"):
