@@ -1,4 +1,4 @@
-"""What each door of the library says if the extra that it needs is not installed.
+"""The sentence of each door of the library about an extra that is not installed.
 
 A door is a URL, an import, a class or a verb of the command line. Each is tried in a process from
 which the modules of extras are hidden.
@@ -40,7 +40,7 @@ NO_DOOR = {
 }
 
 ALL = ("rclpy", *(name for names in MODULES.values() for name in names))
-"""What is hidden; rclpy is not brought by an extra."""
+"""The modules that are hidden; rclpy is not brought by an extra."""
 
 RCLPY = (
     "ros2:// needs rclpy, which this Python does not find: source the setup.bash of a ROS 2"
@@ -84,7 +84,7 @@ IN_PYTHON = [
         ),
     ),
 ]
-"""What is called, and the sentence of its error; `{web}` is the command that installs the extra."""
+"""The calls, each with its error; `{web}` is the command that installs the extra."""
 
 PAGES = [
     path
@@ -101,7 +101,7 @@ USES = {
     "otel": r"^from fibaction\.otel\b",
     "mcp": r"^from fibaction_transports\.mcp\b",
 }
-"""What on a page needs an extra, or a library."""
+"""The text of a page by which it needs an extra, or a library."""
 NAMED = re.compile(r"(?:pip install|extras?) (.*)$", re.MULTILINE)
 """The installing of extras and of libraries, or the names of extras."""
 
@@ -170,7 +170,7 @@ except SystemExit as exc:
 
 
 def run(code: str, hidden: Sequence[str], tried: Sequence[object], folder: Path) -> str:
-    """What a program prints from which these modules are hidden, and which is given what to try."""
+    """Run a program from which these modules are hidden, and return its output."""
     path = f"import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / 'transports')!r}]"
     done = subprocess.run(
         [sys.executable, "-c", path + PRELUDE + code, json.dumps(hidden), json.dumps(tried)],

@@ -24,7 +24,7 @@ SHOWN = {
     if block.language == "console"
     for step in steps_of(block.code)
 }
-"""What each program prints, with `...` for what differs."""
+"""The output of each program, with `...` for what differs."""
 
 
 def program_of(block: Block) -> str:

@@ -1,4 +1,4 @@
-"""What fibaction does where a system is not Unix: without its modules, its signals and the event
+"""fibaction on a system that is not Unix: without its modules, its signals and the event
 loop's receivers of them. Linux plays such a system, by `tests.support.without_unix`.
 """
 

@@ -7,11 +7,25 @@ from importlib import import_module
 from typing import Any, Protocol, TextIO, TypeVar
 
 from fibaction._runtime.text import printable
-from fibaction.client.goal import ClientGoal
+from fibaction.client.feedback_reader import FeedbackReader
 from fibaction.words.progress import Progress, ProgressMeter
 
-FeedbackT = TypeVar("FeedbackT")
-ResultT = TypeVar("ResultT")
+ResultT = TypeVar("ResultT", covariant=True)
+
+
+class _Tracked(Protocol[ResultT]):
+    """A goal whose result is read only: one of `str` serves as one of `object`, as in
+    `print(await track(goal))`.
+    """
+
+    @property
+    def feedback(self) -> FeedbackReader[Any]:
+        """The feedback."""
+        ...
+
+    async def result(self) -> ResultT:
+        """Return the result."""
+        ...
 
 
 class _Bar(Protocol):
@@ -24,9 +38,7 @@ class _Bar(Protocol):
         """Leave the line as it is."""
 
 
-async def track(
-    goal: ClientGoal[FeedbackT, ResultT], text: str = "", *, file: TextIO | None = None
-) -> ResultT:
+async def track(goal: _Tracked[ResultT], text: str = "", *, file: TextIO | None = None) -> ResultT:
     """Read the feedback of a goal, show its progress on one line, and return its result.
 
     For example:

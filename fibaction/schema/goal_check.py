@@ -64,7 +64,7 @@ class GoalCheck:
         try:
             if self._json is None:
                 self._json = JsonCodec(self._schema())
-            self._json.encode(msgspec.msgpack.decode(goal), pause=pause)
+            self._json.check(msgspec.msgpack.decode(goal), pause)
         except PayloadError as exc:
             # An error of the schema is not the client's.
             return "" if isinstance(exc.__cause__, SchemaError) else str(exc)

@@ -121,6 +121,16 @@ class JsonCodec:
                 data = self._checked(data, self._shapes, pause)
             return msgspec.msgpack.encode(data)
 
+    def check(self, message: Any, pause: Pause | None = None) -> None:
+        """Compare a message that was read from msgpack with the schema; `pause` as in `complete`.
+
+        Raises:
+            PayloadError: As `complete`.
+        """
+        with self._errors():
+            if self._shapes is not None:
+                self._checked(message, self._shapes, pause)
+
     def decode(self, payload: bytes) -> Any:
         """Return the message in a payload as JSON data; see `to_json`.
 

@@ -74,10 +74,7 @@ class ProgressMeter:
         """Return the progress; None if the feedback does not tell."""
         self.fields = ()
         values = _values_of(feedback)
-        if not values:
-            return None
-        found = self._count(values) or self._part(values)
-        return found if found is not None and math.isfinite(found.done) else None
+        return (self._count(values) or self._part(values)) if values else None
 
     def _count(self, values: dict[Any, Any]) -> Progress | None:
         total, text = values.get("total"), values.get("text")
@@ -87,14 +84,14 @@ class ProgressMeter:
         if total is not None and not math.isfinite(total):
             total = None
         for name in COUNTS:
-            if is_number(done := values.get(name)):
+            if is_number(done := values.get(name)) and math.isfinite(done):
                 self.fields = (name, "total")
                 return Progress(done, total, text if isinstance(text, str) else "")
         return None
 
     def _part(self, values: dict[Any, Any]) -> Progress | None:
         for name, value in values.items():
-            if not is_number(value):
+            if not is_number(value) or not math.isfinite(value):
                 continue
             if name in PERCENT:
                 self.fields = (name,)

@@ -113,7 +113,7 @@ class ToShelf(msgspec.Struct, tag="shelf"):
 
 
 class Fetch(msgspec.Struct):
-    """What to fetch, and where to."""
+    """A thing to fetch, and its place."""
 
     source: ToShelf | ToPoint
     target: ToPoint | ToShelf = msgspec.field(default_factory=lambda: ToShelf(7))

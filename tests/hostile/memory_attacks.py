@@ -109,10 +109,10 @@ attack(
 attack("large goals accepted", above=96, server=SMALL, frame=MAX_FRAME)(
     partial(large_goals, action="hold", goals=30, size=4 * MIB)
 )
-# At most seven copies are held at once: the result that is being written, one that is kept, and of
-# the goal that arrives the frame, the payload and the decoded value; and, since its client has no
-# types, the value that is compared with the schema, and its bytes. They are 105 MiB.
-attack("large goals at once", above=126, server=SMALL, frame=MAX_FRAME)(
+# At most six copies are held at once: the result that is being written, one that is kept, and of
+# the goal that arrives the frame, the payload, the decoded value, and, since its client has no
+# types, the value that is compared with the schema. They are 90 MiB.
+attack("large goals at once", above=96, server=SMALL, frame=MAX_FRAME)(
     partial(large_goals, action="echo", goals=20, size=15 * MIB)
 )
 

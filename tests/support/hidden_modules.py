@@ -25,7 +25,7 @@ class _Blinkered:
         return spec
 
     def __getattr__(self, name: str) -> Any:
-        """What else a finder does, such as finding distributions."""
+        """The rest of a finder, such as finding distributions."""
         return getattr(self._finder, name)
 
 

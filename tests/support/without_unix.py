@@ -85,7 +85,7 @@ def _run_forever(loop: Any) -> None:
 
 
 def _msvcrt(fcntl: ModuleType) -> ModuleType:
-    """What Windows has in place of `fcntl`."""
+    """The module of Windows in place of `fcntl`."""
     module: Any = ModuleType("msvcrt")
     module.LK_NBLCK = 2
     module.locking = lambda file, _mode, _size: fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

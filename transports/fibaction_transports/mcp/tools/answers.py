@@ -21,8 +21,6 @@ LONGEST_ANSWER = 50_000
 """Characters of data that a model gets; clients cut longer ones, or fail."""
 LONGEST_FEEDBACK = 500
 """Characters of feedback in a notification of progress."""
-
-
 _HEAD = ("goal_id", "action", "status")
 
 

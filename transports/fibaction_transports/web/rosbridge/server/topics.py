@@ -168,9 +168,8 @@ class Topics:
             self._frames.append(encode(Received(number)))
 
     def _taken(self) -> list[bytes]:
-        frames, self._frames = self._frames, []
         self._changed.notify()
-        return frames
+        return self.take_replies()
 
     # From the session
 
