@@ -125,6 +125,20 @@ def test_an_error_is_one_sentence_that_names_the_field(
     assert str(caught.value).startswith(message)
 
 
+def test_a_message_of_msgpack_is_compared_as_one_that_is_sent() -> None:
+    codec = JsonCodec({"properties": {"speed": {"type": "number"}}, "type": "object"})
+    codec.check(msgspec.msgpack.decode(codec.encode({"speed": 1.5})))
+    with pytest.raises(PayloadError) as sent:
+        codec.encode({"speeed": 1.5})
+    with pytest.raises(PayloadError) as compared:
+        codec.check({"speeed": 1.5})
+    assert str(compared.value) == str(sent.value)
+
+
+def test_an_empty_schema_has_nothing_to_compare_with() -> None:
+    JsonCodec({}).check({"any": b"thing"})
+
+
 def test_an_error_names_the_message_as_the_codec_does() -> None:
     with pytest.raises(PayloadError, match="result must be a whole number, not"):
         JsonCodec(msgspec.json.schema(int), "result").encode("ten")
