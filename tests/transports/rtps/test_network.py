@@ -25,7 +25,12 @@ from fibaction_transports.rtps.events import (
 )
 from fibaction_transports.rtps.loops.fair_inbox import FairInbox
 from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop, calls_for
-from fibaction_transports.rtps.network import MOST_AT_ONCE, ParticipantNetwork, open_network
+from fibaction_transports.rtps.network import (
+    MOST_AT_ONCE,
+    MOST_WAITING,
+    ParticipantNetwork,
+    open_network,
+)
 from fibaction_transports.rtps.ports import (
     PARTICIPANTS,
     DiscoveryRange,
@@ -124,6 +129,38 @@ async def test_the_addresses_and_the_others_can_be_asked_for(domain: int) -> Non
         assert {one.addresses.number, other.addresses.number} == {0, 1}
         assert one.addresses.peers == ("127.0.0.1",)
         assert one.addresses.interfaces == ()
+
+
+@pytest.mark.anyio
+async def test_samples_of_one_turn_share_datagrams(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = Listener(), Listener()
+    settings = DomainSettings(domain=domain)
+    async with participant(settings, here) as one, participant(settings, there) as other:
+        other.create_reader(TOPIC, TYPE, Qos())
+        writer = one.create_writer(TOPIC, TYPE, Qos(depth=None))
+        await here.wait(EndpointMatched)
+        one.write(writer, payload("first"))
+        await there.wait(SampleReceived)
+        sent: list[int] = []
+        send = ParticipantSockets.send
+
+        def note(self: ParticipantSockets, datagram: bytes, address: Any) -> None:
+            sent.append(datagram.count(b"of one turn"))
+            send(self, datagram, address)
+
+        monkeypatch.setattr(ParticipantSockets, "send", note)
+        for _ in range(20):
+            one.write(writer, payload("of one turn"))
+        assert sum(sent) == 0
+        await there.wait(SampleReceived, 21)
+        assert max(sent) == 20
+        sent.clear()
+        for _ in range(2 * MOST_WAITING):
+            one.write(writer, payload("of one turn"))
+        assert sum(sent) >= MOST_WAITING  # they do not wait for the end of a long turn
+        await there.wait(SampleReceived, 21 + 2 * MOST_WAITING)
 
 
 @pytest.mark.anyio
@@ -329,11 +366,16 @@ async def test_a_loop_of_asyncio_wakes_once_for_the_earliest_time() -> None:
         def work(self) -> bool:
             raise AssertionError
 
+        def settle(self) -> None:
+            raise AssertionError
+
     loop, now, sleeper = AsyncioLoop(), anyio.current_time(), Sleeper()
     for when in (now + 100, now + 0.001, now + 50):
         loop.wake(when)
     with pytest.raises(ValueError, match="enough"):
         await loop.run(sleeper, ())
+    loop.settle_soon()
+    await anyio.wait_all_tasks_blocked()  # nobody is driven any more
     assert woken[0] >= now
     loop.wake(now)
     await anyio.sleep(0.001)
@@ -438,6 +480,9 @@ class Busy:
 
     def on_deadline(self) -> None:
         """Do nothing: it has no deadline."""
+
+    def settle(self) -> None:
+        """Do nothing: it has nothing to send."""
 
 
 @pytest.mark.anyio

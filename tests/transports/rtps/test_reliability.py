@@ -12,6 +12,7 @@ from fibaction_transports.rtps.events import EndpointMatched, SamplesLost
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.decoder import read_packet
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
+from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
@@ -319,9 +320,12 @@ def test_several_samples_and_their_heartbeat_travel_in_one_datagram() -> None:
     world.run(1.0)
     write(world, writer, *numbers(100), *("x" * 60_000 for _ in range(3)))
     datagrams = [datagram for datagram, _ in one.participant.datagrams_to_send()]
-    assert len(datagrams) == 4
+    assert len(datagrams) == 3
     assert max(map(len, datagrams)) < 65_507
-    assert not any(isinstance(each, Timestamp) for each in read_packet(datagrams[0]).submessages)
+    packets = [read_packet(datagram).submessages for datagram in datagrams]
+    (heartbeat,) = [each for one in packets for each in one if isinstance(each, WriterHeartbeat)]
+    assert heartbeat.last == 103  # one for all
+    assert not any(isinstance(each, Timestamp) for each in packets[0])
     for datagram in datagrams:
         other.participant.receive(datagram, (one.host, 7410), world.now)
     world.flush()
@@ -336,6 +340,35 @@ def test_two_readers_of_one_participant_each_get_every_sample() -> None:
     assert world.run_until(lambda: len(other.all(EndpointMatched)) == 2 == len(writer.readers))
     write(world, writer, *numbers(20))
     assert world.run_until(lambda: all(len(other.texts(each)) == 20 for each in readers))
+
+
+def test_a_sample_for_two_readers_of_one_participant_is_sent_once() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one)
+    readers = [reader_of(world, other), reader_of(world, other, BEST_EFFORT)]
+    world.run(1.0)
+    write(world, writer, "x" * 10_000)
+    ((datagram, _),) = one.participant.datagrams_to_send()
+    (sample,) = [each for each in read_packet(datagram).submessages if isinstance(each, Data)]
+    assert sample.reader == UNKNOWN_ENTITY
+    other.participant.receive(datagram, (one.host, 7410), world.now)
+    world.flush()
+    assert [len(other.texts(each)) for each in readers] == [1, 1]
+
+
+def test_a_sample_that_is_repeated_before_it_is_sent_is_sent_once() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(1.0)
+    write(world, writer, "a")
+    nack = AckNack(reader.guid.entity, writer.guid.entity, NumberSet(1, (1,)), 1000)
+    writer.receive_acknack(reader.guid, nack, world.now + 1.0)
+    ((datagram, _),) = one.participant.datagrams_to_send()
+    (sample,) = [each for each in read_packet(datagram).submessages if isinstance(each, Data)]
+    assert sample.reader == reader.guid.entity
+    assert one.participant.waiting == 0
 
 
 def test_a_payload_without_an_encapsulation_header_is_rejected() -> None:

@@ -42,6 +42,8 @@ INBOX, INBOX_OF_ONE = 32 * MIB, 8 * MIB
 """Bytes of datagrams that were read and not taken, of all senders and of one."""
 CLOSING_TIME = 1.0
 """Seconds for which a participant that leaves waits for room to say so."""
+MOST_WAITING = 256
+"""Submessages that wait for the end of a turn before they are sent."""
 _LARGEST_DATAGRAM = 2**16
 
 
@@ -84,7 +86,7 @@ class ParticipantNetwork:
         self, topic: str, type_name: str, qos: Qos, *, user_data: bytes = b""
     ) -> DataWriter:
         """Create a writer of a topic, and announce it."""
-        now = anyio.current_time()
+        now = self._loop.time()
         writer = self.participant.create_writer(topic, type_name, qos, now, user_data=user_data)
         self.settle()
         return writer
@@ -93,14 +95,14 @@ class ParticipantNetwork:
         self, topic: str, type_name: str, qos: Qos, *, user_data: bytes = b""
     ) -> DataReader:
         """Create a reader of a topic, and announce it."""
-        now = anyio.current_time()
+        now = self._loop.time()
         reader = self.participant.create_reader(topic, type_name, qos, now, user_data=user_data)
         self.settle()
         return reader
 
     def remove(self, endpoint: DataWriter | DataReader) -> None:
         """Close a writer or reader, and tell others that it is gone."""
-        self.participant.remove(endpoint, anyio.current_time())
+        self.participant.remove(endpoint, self._loop.time())
         self.settle()
 
     def write(
@@ -112,15 +114,21 @@ class ParticipantNetwork:
         time: float | None = None,
         only_to: Guid | None = None,
     ) -> int:
-        """Send a sample, as `DataWriter.write` describes."""
-        now = anyio.current_time()
+        """Send a sample, as `DataWriter.write` describes.
+
+        Samples of one turn of the event loop share datagrams, which leave at its end.
+        """
+        now = self._loop.time()
         number = writer.write(payload, now, inline_qos=inline_qos, time=time, only_to=only_to)
-        self.settle()
+        if self.participant.waiting < MOST_WAITING:
+            self._loop.settle_soon()
+        else:
+            self.settle()
         return number
 
     def catch_up(self, reader: DataReader) -> bool:
         """Get the samples that a reader is missing, as `DataReader.catch_up` describes."""
-        takes_time = reader.catch_up(anyio.current_time())
+        takes_time = reader.catch_up(self._loop.time())
         self.settle()
         return takes_time
 
@@ -133,7 +141,7 @@ class ParticipantNetwork:
 
     async def close(self) -> None:
         """Tell others that this participant is gone, when its tasks have ended."""
-        self.participant.close(anyio.current_time())
+        self.participant.close(self._loop.time())
         self._send()
         # Without that, others would miss it only when its lease is over.
         with anyio.move_on_after(CLOSING_TIME, shield=True):
@@ -154,10 +162,11 @@ class ParticipantNetwork:
 
     def work(self) -> bool:
         """Take what was read, for a short time; return whether something is left."""
+        self._send()  # the answer to a question is not to share a datagram with older samples
         end = perf_counter() + TURN
         while self._inbox:
             # Not the time of the first one: many large ones take longer than some pauses.
-            self.participant.receive(*self._inbox.take(), anyio.current_time())
+            self.participant.receive(*self._inbox.take(), self._loop.time())
             if perf_counter() > end:
                 break
         self.settle()
@@ -165,7 +174,7 @@ class ParticipantNetwork:
 
     def on_deadline(self) -> None:
         """Do what is due."""
-        self.participant.handle_deadline(anyio.current_time())
+        self.participant.handle_deadline(self._loop.time())
         self.settle()
 
     async def send_later(self) -> None:

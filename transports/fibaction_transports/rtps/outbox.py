@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+from msgspec import structs
+
 from fibaction_transports.rtps.budgets import PeerBudget
 from fibaction_transports.rtps.limits import RtpsCounters
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
-from fibaction_transports.rtps.messages.ids import UNKNOWN_PREFIX
+from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, UNKNOWN_PREFIX
 from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.submessages import (
     Data,
@@ -16,6 +18,7 @@ from fibaction_transports.rtps.messages.submessages import (
     Destination,
     Submessage,
     Timestamp,
+    WriterHeartbeat,
 )
 
 PACKED = 64_000
@@ -36,11 +39,27 @@ class _Entry(NamedTuple):
     time: float | None
 
 
+class _Queue:
+    """The submessages for one route."""
+
+    __slots__ = ("entries", "heartbeats", "samples")
+
+    def __init__(self) -> None:
+        self.entries: list[_Entry | None] = []
+        """In order; None for a heartbeat that a newer one has replaced."""
+        self.heartbeats: dict[tuple[bytes, bytes], int] = {}
+        """The place of the newest heartbeat for each reader of each writer."""
+        self.samples: dict[tuple[bytes, int], tuple[int, Data]] = {}
+        """Each sample with its place, by its writer and its number."""
+
+
 class Outbox:
     """The submessages that a participant wants to send, by their routes.
 
     They become bytes when a datagram is taken, so a large sample for several readers is not copied
-    for each of them beforehand.
+    for each of them beforehand. A sample for several readers of one participant is sent once. Of
+    several heartbeats of a writer for a reader, the newest is sent: it says what the others say,
+    and asks for one acknowledgement.
     """
 
     def __init__(
@@ -55,8 +74,11 @@ class Outbox:
         self._limit = limit
         self._budgets = budgets
         self._counters = counters
-        self._waiting: dict[PeerRoute, list[_Entry]] = {}
+        self._waiting: dict[PeerRoute, _Queue] = {}
         self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
 
     def add(self, route: PeerRoute, submessage: Submessage, time: float | None = None) -> None:
         """Send a submessage after those that wait for the same route."""
@@ -64,13 +86,41 @@ class Outbox:
             self._counters.unsent += 1
             return
         self._count += 1
-        self._waiting.setdefault(route, []).append(_Entry(submessage, time))
+        queue = self._waiting.get(route)
+        if queue is None:
+            queue = self._waiting[route] = _Queue()
+        if isinstance(submessage, WriterHeartbeat):
+            self._replace(queue, submessage)
+        elif isinstance(submessage, Data) and self._is_joined(queue, submessage, time):
+            return
+        queue.entries.append(_Entry(submessage, time))
+
+    def _replace(self, queue: _Queue, heartbeat: WriterHeartbeat) -> None:
+        """Take the older heartbeat of the same ends away."""
+        ends = heartbeat.reader, heartbeat.writer
+        replaced = queue.heartbeats.get(ends)
+        if replaced is not None:
+            queue.entries[replaced] = None
+            self._count -= 1
+        queue.heartbeats[ends] = len(queue.entries)
+
+    def _is_joined(self, queue: _Queue, data: Data, time: float | None) -> bool:
+        """Return whether the sample waits already, and now goes to this reader as well."""
+        here = len(queue.entries), data
+        at, first = queue.samples.setdefault((data.writer, data.number), here)
+        if first is data:
+            return False
+        if first.reader != data.reader:
+            queue.entries[at] = _Entry(structs.replace(first, reader=UNKNOWN_ENTITY), time)
+        self._count -= 1
+        return True
 
     def datagrams(self) -> Iterator[tuple[bytes, Address]]:
         """Take the datagrams one by one, with the addresses that they are for."""
         while self._waiting:
             route = next(iter(self._waiting))
-            entries = self._waiting.pop(route)
+            queue = self._waiting.pop(route)
+            entries = [each for each in queue.entries if each is not None]
             self._count -= len(entries)
             budget = self._budgets.get(route.prefix)
             for datagram in self._packed(route, entries):

@@ -229,6 +229,11 @@ class Participant:
         """Do what is due at this time; nothing if nothing is."""
         self._shared.timers.run(now)
 
+    @property
+    def waiting(self) -> int:
+        """Number of submessages that wait to be sent."""
+        return len(self._shared.outbox)
+
     def datagrams_to_send(self) -> Iterator[tuple[bytes, Address]]:
         """Take the datagrams that are to be sent, with their addresses."""
         return self._shared.outbox.datagrams()

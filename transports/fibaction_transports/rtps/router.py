@@ -102,19 +102,18 @@ class MessageRouter:
     def _hand_over(
         self, prefix: bytes, submessage: Submessage, time: float | None, now: float
     ) -> None:
-        match submessage:
-            case AckNack(reader, writer) | FragmentNack(reader, writer):
-                self._nack(Guid(prefix + reader), writer, submessage, now)
-            case Data(reader, writer) | DataFragment(reader, writer):
-                self._sample(reader, Guid(prefix + writer), submessage, time, now)
-            case WriterHeartbeat(reader, writer):
-                self._heartbeat(reader, Guid(prefix + writer), submessage, now)
-            case Gap(reader, writer):
-                guid = Guid(prefix + writer)
-                for matched in self._endpoints.addressed(reader, guid):
-                    matched.receive_gap(guid, submessage, now)
-            case _:
-                pass
+        if isinstance(submessage, Data | DataFragment):
+            guid = Guid(prefix + submessage.writer)
+            self._sample(submessage.reader, guid, submessage, time, now)
+        elif isinstance(submessage, WriterHeartbeat):
+            guid = Guid(prefix + submessage.writer)
+            self._heartbeat(submessage.reader, guid, submessage, now)
+        elif isinstance(submessage, AckNack | FragmentNack):
+            self._nack(Guid(prefix + submessage.reader), submessage.writer, submessage, now)
+        elif isinstance(submessage, Gap):
+            guid = Guid(prefix + submessage.writer)
+            for matched in self._endpoints.addressed(submessage.reader, guid):
+                matched.receive_gap(guid, submessage, now)
 
     def _nack(self, reader: Guid, entity: bytes, nack: AckNack | FragmentNack, now: float) -> None:
         writer = self._endpoints.writers.get(entity)

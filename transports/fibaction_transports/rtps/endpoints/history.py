@@ -55,6 +55,11 @@ class History:
         """Return a sample; None if it is not kept."""
         return self._samples.get(number)
 
+    def is_full(self, sample: StoredSample) -> bool:
+        """Return whether another sample has no room beside those that are kept."""
+        size = self.bytes + len(sample.payload)
+        return size > self._limits.history or len(self._samples) >= self._limits.history_samples
+
     def add(self, sample: StoredSample) -> int:
         """Keep a sample, and return its number.
 
@@ -64,13 +69,12 @@ class History:
         numbers = self._numbers.get(sample.key, deque())
         while self._depth is not None and len(numbers) >= self._depth:
             self.forget(numbers[0])
-        size = self.bytes + len(sample.payload)
-        if size > self._limits.history or len(self._samples) >= self._limits.history_samples:
+        if self.is_full(sample):
             raise LimitReached(
                 f"history of {len(self._samples)} samples and {self.bytes} bytes is full:"
                 " wait until readers have acknowledged, or write less"
             )
-        self.bytes = size
+        self.bytes += len(sample.payload)
         self.last += 1
         self._samples[self.last] = sample
         numbers.append(self.last)

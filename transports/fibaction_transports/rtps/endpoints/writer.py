@@ -103,7 +103,8 @@ class DataWriter:
         Raises:
             LimitReached: The history is full.
         """
-        self._forget(now)
+        if self._expiries or self._history.is_full(sample):
+            self._forget(now)
         number = self._history.add(sample)
         if self.qos.lifespan < math.inf:
             self._expiries.append((now + self.qos.lifespan, number))
@@ -111,7 +112,8 @@ class DataWriter:
             proxy.write(number, sample, now)
         self._pause = FIRST_HEARTBEAT
         self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
-        self._forget(now)
+        if not any(p.is_reliable and not p.is_silent(now) for p in self._readers.values()):
+            self._forget(now)  # otherwise when they acknowledge
         return number
 
     def match(self, reader: Guid, route: PeerRoute, qos: Qos, now: float) -> None:
@@ -155,6 +157,7 @@ class DataWriter:
         for proxy in waiting:
             proxy.heartbeat()
         self._pause = min(self._pause * 2, LONGEST_HEARTBEAT)
+        self._forget(now)
         if waiting:
             self._shared.timers.set(self.on_heartbeat_due, now + self._pause)
 

@@ -314,6 +314,8 @@ class WriterProxy:
     def _missing(self) -> tuple[int, ...]:
         """Return the announced samples of which nothing has come."""
         start = self._next or 1
+        if start > self._announced:
+            return ()
         end = min(self._announced + 1, start + WINDOW)
         return tuple(
             number

@@ -20,12 +20,22 @@ class Driven(Protocol):
     def on_deadline(self) -> None:
         """Do what is due."""
 
+    def settle(self) -> None:
+        """Send what is to be sent."""
+
 
 class DrivingLoop(Protocol):
     """An event loop that drives a participant."""
 
+    def time(self) -> float:
+        """Return the time of the event loop."""
+        ...
+
     def wake(self, when: float) -> None:
         """Call `on_deadline` at this time at the latest."""
+
+    def settle_soon(self) -> None:
+        """Call `settle` when those that are ready now have had their turn."""
 
     async def run(self, driven: Driven, sources: Sequence[socket.socket]) -> None:
         """Drive a participant with its sockets until canceled."""

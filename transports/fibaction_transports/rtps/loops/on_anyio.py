@@ -18,6 +18,14 @@ class AnyioLoop:
         self._wake_at = math.inf
         self._woken = anyio.Event()
 
+    def time(self) -> float:
+        """Return the time of the event loop."""
+        return anyio.current_time()
+
+    def settle_soon(self) -> None:
+        """Call `settle` when those that are ready now have had their turn."""
+        self.wake(-math.inf)  # `on_deadline` settles, too
+
     def wake(self, when: float) -> None:
         """Call `on_deadline` at this time at the latest."""
         if when < self._wake_at:

@@ -38,6 +38,14 @@ class AsyncioLoop:
         self._wake_at = math.inf
         self._alarm: asyncio.TimerHandle | None = None
         self._turn: asyncio.Handle | None = None
+        self._settling: asyncio.Handle | None = None
+        self.time = self._loop.time
+        """Return the time of the event loop."""
+
+    def settle_soon(self) -> None:
+        """Call `settle` when those that are ready now have had their turn."""
+        if self._settling is None:
+            self._settling = self._loop.call_soon(self._settle)
 
     def wake(self, when: float) -> None:
         """Call `on_deadline` at this time at the latest."""
@@ -59,7 +67,7 @@ class AsyncioLoop:
             self._driven = None
             for source in sources:
                 self._loop.remove_reader(source)
-            for handle in (self._alarm, self._turn):
+            for handle in (self._alarm, self._turn, self._settling):
                 if handle is not None:
                     handle.cancel()
 
@@ -81,6 +89,11 @@ class AsyncioLoop:
         self._wake_at = math.inf
         if self._driven is not None:
             self._guarded(self._driven.on_deadline)
+
+    def _settle(self) -> None:
+        self._settling = None
+        if self._driven is not None:
+            self._guarded(self._driven.settle)
 
     def _guarded(self, call: Callable[[], None]) -> None:
         """Call, and let `run` raise what is raised."""

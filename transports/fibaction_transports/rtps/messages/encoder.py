@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 from fibaction_transports.rtps.messages import kinds
 from fibaction_transports.rtps.messages.layout import LITTLE, U32, Order, halves, time_halves
@@ -42,38 +43,32 @@ def submessage_bytes(submessage: Submessage, order: Order = LITTLE) -> bytes:
     Raises:
         ValueError: It is longer than 65,535 bytes.
     """
-    kind, flags, body = _parts(submessage, order)
+    kind, flags, body = _ENCODERS[type(submessage)](submessage, order)
     if len(body) > _MAX_BODY:
         raise ValueError(f"submessage of {len(body)} bytes exceeds {_MAX_BODY} bytes")
     flags |= kinds.LITTLE_FLAG if order == LITTLE else 0
     return kinds.SUBMESSAGE_HEAD[order].pack(kind, flags, len(body)) + body
 
 
-def _parts(submessage: Submessage, order: Order) -> _Parts:
-    match submessage:
-        case Data():
-            return _data(submessage, order)
-        case DataFragment():
-            return _fragment(submessage, order)
-        case AckNack() | FragmentNack():
-            return _nack(submessage, order)
-        case WriterHeartbeat() | FragmentHeartbeat():
-            return _heartbeat(submessage, order)
-        case Gap(reader, writer, start, rest):
-            numbers = (*halves(start), *halves(rest.base))
-            head = kinds.GAP_HEAD[order].pack(reader, writer, *numbers)
-            return kinds.GAP, 0, head + bits_bytes(rest.base, rest.numbers, order)
-        case Destination(prefix):
-            return kinds.INFO_DST, 0, prefix
-        case SourceInfo(vendor, prefix):
-            body = kinds.SOURCE_BODY[order].pack(kinds.VERSION, vendor, prefix)
-            return kinds.INFO_SRC, 0, body
-        case Timestamp(time):
-            if time is None:
-                return kinds.INFO_TS, kinds.INVALID_FLAG, b""
-            return kinds.INFO_TS, 0, kinds.TIME_BODY[order].pack(*time_halves(time))
-        case _:
-            return _reply(submessage, order)
+def _gap(gap: Gap, order: Order) -> _Parts:
+    numbers = (*halves(gap.start), *halves(gap.rest.base))
+    head = kinds.GAP_HEAD[order].pack(gap.reader, gap.writer, *numbers)
+    return kinds.GAP, 0, head + bits_bytes(gap.rest.base, gap.rest.numbers, order)
+
+
+def _destination(destination: Destination, _: Order) -> _Parts:
+    return kinds.INFO_DST, 0, destination.prefix
+
+
+def _source(source: SourceInfo, order: Order) -> _Parts:
+    body = kinds.SOURCE_BODY[order].pack(kinds.VERSION, source.vendor, source.prefix)
+    return kinds.INFO_SRC, 0, body
+
+
+def _timestamp(timestamp: Timestamp, order: Order) -> _Parts:
+    if timestamp.time is None:
+        return kinds.INFO_TS, kinds.INVALID_FLAG, b""
+    return kinds.INFO_TS, 0, kinds.TIME_BODY[order].pack(*time_halves(timestamp.time))
 
 
 def _data(data: Data, order: Order) -> _Parts:
@@ -137,3 +132,18 @@ def _locators(locators: tuple[Locator, ...], order: Order) -> bytes:
     return U32[order].pack(len(locators)) + b"".join(
         locator_bytes(locator, order) for locator in locators
     )
+
+
+_ENCODERS: dict[type[Any], Callable[[Any, Order], _Parts]] = {
+    Data: _data,
+    DataFragment: _fragment,
+    AckNack: _nack,
+    FragmentNack: _nack,
+    WriterHeartbeat: _heartbeat,
+    FragmentHeartbeat: _heartbeat,
+    Gap: _gap,
+    Destination: _destination,
+    SourceInfo: _source,
+    Timestamp: _timestamp,
+    ReplyLocators: _reply,
+}

@@ -18,15 +18,12 @@ _FRACTIONS = 2**32
 _ENDLESS_SECONDS = 0x7FFFFFFF
 
 
-class Layout:
-    """One binary layout, in both byte orders."""
+class Layout(dict[Order, Struct]):
+    """One binary layout, by the byte order. A `dict` because it is looked up for each field."""
 
     def __init__(self, form: str) -> None:
-        self._structs = {LITTLE: Struct(LITTLE + form), BIG: Struct(BIG + form)}
-        self.size = self._structs[LITTLE].size
-
-    def __getitem__(self, order: Order) -> Struct:
-        return self._structs[order]
+        super().__init__({LITTLE: Struct(LITTLE + form), BIG: Struct(BIG + form)})
+        self.size = self[LITTLE].size
 
 
 U16 = Layout("H")
