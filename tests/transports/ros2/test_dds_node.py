@@ -195,7 +195,7 @@ async def test_signs_of_life_are_counted() -> None:
             network = other.network.participant
             network._shared.timers.clear()  # it is there, and gives no sign of life
             await until(watch.news, LifeSigns(0, 1))
-            network._assertions.plan(network._local.user_writers(), anyio.current_time())
+            network._assertions.plan(anyio.current_time())
             other.network.settle()
             await until(watch.news, LifeSigns(1, 0))
         await until(watch.news, LifeSigns(0, 0))

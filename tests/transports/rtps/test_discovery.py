@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 
 import pytest
 
@@ -25,6 +26,7 @@ from fibaction_transports.rtps.messages.decoder import read_packet
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
 from fibaction_transports.rtps.messages.ids import (
     FAST_DDS,
+    LIVELINESS_WRITER,
     PARTICIPANT,
     PUBLICATIONS_WRITER,
     SPDP_WRITER,
@@ -32,7 +34,7 @@ from fibaction_transports.rtps.messages.ids import (
     Guid,
 )
 from fibaction_transports.rtps.messages.layout import BIG, Order
-from fibaction_transports.rtps.messages.locators import Locator, udp_locator
+from fibaction_transports.rtps.messages.locators import Address, Locator, udp_locator
 from fibaction_transports.rtps.messages.parameters import Parameters
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
@@ -42,6 +44,7 @@ from fibaction_transports.rtps.messages.submessages import (
     Submessage,
     WriterHeartbeat,
 )
+from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.qos import Durability, Liveliness, Qos, Reliability
 from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
 
@@ -599,3 +602,82 @@ def test_a_sample_shows_that_its_writer_is_alive(kind: Liveliness) -> None:
     other.participant.receive(packet(beat, prefix=prefix), (one.host, 7410), world.now)
     world.flush()
     assert LivelinessChanged(reader.guid, writer.guid, is_alive=True) in other.told
+
+
+def test_only_participants_with_a_reader_of_a_promising_writer_are_told_that_it_is_alive() -> None:
+    world = World()
+    one, other, third = world.join(), world.join(), world.join()
+    world.run(0.5)
+    qos = Qos(liveliness_lease=0.3)
+    writer = one.participant.create_writer(TOPIC, TYPE, qos, world.now)
+    world.run(2.0)
+    reader = reader_of(world, other, qos)
+    reader_of(world, third, topic="rt/another")
+    assert world.run_until(lambda: reader.writers == [writer.guid], 1)
+    told = Counter[str]()
+
+    def note(datagram: bytes, address: Address) -> bool:
+        told[address[0]] += any(
+            isinstance(each, Data) and each.writer == LIVELINESS_WRITER
+            for each in read_packet(datagram).submessages
+        )
+        return False
+
+    world.is_lost = note
+    world.run(5.0)
+    assert told[other.host] >= 40
+    assert told[third.host] == 0
+    assert other.all(LivelinessChanged) == []
+    # One that comes to need it has it from then on.
+    late = reader_of(world, third, qos)
+    assert world.run_until(lambda: late.writers == [writer.guid], 1)
+    world.run(5.0)
+    assert told[third.host] >= 40
+    assert third.all(LivelinessChanged) == []
+
+
+def test_known_participants_are_not_announced_to_twice() -> None:
+    world = World()
+    one, other = world.pair()
+    address = other.host, 7410
+    settings = ParticipantSettings(
+        discovery_addresses=(("10.0.0.9", 7410),),
+        data_addresses=(("10.0.0.9", 7411),),
+        announce_to=(address,),
+    )
+    third = Node(Participant(settings, world.now), "10.0.0.9")
+    world.nodes[third.host] = third
+    assert world.run_until(lambda: len(third.all(ParticipantFound)) == 1)
+    world.run(10.0)
+    announced = list[Address]()
+
+    def note(datagram: bytes, to: Address) -> bool:
+        for each in read_packet(datagram).submessages:
+            if isinstance(each, Data) and each.writer == SPDP_WRITER and to == address:
+                announced.append(to)
+        return False
+
+    world.is_lost = note
+    del world.nodes[one.host]
+    world.run(30.0)
+    assert 8 <= len(announced) <= 11
+
+
+def test_many_participants_find_each_other_with_little_traffic() -> None:
+    world, count = World(), 12
+    nodes = list[Node]()
+    for _ in range(count):
+        node = world.join()
+        nodes.append(node)
+        for topic in range(5):
+            reader_of(world, node, topic=f"rt/{topic}")
+        world.run(0.01)
+    others = count - 1
+    assert world.run_until(
+        lambda: all(node.participant.count_remote_endpoints() == 5 * others for node in nodes), 10
+    )
+    assert world.sent <= 20 * count * others
+    world.run(20.0)
+    sent = world.sent
+    world.run(30.0)
+    assert world.sent - sent <= 30 / 3 * count * (others + count) * 1.1

@@ -35,6 +35,9 @@ def test_on_this_machine_the_first_participants_are_announced_to() -> None:
     addresses = announced_addresses(settings, ())
     assert len(addresses) == 32
     assert (addresses[0], addresses[-1]) == (("127.0.0.1", 7660), ("127.0.0.1", 7722))
+    assert announced_addresses(settings, (), 31) == addresses
+    later = announced_addresses(settings, (), 40)
+    assert (len(later), later[:32]) == (40, addresses)
     assert DomainSettings.from_environment({"ROS_LOCALHOST_ONLY": "1"}) == DomainSettings()
 
 

@@ -236,7 +236,7 @@ async def open_network(
             ParticipantSettings(
                 discovery_addresses=tuple((host, discovery_port(domain, number)) for host in hosts),
                 data_addresses=tuple((host, data_port(domain, number)) for host in hosts),
-                announce_to=announced_addresses(settings, peers),
+                announce_to=announced_addresses(settings, peers, number),
                 domain=domain,
                 name=name,
                 fragment_size=fragment_size,

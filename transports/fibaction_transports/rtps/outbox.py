@@ -23,6 +23,8 @@ from fibaction_transports.rtps.messages.submessages import (
 
 PACKED = 64_000
 """The longest datagram with several submessages, in bytes."""
+SAMPLES = 64
+"""The most samples of one datagram: of discovery, a receiver like this one takes no more."""
 
 
 class PeerRoute(NamedTuple):
@@ -133,12 +135,13 @@ class Outbox:
         first = self._head
         if route.prefix != UNKNOWN_PREFIX:
             first += submessage_bytes(Destination(route.prefix))
-        parts, size, time = [first], len(first), None
+        parts, size, time, samples = [first], len(first), None, 0
         for entry in entries:
             part = submessage_bytes(entry.submessage)
-            if size + len(part) > PACKED and len(parts) > 1:
+            if (size + len(part) > PACKED or samples >= SAMPLES) and len(parts) > 1:
                 yield b"".join(parts)
-                parts, size, time = [first], len(first), None
+                parts, size, time, samples = [first], len(first), None, 0
+            samples += isinstance(entry.submessage, Data)
             if entry.time != time and isinstance(entry.submessage, Data | DataFragment):
                 time = entry.time
                 parts.append(submessage_bytes(Timestamp(time)))

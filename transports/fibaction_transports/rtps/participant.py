@@ -131,7 +131,7 @@ class Participant:
             self._matcher,
             self._shared,
         )
-        self._assertions = Assertions(self._builtin.liveliness, self._shared)
+        self._assertions = Assertions(self._builtin.liveliness, self._local, self._shared)
         self._router = MessageRouter(
             self._local, self._participants, early, liveliness, self._shared
         )
@@ -188,7 +188,7 @@ class Participant:
         writer = DataWriter(guid, topic, type_name, qos, self._shared)
         self._local.writers[guid.entity] = writer
         self._announce(writer, user_data, now)
-        self._assertions.plan(self._local.user_writers(), now)
+        self._assertions.plan(now)
         return writer
 
     def create_reader(
@@ -209,7 +209,7 @@ class Participant:
         if table.pop(endpoint.guid.entity, None) is None:
             return
         self._discovery.withdraw(endpoint.guid, now)
-        self._assertions.plan(self._local.user_writers(), now)
+        self._assertions.plan(now)
 
     def receive(self, datagram: bytes, address: Address, now: float) -> None:
         """Take a datagram from an address."""

@@ -88,9 +88,14 @@ def data_port(domain: int, participant: int) -> int:
     return multicast_port(domain) + _DATA + _PER_PARTICIPANT * participant
 
 
-def announced_addresses(settings: DomainSettings, peers: tuple[str, ...]) -> tuple[Address, ...]:
-    """Return the addresses to which a participant announces itself; `peers` are addresses of the
-    static peers.
+def announced_addresses(
+    settings: DomainSettings, peers: tuple[str, ...], number: int = 0
+) -> tuple[Address, ...]:
+    """Return the addresses to which a participant with this number announces itself; `peers` are
+    addresses of the static peers.
+
+    On this host it announces itself to all with smaller numbers at least, so that of any two, one
+    finds the other.
     """
     domain, reach = settings.domain, settings.discovery_range
     if reach is DiscoveryRange.OFF:
@@ -100,5 +105,6 @@ def announced_addresses(settings: DomainSettings, peers: tuple[str, ...]) -> tup
     ]
     if reach is DiscoveryRange.SUBNET:
         return (GROUP, multicast_port(domain)), *found
-    local = [(LOCALHOST, discovery_port(domain, number)) for number in LOCAL_PARTICIPANTS]
+    numbers = range(max(number, LOCAL_PARTICIPANTS.stop))
+    local = [(LOCALHOST, discovery_port(domain, each)) for each in numbers]
     return (*local, *found)

@@ -106,7 +106,8 @@ class KnownParticipants:
         for address in self._announce_to:
             self._announce(PeerRoute(address))
         for remote in self._found.values():
-            self._announce(remote.discovery)
+            if remote.discovery.address not in self._announce_to:
+                self._announce(remote.discovery)
         pause = FIRST_PAUSE if self._announced < FIRST_ANNOUNCEMENTS else PAUSE
         self._shared.timers.set(self.on_announcement_due, now + min(pause, self._own.lease / 4))
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable
 
 from msgspec import Struct
 
+from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
 from fibaction_transports.rtps.endpoints.history import StoredSample
 from fibaction_transports.rtps.endpoints.sample import Sample, padded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
@@ -144,23 +144,24 @@ class WriterLiveliness:
 
 
 class Assertions:
-    """Asserts that this participant is alive, as often as its writers promise."""
+    """Asserts that this participant is alive, as often as its writers promise.
 
-    def __init__(self, writer: DataWriter, shared: SharedParts) -> None:
+    Participants are told that have a reader of such a writer: with many participants, all of which
+    tell all others several times a second, this would be most of what each of them does.
+    """
+
+    def __init__(self, writer: DataWriter, local: LocalEndpoints, shared: SharedParts) -> None:
         self._writer = writer
+        self._local = local
         self._shared = shared
         self._pause = math.inf
 
-    def plan(self, writers: Iterable[DataWriter], now: float) -> None:
+    def plan(self, now: float) -> None:
         """Assert as often as the writers of this participant promise; never if none does.
 
         Writers that are not automatic are alive as long as they send samples.
         """
-        leases = (
-            writer.qos.liveliness_lease
-            for writer in writers
-            if writer.qos.liveliness == Liveliness.AUTOMATIC
-        )
+        leases = (writer.qos.liveliness_lease for writer in self._promising())
         shortest = min(leases, default=math.inf)
         self._pause = max(shortest / ASSERTIONS_PER_LEASE, SHORTEST_ASSERTION)
         if shortest < math.inf:
@@ -170,6 +171,17 @@ class Assertions:
 
     def on_assertion_due(self, now: float) -> None:
         """Assert that the writers of this participant are alive."""
-        payload = padded(_LITTLE + self._shared.prefix + _ASSERTION)
-        self._writer.write_sample(StoredSample(payload=payload), now)
+        told = {reader.prefix for writer in self._promising() for reader in writer.readers}
+        if told:
+            payload = padded(_LITTLE + self._shared.prefix + _ASSERTION)
+            self._writer.write_sample(StoredSample(payload=payload), now, only_at=told)
         self._shared.timers.set(self.on_assertion_due, now + self._pause)
+
+    def _promising(self) -> list[DataWriter]:
+        """Return the writers whose liveliness is to be shown by assertions."""
+        return [
+            writer
+            for writer in self._local.user_writers()
+            if writer.qos.liveliness == Liveliness.AUTOMATIC
+            and writer.qos.liveliness_lease < math.inf
+        ]

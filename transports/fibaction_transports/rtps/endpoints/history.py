@@ -51,6 +51,11 @@ class History:
     def __len__(self) -> int:
         return len(self._samples)
 
+    @property
+    def has_disposed(self) -> bool:
+        """True if samples are kept that say that something is disposed."""
+        return bool(self._disposed)
+
     def get(self, number: int) -> StoredSample | None:
         """Return a sample; None if it is not kept."""
         return self._samples.get(number)

@@ -86,6 +86,11 @@ class ReaderProxy:
         self._budget.write(len(sample.payload))
         self.send([number], now)
 
+    def skip(self, number: int) -> None:
+        """Note a new sample that the reader does not need."""
+        if self.acknowledged == number - 1:
+            self.acknowledged = number
+
     def send(self, numbers: Iterable[int], now: float) -> None:
         """Send samples, and a GAP for those that the reader does not get."""
         if self._is_new:

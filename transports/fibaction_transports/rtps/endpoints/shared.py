@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from fibaction_transports.rtps.budgets import PeerBudget
 from fibaction_transports.rtps.endpoints.fragments import PartialSamples
+from fibaction_transports.rtps.endpoints.request_pace import AnswerTime
 from fibaction_transports.rtps.events import Event
 from fibaction_transports.rtps.limits import ByteAccount, RtpsCounters, RtpsLimits
 from fibaction_transports.rtps.messages.ids import OWN_VENDOR
@@ -32,6 +33,7 @@ class SharedParts:
         self.outbox = Outbox(OWN_VENDOR, prefix, limits.outbox, self.budgets, self.counters)
         self.partials = PartialSamples(limits)
         self.held = ByteAccount(limits.held)
+        self.answer_time = AnswerTime()
         self._count = 0
 
     def next_count(self) -> int:

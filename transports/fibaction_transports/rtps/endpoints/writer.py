@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
 from fibaction_transports.rtps.endpoints.reader_proxy import ReaderProxy
@@ -97,8 +97,13 @@ class DataWriter:
         )
         return self.write_sample(sample, now)
 
-    def write_sample(self, sample: StoredSample, now: float) -> int:
+    def write_sample(
+        self, sample: StoredSample, now: float, *, only_at: Container[bytes] | None = None
+    ) -> int:
         """Send a sample whose payload is padded already; return its number.
+
+        With `only_at`, it is sent to the readers of these participants only. The others need it
+        no more than the samples before it, and get it if they ask.
 
         Raises:
             LimitReached: The history is full.
@@ -108,8 +113,11 @@ class DataWriter:
         number = self._history.add(sample)
         if self.qos.lifespan < math.inf:
             self._expiries.append((now + self.qos.lifespan, number))
-        for proxy in self._readers.values():
-            proxy.write(number, sample, now)
+        for guid, proxy in self._readers.items():
+            if only_at is None or guid.prefix in only_at:
+                proxy.write(number, sample, now)
+            else:
+                proxy.skip(number)
         self._pause = FIRST_HEARTBEAT
         self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
         if not any(p.is_reliable and not p.is_silent(now) for p in self._readers.values()):
@@ -170,7 +178,8 @@ class DataWriter:
         if self._expiries:
             self._forget_expired(now)
         is_volatile = not self.qos.is_transient_local
-        self._history.forget_acknowledged(self.acknowledged(now), is_volatile=is_volatile)
+        if is_volatile or self._history.has_disposed:  # looking at all readers takes its time
+            self._history.forget_acknowledged(self.acknowledged(now), is_volatile=is_volatile)
 
     def _forget_expired(self, now: float) -> None:
         while self._expiries:

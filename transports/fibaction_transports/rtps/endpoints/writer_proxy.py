@@ -9,7 +9,7 @@ How a sample comes, if the two are reliable:
 - A sample with a later number is held until those before it have come. Only numbers in a window
   from `_next` on are held or requested, so a forged number makes nobody hold or ask for more.
 - A heartbeat tells what there is. What is missing is requested at once, and again while nothing
-  comes; an acknowledgement waits a little, so that one of them can answer several heartbeats.
+  comes (`RequestPace`); an acknowledgement waits, so that one can answer several heartbeats.
 - A request names only numbers that a heartbeat has announced: Fast DDS answers one for a number
   that is not written yet with a GAP, and the sample is then lost.
 - Fragments are requested only after a pause without one, because the others are on their way.
@@ -19,11 +19,11 @@ If they are best effort, a sample is handed over if its number is larger than al
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from fibaction_transports.rtps.endpoints.catch_up import CatchUp
 from fibaction_transports.rtps.endpoints.fragments import PartialSample
+from fibaction_transports.rtps.endpoints.request_pace import RequestPace
 from fibaction_transports.rtps.endpoints.sample import Sample, received_sample, unpadded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.events import SamplesLost
@@ -81,7 +81,7 @@ class WriterProxy:
         self._partials: dict[int, PartialSample] = {}
         self._request_pause = FIRST_REQUEST
         self._requests = 0
-        self._requested = -math.inf
+        self._pace = RequestPace(shared.answer_time)
         self._fragment_pause = FRAGMENT_PAUSE
         self._catch_up = CatchUp(shared.timers, self.ask, on_caught_up)
 
@@ -207,8 +207,7 @@ class WriterProxy:
         if self._next is None:
             self.ask(now)
         elif missing := self._missing():
-            self._requested = now
-            self._acknowledge(NumberSet(self._next, missing), is_final=False)
+            self._send_request(missing, now)
         else:
             return
         self._requests += 1
@@ -253,6 +252,7 @@ class WriterProxy:
         number = sample.number
         self._give_up(number)
         self._requests = 0
+        self._pace.note_sample(number, now)
         self._catch_up.note_sample(now)
         if not self._is_reliable:
             self._advance(number, now)
@@ -325,26 +325,23 @@ class WriterProxy:
 
     def _lost_before(self, number: int) -> int:
         """Return how many samples are lost if those before this number do not come any more."""
-        held = sum(1 for at in self._held if at < number)
-        return number - (self._next or number) - held
+        return number - (self._next or number) - sum(1 for at in self._held if at < number)
 
     def _request(self, now: float) -> None:
         """Request what is missing, but not at each of many heartbeats."""
-        pause = self._request_pause
-        if now - self._requested < ACKNOWLEDGE_AFTER:
-            pause = ACKNOWLEDGE_AFTER
-        elif self._next is not None and (missing := self._missing()):
-            self._requested = now
-            self._acknowledge(NumberSet(self._next, missing), is_final=False)
+        pause, missing = self._request_pause, self._missing()
+        if missing and self._pace.may_request(missing[-1], now):
+            if self._pace.just_requested(ACKNOWLEDGE_AFTER, now):
+                pause = ACKNOWLEDGE_AFTER
+            else:
+                self._send_request(missing, now)
         self._shared.timers.set_earlier(self.on_request_due, now + pause)
+
+    def _send_request(self, missing: tuple[int, ...], now: float) -> None:
+        self._pace.note_request(missing[-1], now)
+        self._acknowledge(NumberSet(self._next or 1, missing), is_final=False)
 
     def _acknowledge(self, missing: NumberSet, *, is_final: bool) -> None:
         self._shared.timers.cancel(self.on_acknowledge_due)
-        nack = AckNack(
-            self._reader.entity,
-            self._guid.entity,
-            missing,
-            self._shared.next_count(),
-            is_final,
-        )
-        self._shared.outbox.add(self._route, nack)
+        ends, count = (self._reader.entity, self._guid.entity), self._shared.next_count()
+        self._shared.outbox.add(self._route, AckNack(*ends, missing, count, is_final))
