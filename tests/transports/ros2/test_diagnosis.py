@@ -149,6 +149,20 @@ async def test_the_settings_and_the_defaults_are_told(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.anyio
+async def test_a_discovery_server_is_said_to_be_left_out(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", "")
+    found = await transport_for("dds://", arguments=[]).diagnose(0.01)
+    assert "ROS_DISCOVERY_SERVER" not in f"{found.advice} {caplog.messages}"
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", "robot:11811")
+    found = await transport_for("dds://", arguments=[]).diagnose(0.01)
+    sentence = "ROS_DISCOVERY_SERVER=robot:11811 is not followed: dds:// does not speak to"
+    assert found.advice[-1].startswith(sentence)
+    assert [one.startswith(sentence) for one in caplog.messages] == [True]
+
+
+@pytest.mark.anyio
 async def test_a_participant_without_nodes_is_told() -> None:
     domain = DomainSettings(domain=int(os.environ["ROS_DOMAIN_ID"]))
     async with open_network(domain, lambda _: None, name="stranger"):

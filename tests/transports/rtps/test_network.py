@@ -182,6 +182,14 @@ async def test_with_discovery_off_nobody_is_found(domain: int) -> None:
 
 
 @pytest.mark.anyio
+async def test_a_static_peer_by_its_address_of_ipv6_is_an_error(domain: int) -> None:
+    settings = DomainSettings(domain=domain, static_peers=("fe80::1",))
+    with pytest.raises(TransportError, match=r"'fe80::1' is an address of IPv6, which is not"):
+        async with open_network(settings, Listener()):
+            pass
+
+
+@pytest.mark.anyio
 async def test_an_unknown_static_peer_is_an_error(domain: int) -> None:
     settings = DomainSettings(domain=domain, static_peers=("host.invalid",))
     with pytest.raises(TransportError, match=r"static peer 'host.invalid' is unknown"):

@@ -266,6 +266,11 @@ async def _addresses(hosts: Sequence[str]) -> tuple[str, ...]:
     """Return the addresses of hosts."""
     found = list[str]()
     for host in hosts:
+        if ":" in host:
+            raise TransportError(
+                f"static peer {host!r} is an address of IPv6, which is not supported here: use the"
+                " name of the host, or its address of IPv4"
+            )
         try:
             infos = await anyio.getaddrinfo(host, None, family=socket.AF_INET)
         except OSError as error:

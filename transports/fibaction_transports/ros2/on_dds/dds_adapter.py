@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 
 import msgspec
 
+from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.adapter import RosAdapter
 from fibaction_transports.ros2.on_dds.arguments import (
@@ -25,6 +26,8 @@ from fibaction_transports.ros2.on_dds.parameters import USE_SIM_TIME
 from fibaction_transports.ros2.settings import NodeSettings, check_range
 from fibaction_transports.rtps.ports import DiscoveryRange, DomainSettings
 
+DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"
+"""The variable of Fast DDS for nodes that find each other by a server."""
 _USUAL = "default"
 _YES_OR_NO = {"true": True, "false": False}
 
@@ -76,9 +79,22 @@ class DdsAdapter(RosAdapter):
             has_rosout=arguments.has_rosout,
         )
         async with opened as node:
+            for sentence in self.left_out():
+                node.warn(sentence)
             if (value := _simulated_time(full, arguments)) is not None:
                 node.parameters.set_use_sim_time(value)
             yield node
+
+    def left_out(self) -> list[str]:
+        """Return a sentence for each variable of the environment that is not followed here."""
+        server = os.environ.get(DISCOVERY_SERVER)
+        if not server:
+            return []
+        sentence = (
+            f"{DISCOVERY_SERVER}={excerpt(server)} is not followed: dds:// does not speak to"
+            " discovery servers, so nodes that are found only by one are not found here"
+        )
+        return [sentence]
 
     def origins(self) -> dict[str, str]:
         """Return where the domain, the range and the static peers come from: a setting, a variable

@@ -84,7 +84,7 @@ async def diagnose_domain(
         **({"problems": problems} if action else {}),
     }
     is_found = not problems if action else bool(view.participants)
-    return Diagnosis(is_found, facts, tuple(advice(view, problems)))
+    return Diagnosis(is_found, facts, (*advice(view, problems), *adapter.left_out()))
 
 
 # What was heard
