@@ -139,9 +139,9 @@ PAIRS = {
     "cyclone to ours": (cyclone_to_ours, True),
 }
 """Each with whether one of the two is in another process."""
-MAY_BE_INCOMPLETE = ("ours to cyclone",)
-"""Other servers do not tell how many messages there were: the first loss after a quiet time may be
-the last feedback of a goal, and not be noticed."""
+MOST_INCOMPLETE = {"ours to cyclone": 1}
+"""Other servers do not tell how many messages there were, and are asked for them only so often as
+long as nothing is lost: if the first loss is the last feedback of a goal, it is not noticed."""
 
 
 async def try_pair(pair: str, weather: Weather, count: int, seed: int) -> Findings:

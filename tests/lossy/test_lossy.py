@@ -40,8 +40,10 @@ def test_the_program_fails_for_a_goal_that_is_not_right(
     assert capsys.readouterr().out.endswith(" WRONG\n")
 
 
-def test_only_another_server_may_leave_feedback_incomplete() -> None:
+def test_only_another_server_may_leave_the_feedback_of_one_goal_incomplete() -> None:
     assert program.is_right("ours to cyclone", Findings(incomplete=1))
+    assert not program.is_right("ours to cyclone", Findings(incomplete=2))
+    assert not program.is_right("ours to ours", Findings(incomplete=1))
     assert not program.is_right("ours to cyclone", Findings(disordered=1))
 
 
