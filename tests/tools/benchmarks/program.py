@@ -61,6 +61,13 @@ class Program:
         pages = Path(f"/proc/{self._process.pid}/statm").read_text(encoding="utf-8").split()[1]
         return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
+    @property
+    def cpu_seconds(self) -> float:
+        """The processor time of the process so far."""
+        path = Path(f"/proc/{self._process.pid}/stat")
+        fields = path.read_text(encoding="utf-8").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def _complaint(self) -> str:
         self._stderr.seek(0)
         return self._stderr.read().decode(errors="replace").strip()

@@ -1,36 +1,42 @@
-"""`python -m tests.tools.benchmarks.ros2_rclpy server|client`: stock rclpy, as its users write it.
+"""`python -m tests.tools.benchmarks.ros2_rclpy server|client|once [NAME]`: stock rclpy.
 
-Pending goals are coroutines, which is the cheapest that rclpy has for them.
+It is written as its users write it.
+
+Pending goals are coroutines, which is the cheapest that rclpy has for them. `once` is a whole
+program: one goal, and its result.
 """
 
 from __future__ import annotations
 
 import sys
+import time
 from contextlib import suppress
 from time import perf_counter
 from typing import Any
 
 import rclpy
 from arduinobot_msgs.action import Fibonacci
+from fibaction_test_msgs.action import Echo
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
 from tests.ros2.stock.telling import say, shut_down_at_the_end, told
-from tests.tools.benchmarks.ros2_orders import LONG, PENDING
+from tests.tools.benchmarks.ros2_orders import LARGE, LARGE_PAUSE, LONG, PENDING
 
 NAME = "benchmark_rclpy"
 SUCCEEDED = 4
 
 
 class Server(Node):  # type: ignore[misc]  # rclpy has no types here
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
         super().__init__("benchmark_server")
         self._canceled: dict[bytes, Any] = {}
         self._server = ActionServer(
-            self, Fibonacci, NAME, self.execute, cancel_callback=self.cancel
+            self, Fibonacci, name, self.execute, cancel_callback=self.cancel
         )
+        self._large = ActionServer(self, Echo, f"{name}_large", self.execute_large)
 
     def cancel(self, handle: Any) -> CancelResponse:
         self._canceled[bytes(handle.goal_id.uuid)].set_result(None)
@@ -55,11 +61,19 @@ class Server(Node):  # type: ignore[misc]  # rclpy has no types here
         handle.succeed()
         return Fibonacci.Result(sequence=sequence)
 
+    def execute_large(self, handle: Any) -> Any:
+        feedback = Echo.Feedback(text="x" * LARGE)
+        for _ in range(int(handle.request.text)):
+            time.sleep(LARGE_PAUSE)  # noqa: TID251  # as users of rclpy do it
+            handle.publish_feedback(feedback)
+        handle.succeed()
+        return Echo.Result(text="done")
+
 
 class Client:
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
         self.node = rclpy.create_node("benchmark_client")
-        self._client = ActionClient(self.node, Fibonacci, NAME)
+        self._client = ActionClient(self.node, Fibonacci, name)
         # An executor of its own is faster than rclpy's global one, which adds the node each time.
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
@@ -127,22 +141,30 @@ class Client:
         self._pending.clear()
 
 
-def run_server() -> None:
-    server = Server()
+def run_server(name: str) -> None:
+    server = Server(name)
     shut_down_at_the_end()
     say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(server)
 
 
-def run_client() -> None:
-    client = Client()
+def run_client(name: str) -> None:
+    client = Client(name)
     client.wait_for_server()
     say("ready")
     for order in told():
         say({"answer": getattr(client, order.pop("do"))(**order)})
 
 
+def run_once(name: str) -> None:
+    client = Client(name)
+    client.wait_for_server()
+    client.goals(1)
+    say(time.time())
+
+
 if __name__ == "__main__":
     rclpy.init()
-    {"server": run_server, "client": run_client}[sys.argv[1]]()
+    ways = {"server": run_server, "client": run_client, "once": run_once}
+    ways[sys.argv[1]]((*sys.argv[2:], NAME)[0])

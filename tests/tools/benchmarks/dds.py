@@ -1,0 +1,190 @@
+"""ROS 2 without ROS: fibaction at `dds://` beside stock rclpy, each end in its own process.
+
+It runs with the Python that has ROS 2; no process of fibaction imports rclpy.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+from importlib.util import find_spec
+from statistics import median
+from time import time
+from typing import Any, NamedTuple
+
+import anyio
+
+from tests.tools.benchmarks.program import ROOT
+from tests.tools.benchmarks.ros2_orders import LONG
+
+OURS, STOCK = "fibaction", "rclpy"
+PATIENCE = 120.0
+"""Seconds for an answer."""
+ROUNDS = 5
+AT_ONCE = 500
+MESSAGES = 10_000
+LARGE_MESSAGES = 60
+STARTS = 7
+SETTLING = 3.0
+"""Seconds after which participants have found each other."""
+
+
+class Row(NamedTuple):
+    """A client and a server, by who made them."""
+
+    client: str
+    server: str
+
+    def __str__(self) -> str:
+        return f"{self.client} at {self.server}"
+
+
+ROWS = (Row(OURS, STOCK), Row(STOCK, STOCK), Row(STOCK, OURS), Row(OURS, OURS))
+
+
+async def measure(scale: float) -> dict[str, Any]:
+    if find_spec("rclpy") is None:
+        raise SystemExit("rclpy is not installed: `make ros` makes .venv-ros, which has it")
+    async with peers() as (clients, servers):
+        times = max(10, int(300 * scale))
+        report: dict[str, Any] = {
+            "goals, one after another": await one_after_another(clients, servers, times),
+            f"goals, {AT_ONCE} at once": await at_once(clients, max(1, int(ROUNDS * scale))),
+            "feedback of one goal": await feedback(clients, int(MESSAGES * scale)),
+            "feedback of a megabyte, 30 a second": await large(
+                clients, int(LARGE_MESSAGES * scale)
+            ),
+            "from the start of Python to the first result": await starts(
+                max(3, int(STARTS * scale))
+            ),
+        }
+    return report
+
+
+@asynccontextmanager
+async def peers() -> AsyncGenerator[tuple[dict[Row, Any], dict[str, Any]], None]:
+    """Run all ends, in a ROS domain of their own, as tests do; gives the clients and servers."""
+    from tests.ros2 import conftest  # noqa: F401  # here, because others run without ROS
+    from tests.ros2.stock.process import peer
+
+    modules = {OURS: f"{__package__}.dds_fibaction", STOCK: f"{__package__}.ros2_rclpy"}
+    async with AsyncExitStack() as stack:
+        servers = {
+            server: await stack.enter_async_context(
+                peer(modules[server], "server", name_of(server))
+            )
+            for server in (OURS, STOCK)
+        }
+        clients = {
+            row: await stack.enter_async_context(
+                peer(modules[row.client], "client", name_of(row.server))
+            )
+            for row in ROWS
+        }
+        yield clients, servers
+
+
+def name_of(server: str) -> str:
+    return f"benchmark_dds_{server}"
+
+
+async def one_after_another(
+    clients: dict[Row, Any], servers: dict[str, Any], times: int
+) -> dict[str, float]:
+    """Measure rates, and the processor time of both ends: on a machine with other work, only the
+    latter is what it is on an idle one.
+    """
+    taken: dict[Row, list[float]] = {row: [] for row in ROWS}
+    used: dict[Row, list[tuple[float, float]]] = {row: [] for row in ROWS}
+    for number in range(ROUNDS + 1):
+        for row, client in clients.items():
+            ends = client, servers[row.server]
+            before = [end.cpu_seconds for end in ends]
+            answer = await client.ask("goals", times=times)
+            if number:
+                taken[row].append(sum(answer) if row.client == STOCK else answer)
+                at_client, at_server = (
+                    end.cpu_seconds - cpu for end, cpu in zip(ends, before, strict=True)
+                )
+                used[row].append((at_client, at_server))
+    report: dict[str, float] = {}
+    for row, seconds in taken.items():
+        report[f"{row}, per second"] = round(times / median(seconds))
+        for end, cpu in zip(("client", "server"), zip(*used[row], strict=True), strict=True):
+            report[f"{row}, microseconds of the {end}"] = round(median(cpu) / times * 1e6)
+    stock = taken[Row(STOCK, STOCK)]
+    for row, target in ((Row(OURS, STOCK), 2.0), (Row(STOCK, OURS), 4.0)):
+        ratios = [one / ours for ours, one in zip(taken[row], stock, strict=True)]
+        report[f"{row}, to stock at both ends"] = round(median(ratios), 2)
+        report[f"{row}, to stock at both ends: aim"] = target
+    report[f"{Row(OURS, OURS)}, per second: aim"] = 1_200
+    return report
+
+
+async def at_once(clients: dict[Row, Any], rounds: int) -> dict[str, float]:
+    report: dict[str, float] = {f"{Row(OURS, OURS)}, per second: aim": 3_000}
+    for row in (Row(OURS, OURS), Row(OURS, STOCK)):
+        seconds = [await clients[row].ask("batch", times=AT_ONCE) for _ in range(rounds)]
+        report[f"{row}, per second"] = round(AT_ONCE / median(seconds))
+    return report
+
+
+async def feedback(clients: dict[Row, Any], messages: int) -> dict[str, float]:
+    report: dict[str, float] = {"messages": messages, "aim per second, with none lost": 10_000}
+    for row in (Row(OURS, OURS), Row(OURS, STOCK), Row(STOCK, STOCK)):
+        more: dict[str, int] = {"order": LONG + messages, "times": 1}
+        if row.client == OURS:
+            more = {"times": messages}
+        found = [await clients[row].ask("feedback", **more) for _ in range(ROUNDS)]
+        report[f"{row}, per second"] = round(median(arrived / taken for arrived, taken in found))
+        report[f"{row}, share that arrived"] = round(
+            sum(arrived for arrived, _ in found) / (messages * ROUNDS), 4
+        )
+    return report
+
+
+async def large(clients: dict[Row, Any], messages: int) -> dict[str, float]:
+    report: dict[str, float] = {"messages": messages, "aim of a core": 0.15}
+    for row in (Row(OURS, OURS), Row(OURS, STOCK)):
+        arrived, seconds, used = await clients[row].ask("large", times=messages)
+        report[f"{row}, arrived"] = arrived
+        report[f"{row}, per second"] = round(arrived / seconds, 1)
+        report[f"{row}, client's share of a core"] = round(used / seconds, 3)
+    return report
+
+
+async def starts(times: int) -> dict[str, float]:
+    """Measure whole programs that send one goal to the server of rclpy."""
+    ways = {OURS: "dds_fibaction", STOCK: "ros2_rclpy"}
+    found: dict[str, list[tuple[float, float, float]]] = {one: [] for one in ways}
+    await anyio.sleep(SETTLING)
+    for _ in range(times):
+        for one, module in ways.items():
+            found[one].append(await anyio.to_thread.run_sync(_start, module))
+    report: dict[str, float] = {"aim in seconds": 0.35, "aim in megabytes": 35}
+    for one, pairs in found.items():
+        seconds, used, size = map(median, zip(*pairs, strict=True))
+        report[f"{one}, seconds"] = round(seconds, 2)
+        report[f"{one}, seconds of the processor"] = round(used, 2)
+        report[f"{one}, megabytes"] = round(size, 1)
+    return report
+
+
+def _start(module: str) -> tuple[float, float, float]:
+    """Return the seconds to the first result, those of the processor in all, and the largest memory
+    in megabytes.
+    """
+    command = [sys.executable, "-m", f"{__package__}.{module}", "once", name_of(STOCK)]
+    begun = time()
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    with process.stdout as out:
+        answered = float(out.readline())
+        out.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    used = usage.ru_utime + usage.ru_stime
+    return answered - begun, used, usage.ru_maxrss * 1024 / 1e6
