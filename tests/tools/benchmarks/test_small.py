@@ -38,6 +38,11 @@ SMALL: Mapping[str, tuple[list[str], Mapping[str, object], list[str]]] = {
         {"TURNS": 1, "CONNECTIONS": 2, "TRIPS": ((1, 20), (64, 640))},
         ["a connection with TLS", " 1 at once: anyio, TLS", "64 at once: asyncio, TLS"],
     ),
+    "many_participants": (
+        ["4", "--processes", "2"],
+        {"IDLE": 0.1},
+        ["4 participants in 2 processes are ready", "each has run a goal", "idle "],
+    ),
     "parts": (["--rounds", "1"], {"GOALS": 20, "FEEDBACK": 20}, ["times as fast"]),
     "schedules": (
         ["--rounds", "1"],
