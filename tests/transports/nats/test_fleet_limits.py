@@ -752,7 +752,7 @@ async def test_no_key_has_too_many_goals_and_each_worker_has_its_turn(seed: int)
                         await sleep(chance.choice([0.5, LEASE / 2, 2 * LEASE]))
                         one.broker.is_away = False
                 with fail_after(60):  # several answers in a row may be lost, each for two seconds
-                    while one.limits.turns:
+                    while one.limits.turns:  # noqa: ASYNC110  # nothing tells of their end
                         await sleep(0.1)
 
         with fail_after(600):
