@@ -28,7 +28,8 @@ SIMPLE = {"string": "string", "number": "number", "boolean": "boolean", "null": 
 HEADER = """\
 // The types of actions, by `fibaction gen --ts`. For example:
 //
-//     const goal = await connection.sendGoal<Actions[{name}]>({name}, {{ ... }});
+//     const connection = new Connection<Actions>("ws://127.0.0.1:8080");
+//     const goal = await connection.sendGoal({name}, {{ ... }});
 """
 
 

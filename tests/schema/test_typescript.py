@@ -44,9 +44,9 @@ def test_an_action_is_an_interface_that_its_name_finds() -> None:
         ),
         "Actions": 'export interface Actions { "fibonacci": FibonacciAction; }',
     }
-    assert 'sendGoal<Actions["fibonacci"]>("fibonacci", { ... })' in typescript_source(
-        [FIBONACCI.info]
-    )
+    source = typescript_source([FIBONACCI.info])
+    assert 'connection = new Connection<Actions>("ws://127.0.0.1:8080");' in source
+    assert 'await connection.sendGoal("fibonacci", { ... });' in source
 
 
 class Color(enum.Enum):

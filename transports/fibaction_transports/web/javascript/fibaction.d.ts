@@ -23,6 +23,10 @@ export interface AnyAction {
   result: any;
 }
 
+/** The type that a program has named, or that of the action of a name. */
+type TypesOf<Actions, Name extends keyof Actions, Named> =
+  { named: Named; found: Actions[Name] }[[Named] extends [never] ? "found" : "named"];
+
 /** A class of WebSocket, for a program whose platform has none. */
 export type WebSocketClass = new (url: string, protocol: string) => any;
 
@@ -137,8 +141,15 @@ export interface Goal<Action extends ActionTypes = AnyAction> {
   leave(): void;
 }
 
-/** A connection to a server, which is opened again whenever it is lost, and goes on with its goals. */
-export class Connection {
+/**
+ * A connection to a server, which is opened again whenever it is lost, and goes on with its goals.
+ *
+ * `Actions` has the types of each action by its name, as `fibaction gen --ts` writes it. With
+ * `new Connection<Actions>(url)`, an editor completes the names, and each name has its types.
+ */
+export class Connection<
+  Actions extends { [Name in keyof Actions]: ActionTypes } = Record<string, AnyAction>,
+> {
   /** Connect to `ws://`, `wss://`, `http://` or `https://`, or to a URL relative to the page's. */
   constructor(url: string | URL, options?: ConnectionOptions);
   readonly url: string;
@@ -148,21 +159,36 @@ export class Connection {
   readonly ready: Promise<void>;
   /** The actions that the server has now. */
   actions(): Promise<ActionInfo[]>;
-  /** Send a goal. Rejects with `GoalRejected`. */
-  sendGoal<Action extends ActionTypes = AnyAction>(
-    action: string, goal: Action["goal"], options?: SendOptions): Promise<Goal<Action>>;
+  /**
+   * Send a goal. Rejects with `GoalRejected`. Its types are those of the name in `Actions`, or
+   * those that you name: `sendGoal<Fibonacci>(...)`.
+   */
+  sendGoal<
+    Named extends ActionTypes = never,
+    Name extends keyof Actions & string = keyof Actions & string,
+  >(
+    action: Name, goal: TypesOf<Actions, Name, Named>["goal"], options?: SendOptions,
+  ): Promise<Goal<TypesOf<Actions, Name, Named>>>;
   /** Follow a goal that was sent before, by any client. */
-  attach<Action extends ActionTypes = AnyAction>(
-    action: string, id: string, options?: AttachOptions): Promise<Goal<Action>>;
+  attach<
+    Named extends ActionTypes = never,
+    Name extends keyof Actions & string = keyof Actions & string,
+  >(
+    action: Name, id: string, options?: AttachOptions,
+  ): Promise<Goal<TypesOf<Actions, Name, Named>>>;
   /** Cancel one goal, those accepted until a stamp, or all. Rejects with `CancelRefused`. */
-  cancel(action: string, goals?: { id?: string; before?: bigint | null }): Promise<CanceledGoal[]>;
+  cancel(
+    action: keyof Actions & string, goals?: { id?: string; before?: bigint | null },
+  ): Promise<CanceledGoal[]>;
   /**
    * Call back with every goal of an action and each change, again after each reconnection and each
    * restart of its server; the function that it returns stops that. A goal that the server has
    * forgotten comes as UNKNOWN.
    */
-  watch(action: string, callback: (goal: GoalInfo) => void, onerror?: (error: Error) => void):
-    () => void;
+  watch(
+    action: keyof Actions & string, callback: (goal: GoalInfo) => void,
+    onerror?: (error: Error) => void,
+  ): () => void;
   /** Send another request of the protocol: its tag, and its fields behind the ID. */
   request(tag: number, ...fields: unknown[]): Promise<any[]>;
   close(): void;
