@@ -31,6 +31,7 @@ MEDIA_TYPES = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
     ".svg": "image/svg+xml",
     ".ts": "text/plain; charset=utf-8",
 }
@@ -38,7 +39,8 @@ MEDIA_TYPES = {
 ASSET_METHODS = ("GET", "HEAD")
 PAGE = "/"
 API_PAGE = "/docs"
-CLIENT = ("fibaction.js", "fibaction.d.ts")
+CLIENT = ("fibaction.js", "fibaction.d.ts", "package.json")
+"""The package for JavaScript, as its names are at the server."""
 
 
 @dataclass(frozen=True)
