@@ -6,11 +6,13 @@
         print(client.call(3, on_feedback=print))
 
 A connection has an event loop of its own, in a thread that ends with the block. Ctrl-C cancels the
-goals of the block. `call` sends one goal, and `serve` serves functions.
+goals of the block. `call` sends one goal, `track` shows the progress of one, and `serve` serves
+functions.
 """
 
 from fibaction.blocking._blocking_client import BlockingClient, BlockingConnection
 from fibaction.blocking._blocking_goal import BlockingFeedback, BlockingGoal
+from fibaction.blocking._blocking_track import track
 from fibaction.blocking._open_block import call, connect
 from fibaction.blocking._serving_block import BlockingServing, serve
 
@@ -23,4 +25,5 @@ __all__ = [
     "call",
     "connect",
     "serve",
+    "track",
 ]

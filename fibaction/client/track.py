@@ -1,10 +1,14 @@
-"""`track`: the progress of a goal on one line at its client, until the result is there."""
+"""`track`: the progress of a goal on one line at its client, until the result is there.
+
+What the line shows is decided in `ProgressLine`, which the `track` of `fibaction.blocking` has too.
+"""
 
 from __future__ import annotations
 
 import sys
 from importlib import import_module
-from typing import Any, Protocol, TextIO, TypeVar
+from types import TracebackType
+from typing import Any, Protocol, Self, TextIO, TypeVar
 
 from fibaction._runtime.text import printable
 from fibaction.client.feedback_reader import FeedbackReader
@@ -34,6 +38,9 @@ class _Bar(Protocol):
     def show(self, progress: Progress | None, number: int) -> None:
         """Show the progress; None for feedback of this number that does not tell any."""
 
+    def fill(self) -> None:
+        """Show that all is done."""
+
     def close(self) -> None:
         """Leave the line as it is."""
 
@@ -51,17 +58,45 @@ async def track(goal: _Tracked[ResultT], text: str = "", *, file: TextIO | None 
     that is not a `Progress`, and has no fields for it, is counted. `text` stands in front of the
     bar, unless the feedback has a text of its own. The line goes to `file`, by default to stderr.
 
+    If the goal succeeds, the bar ends full. Otherwise it stays where it is.
+
     Raises:
         GoalAborted, GoalCanceled, GoalTimeout, UnknownGoal: As for `ClientGoal.result`.
         TransportError, ProtocolError: As for `ClientGoal.result`.
     """
-    meter, bar = ProgressMeter(), _bar(text, sys.stderr if file is None else file)
-    try:
+    with ProgressLine(text, file) as line:
         async for feedback in goal.feedback:
-            bar.show(meter.read(feedback), goal.feedback.number)
-    finally:
-        bar.close()
-    return await goal.result()
+            line.show(feedback, goal.feedback.number)
+        result = await goal.result()
+        line.fill()
+    return result
+
+
+class ProgressLine:
+    """The progress of one goal on a line, until the end of the block."""
+
+    def __init__(self, text: str, file: TextIO | None) -> None:
+        self._meter = ProgressMeter()
+        self._bar = _bar(text, sys.stderr if file is None else file)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._bar.close()
+
+    def show(self, feedback: object, number: int) -> None:
+        """Show the progress that a feedback tells, or else its number."""
+        self._bar.show(self._meter.read(feedback), number)
+
+    def fill(self) -> None:
+        """Show that the goal has succeeded."""
+        self._bar.fill()
 
 
 def _bar(text: str, file: TextIO) -> _Bar:
@@ -89,6 +124,12 @@ class _TqdmBar:
         bar.set_description_str(text, refresh=False)
         bar.refresh()
 
+    def fill(self) -> None:
+        bar = self._bar
+        if bar.total is not None:
+            bar.n = bar.total
+            bar.refresh()
+
     def close(self) -> None:
         self._bar.close()
 
@@ -110,6 +151,11 @@ class _RichBar:
             self._task, completed=progress.done, total=progress.total, description=text
         )
 
+    def fill(self) -> None:
+        (task,) = self._progress.tasks
+        total = task.completed or 1 if task.total is None else task.total
+        self._progress.update(self._task, completed=total, total=total)
+
     def close(self) -> None:
         self._progress.stop()
 
@@ -121,8 +167,10 @@ class _TextLines:
         self._text = text
         self._file = file
         self._line = ""
+        self._latest: Progress | None = None
 
     def show(self, progress: Progress | None, number: int) -> None:
+        self._latest = progress
         if progress is None:
             line = f"{self._text} feedback {number}"
         else:
@@ -131,6 +179,11 @@ class _TextLines:
         if line != self._line:
             self._line = line
             print(line.strip(), file=self._file, flush=True)
+
+    def fill(self) -> None:
+        latest = self._latest
+        if latest is not None and latest.fraction is not None:
+            self.show(Progress(1, 1, latest.text), 0)
 
     def close(self) -> None:
         """Do nothing: each line is whole."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import signal
 import socket
@@ -29,6 +30,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     GoalTimeout,
+    Progress,
     Report,
     Retry,
     ServerNotFound,
@@ -36,7 +38,7 @@ from fibaction import (
     action,
     serve,
 )
-from fibaction.blocking import BlockingClient, BlockingConnection, call, connect
+from fibaction.blocking import BlockingClient, BlockingConnection, call, connect, track
 from fibaction.blocking import serve as blocking_serve
 from fibaction.blocking._interrupts import Interrupts
 from fibaction.blocking._loop_thread import LoopThread
@@ -547,3 +549,27 @@ def test_a_server_that_cannot_begin_leaves_no_thread() -> None:
 async def test_a_server_does_not_block_an_event_loop() -> None:
     with pytest.raises(RuntimeError, match="would block the event loop"):
         blocking_serve(press, "tcp://127.0.0.1:0").forever()
+
+
+@action("copy")
+def copy(files: int, report: Report[Progress]) -> str:
+    report(Progress(2, 3))
+    if files == 0:
+        raise GoalAborted("the disk is full")
+    return f"{files} files"
+
+
+def test_track_has_the_bar_of_fibaction_and_returns_the_result(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in ("tqdm.auto", "rich.console"):
+        monkeypatch.setitem(sys.modules, module, None)
+    with blocking_serve(copy, "tcp://127.0.0.1:0") as (url,), connect(url, copy) as client:
+        written = io.StringIO()
+        with client.send_goal(3) as goal:
+            assert track(goal, "copying", file=written) == "3 files"
+        assert written.getvalue() == "copying 60 %\ncopying 100 %\n"
+        written = io.StringIO()
+        with client.send_goal(0) as goal, pytest.raises(GoalAborted, match="the disk is full"):
+            track(goal, "copying", file=written)
+        assert written.getvalue() == "copying 60 %\n"

@@ -72,6 +72,52 @@ async def test_rich_draws_a_bar_if_tqdm_is_not_installed(monkeypatch: pytest.Mon
     assert "numbers" in await tracked(counting(), 3, "numbers")
 
 
+async def half_a_copy(goal: GoalHandle[int]) -> Items:
+    """Tell two of three files, and then fail or succeed."""
+    yield Progress(2, 3, "file [2]")
+    if goal.request == 0:
+        raise GoalAborted("the disk is full")
+    yield f"{goal.request} files"
+
+
+async def failed() -> str:
+    """Track a goal that fails, and return what was written."""
+    written = io.StringIO()
+    async with (
+        ActionServer(COPY, half_a_copy) as server,
+        ActionClient(server, COPY).send_goal(0) as sent,
+    ):
+        with pytest.raises(GoalAborted, match="the disk is full"):
+            await track(sent, file=written)
+    return written.getvalue()
+
+
+async def test_the_bar_of_tqdm_ends_full_only_if_the_goal_succeeds() -> None:
+    def last(written: str) -> str:
+        return written.rstrip().rsplit("\r", 1)[-1]
+
+    assert " 3/3 [" in last(await tracked(ActionServer(COPY, half_a_copy)))
+    assert " 2/3 [" in last(await failed())
+
+
+async def test_the_bar_of_rich_ends_full_only_if_the_goal_succeeds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    without(monkeypatch, "tqdm.auto")
+    assert "100%" in await tracked(ActionServer(COPY, half_a_copy))
+    assert " 67%" in await failed()
+    for feedback in (0, 2):  # without a total, and without any feedback
+        assert "100%" in await tracked(counting(), feedback)
+
+
+async def test_the_lines_of_text_end_with_all_only_if_the_goal_succeeds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    without(monkeypatch, "tqdm.auto", "rich.console")
+    assert await tracked(ActionServer(COPY, half_a_copy)) == "file [2] 60 %\nfile [2] 100 %\n"
+    assert await failed() == "file [2] 60 %\n"
+
+
 async def test_lines_of_text_tell_the_progress_without_both(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
