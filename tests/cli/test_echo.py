@@ -79,6 +79,18 @@ def test_ctrl_c_in_a_terminal_ends_echo(terminal: Open, here: Run, tcp: str) -> 
     assert shown.ends() == 0
 
 
+def test_in_a_terminal_feedback_that_tells_the_progress_has_a_bar(
+    terminal: Open, here: Run, tcp: str
+) -> None:
+    shown = terminal("echo", "wait", url=tcp)
+    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
+    shown.until(rf"^Goal {goal_id}: feedback \d+  [━╸─]{{20}} +\d+%\n    progress: 0")
+    here("cancel", goal_id, url=tcp)
+    shown.press("\x03")
+
+    assert shown.ends() == 0
+
+
 def test_a_closed_output_ends_echo(started: Start, here: Run, tcp: str) -> None:
     process = started("echo", "wait", url=tcp)
     goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
@@ -158,6 +170,29 @@ def test_nothing_is_printed_twice_and_an_action_that_was_away_comes_back(
     printer.on_action_found(ActionInfo("one"), client)
 
     assert capsys.readouterr().err == "/one is away: stopped\\x1b\n/one is back\n"
+
+
+def test_echo_in_a_terminal_has_a_bar_where_feedback_tells_the_progress(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(echo_module, "on_terminal", lambda: True)
+    monkeypatch.setattr(echo_module, "REMEMBERED", 2)
+    said, printer = Heard(), EchoPrinter(False, full=False)
+    with said.on_stdout():
+        for number, feedback in ((1, {"progress": 50.0}), (2, {"progress": 1.0}), (3, {"n": 1})):
+            printer.on_event("one", GoalFeedback(ID, number, feedback))
+        for byte in (2, 3):
+            other = GoalID(bytes([byte] * 16))
+            printer.on_event("one", GoalFeedback(other, 1, {"progress": 1.0}))
+        printer.on_event("one", GoalFeedback(ID, 4, {"progress": 1.0}))
+        EchoPrinter(False, full=True).on_event("one", GoalFeedback(ID, 5, {"progress": 1.0}))
+
+    heads = [one.split(": ", 1)[1].splitlines()[0] for one in said]
+    assert [head.split()[1] for head in heads] == ["1", "2", "3", "1", "1", "4", "5"]
+    told = [head.split()[-1] for head in heads]
+    assert told[:3] == ["50%", "1%", "3"], "each goal has a meter: 1 is one of 100 here"
+    assert told[3:] == ["100%", "100%", "100%", "5"], "and the oldest was forgotten"
+    assert "    progress: 50.0\n" in said[0]
 
 
 def test_echo_cuts_what_is_long_unless_all_is_wanted() -> None:

@@ -1,5 +1,5 @@
-"""The feedback of a goal on one line of a terminal, with a bar if the feedback has a number for the
-progress of the goal.
+"""Feedback in a terminal, with a bar if it has a number for the progress of its goal: on one live
+line, or as lines.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from rich.text import Text
 
 from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.cli.output.escape import clean
+from fibaction.cli.output.lines import console
 from fibaction.words.progress import Progress, ProgressMeter
 
 BAR_SHARE = 4
@@ -106,6 +107,23 @@ def text_beside_bar(feedback: dict[Any, Any], progress: Progress, fields: Sequen
         counts = ""
     rest = on_one_line({name: feedback[name] for name in feedback if name not in fields})
     return "  ".join(filter(None, (counts, rest)))
+
+
+def say_with_bar(head: str, fraction: float, text: str) -> None:
+    """Print a head with a bar next to it, and lines of text below, to stdout, at once."""
+    screen = console()
+    bar = percent_bar(fraction, screen.width // BAR_SHARE)
+    screen.print(Text.assemble(head, "  ", bar, f"\n{text}\n"), soft_wrap=True)
+
+
+def percent_bar(fraction: float, width: int) -> Text:
+    """Return a bar of a width and its percent; without a width, the percent only."""
+    halves = round(fraction * width * 2)
+    full = "━" * (halves // 2) + "╸" * (halves % 2)
+    rest = "─" * (width - len(full))
+    return Text.assemble(
+        (full, "green"), (rest, "bright_black"), f"{fraction:5.0%}" if width else f"{fraction:4.0%}"
+    )
 
 
 def on_one_line(feedback: Any) -> str:

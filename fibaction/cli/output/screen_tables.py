@@ -12,7 +12,7 @@ from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.family import Family
 from fibaction.cli.output.goal_details import GoalDetails
 from fibaction.cli.output.goal_table import FAMILY, STYLES, GoalRow, unambiguous
-from fibaction.cli.output.progress import on_one_line, text_beside_bar
+from fibaction.cli.output.progress import on_one_line, percent_bar, text_beside_bar
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import message_of
 from fibaction.observe.monitor import ActionSnapshot, GoalKey, GoalSnapshot
@@ -113,7 +113,7 @@ class GoalTable:
                 "ACTION": Text(excerpt(shown(row.action))),
                 "STATUS": Text(row.status, STYLES.get(row.info.status, "")),
                 FAMILY: Text(family.text(row.info, digits)),
-                "DONE": _bar(fraction, bar),
+                "DONE": Text("") if fraction is None else percent_bar(fraction, bar),
                 "AGE": _right(row.age(now)),
                 "FEEDBACK": _right(row.feedback),
                 "/S": _right(f"{goal.feedback_rate:.1f}" if is_active else ""),
@@ -134,17 +134,6 @@ class GoalTable:
         end = self._details.end(goal.key).line
         latest = goal.latest.line if goal.latest else ""
         return Text(end or latest, no_wrap=True, overflow="ellipsis")
-
-
-def _bar(fraction: float | None, width: int) -> Text:
-    if fraction is None:
-        return Text("")
-    halves = round(fraction * width * 2)
-    full = "━" * (halves // 2) + "╸" * (halves % 2)
-    rest = "─" * (width - len(full))
-    return Text.assemble(
-        (full, "green"), (rest, "bright_black"), f"{fraction:5.0%}" if width else f"{fraction:4.0%}"
-    )
 
 
 def _right(text: str) -> Text:

@@ -16,7 +16,7 @@ from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow
-from fibaction.cli.output.lines import note, say, say_json
+from fibaction.cli.output.lines import note, on_terminal, say, say_json
 from fibaction.cli.output.render import INDENT
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode, message_of, run
@@ -26,6 +26,7 @@ from fibaction.client.events import GoalFeedback
 from fibaction.observe.monitor import ActionListener, AnyClient, follow_action, follow_actions
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.progress import ProgressMeter
 from fibaction.words.statuses import GoalStatus
 
 REMEMBERED = 10_000
@@ -123,11 +124,16 @@ class EventPrinter(ActionListener):
 
 
 class EchoPrinter(EventPrinter):
-    """Prints statuses and feedback."""
+    """Prints statuses and feedback.
+
+    On a terminal, feedback that tells the progress of its goal has a bar, unless all is wanted.
+    """
 
     def __init__(self, as_json: bool, *, full: bool) -> None:
         super().__init__(as_json)
         self._full = full
+        self._has_bars = not as_json and not full and on_terminal()
+        self._meters: dict[GoalID, ProgressMeter] = {}
 
     def print_status(self, row: GoalRow) -> None:
         if self._as_json:
@@ -141,9 +147,24 @@ class EchoPrinter(EventPrinter):
             say_json(
                 {"event": "feedback", "goal_id": goal_id, "number": number, "feedback": feedback}
             )
-        else:
-            text = as_yaml(feedback, full=self._full, indent=INDENT)
-            say(f"Goal {goal_id}: feedback {number}\n{text}\n")
+            return
+        head = f"Goal {goal_id}: feedback {number}"
+        text = as_yaml(feedback, full=self._full, indent=INDENT)
+        progress = self._meter(event.goal_id).read(feedback) if self._has_bars else None
+        if progress is None or progress.fraction is None:
+            say(f"{head}\n{text}\n")
+            return
+        from fibaction.cli.output.progress import say_with_bar
+
+        say_with_bar(head, progress.fraction, text)
+
+    def _meter(self, goal_id: GoalID) -> ProgressMeter:
+        """Return the reader of a goal's progress; that of the goal longest silent is forgotten."""
+        meter = self._meters.pop(goal_id, None) or ProgressMeter()
+        self._meters[goal_id] = meter
+        if len(self._meters) > REMEMBERED:
+            del self._meters[next(iter(self._meters))]
+        return meter
 
 
 def _word(status: GoalStatus) -> str:
