@@ -11,8 +11,10 @@ import pytest
 from openapi_spec_validator import validate
 
 from fibaction import Action
+from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import ActionInfo
 from fibaction_transports.web.rest.openapi import describe
+from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE
 from tests.support.fibonacci import FIBONACCI
 from tests.support.nested_actions import COUNT, FETCH
 
@@ -194,3 +196,23 @@ def test_a_schema_that_is_too_deep_is_left_out() -> None:
         deep = {"items": deep}
     made = described(ActionInfo("deep", "", deep, {}, {}))
     assert made["components"]["schemas"]["deep.goal"] == {}
+
+
+def example(schema: dict[str, Any]) -> Any:
+    made = described(ActionInfo("move", "", schema, {}, {}))
+    body = made["paths"]["/actions/move/goals"]["post"]["requestBody"]
+    return body["content"]["application/json"].get("example")
+
+
+def test_the_example_of_a_goal_is_one_that_the_server_accepts() -> None:
+    schema = ARM.info.goal
+    assert ARM.goal.decode(JsonCodec(schema).encode(example(schema))) == Arm("")
+
+
+def test_a_goal_has_no_example_if_it_would_be_large_or_cannot_be_made() -> None:
+    large = {"default": "x" * (LARGEST_EXAMPLE // 3)}
+    fields = {name: {"$ref": "#/$defs/Large"} for name in "abcd"}
+    assert example({"properties": fields, "$defs": {"Large": large}}) is None
+    assert example({"default": [[0]] * LARGEST_EXAMPLE}) is None
+    assert example({"type": "array", "minItems": 10_000}) is None
+    assert example({"properties": {"a": {"default": {"b": [1, None]}}}}) == {"a": {"b": [1, None]}}

@@ -1,6 +1,7 @@
 /** One operation of the interface: its parameters, its answers, and the way to send it. */
 import { announce, h } from "../console/dom.js";
-import { sample, schemaText, target } from "./schema.js";
+import { defaultOf, resolverOf } from "../console/schema.js";
+import { schemaText, target } from "./schema.js";
 
 const MOST_SHOWN = 100_000; // characters of an answer
 
@@ -25,7 +26,7 @@ function parts(operation, description, access) {
   const given = (operation.parameters ?? []).map((one) => target(one, description));
   const fields = given.map((one, number) => field(one, operation, number, description));
   const media = target(operation.requestBody, description).content?.["application/json"];
-  const body = media && bodyField(operation, media.schema, description);
+  const body = media && bodyField(operation, media, description);
   const made = [];
   if (operation.description) made.push(h("p", {}, operation.description));
   if (fields.length) made.push(h("h3", {}, "Parameters"), ...fields.map((one) => one.view));
@@ -46,10 +47,11 @@ function field(parameter, operation, number, description) {
   return { parameter, input, view };
 }
 
-function bodyField(operation, schema, description) {
+function bodyField(operation, { schema, example }, description) {
   const label = `Body of ${operation.method.toUpperCase()} ${operation.path}`;
   const view = h("textarea", { "aria-label": label, spellcheck: "false" });
-  view.value = JSON.stringify(sample(schema, description), null, 2);
+  const start = example ?? defaultOf(schema, resolverOf(description));
+  view.value = JSON.stringify(start, null, 2);
   return { view };
 }
 

@@ -1,16 +1,13 @@
-/** JSON Schemas of a description as text that people read, and as values to begin with. */
+/** JSON Schemas of a description as text that people read. */
+
+import { resolverOf } from "../console/schema.js";
 
 const DEEPEST = 8;
 const LARGEST = 2 ** 53; // beyond it are the limits of all integers, which JavaScript rounds
 
 /** Return the schema that a reference names; an empty one if there is none. */
 export function target(schema, description) {
-  for (let hops = 0; hops < DEEPEST && typeof schema?.$ref === "string"; hops += 1) {
-    const parts = schema.$ref.replace(/^#\//, "").split("/");
-    const names = parts.map((part) => decoded(part).replaceAll("~1", "/").replaceAll("~0", "~"));
-    schema = names.reduce((found, name) => found?.[name], description);
-  }
-  return isObject(schema) && schema.$ref === undefined ? schema : {};
+  return resolverOf(description)(schema);
 }
 
 /** Return a schema in short form, with a field on each line. */
@@ -57,40 +54,6 @@ function limits(schema) {
   return found.map(([name, sign]) => ` ${sign} ${schema[name]}`).join("");
 }
 
-/** Return a value that fits a schema, as far as that is easy: defaults, and empty values. */
-export function sample(schema, description, depth = 0) {
-  const found = target(schema, description);
-  const inner = (part) => sample(part, description, depth + 1);
-  for (const value of [found.default, found.const, found.examples?.[0], found.enum?.[0]]) {
-    if (value !== undefined) return value;
-  }
-  if (schema?.default !== undefined) return schema.default;
-  if (depth > DEEPEST) return null;
-  const either = found.anyOf ?? found.oneOf;
-  if (Array.isArray(either)) {
-    return inner(either.find((part) => target(part, description).type !== "null") ?? {});
-  }
-  if (Array.isArray(found.allOf)) return Object.assign({}, ...found.allOf.map(inner));
-  if (isObject(found.properties)) {
-    return Object.fromEntries(
-      Object.entries(found.properties).map(([name, part]) => [name, inner(part)]),
-    );
-  }
-  const type = [found.type].flat().find((one) => one !== "null");
-  const least = found.minimum ?? (found.exclusiveMinimum === undefined ? 0 : found.exclusiveMinimum + 1);
-  const first = Math.abs(least) > LARGEST ? 0 : least; // that of all integers, which is no beginning
-  const simple = { integer: first, number: first, string: "", boolean: false, array: [], object: {} };
-  return simple[type] ?? null;
-}
-
-export function isObject(value) {
+function isObject(value) {
   return typeof value === "object" && value !== null && !Array.isArray(value);
-}
-
-function decoded(text) {
-  try {
-    return decodeURIComponent(text);
-  } catch {
-    return text;
-  }
 }

@@ -6,22 +6,43 @@ const COUNTS = ["done", "completed", "current", "progress"]; // next to "total"
 const MOST_LEVELS = 8;
 const MOST_SERIES = 24;
 const MOST_INDEXED = 6;
+const MOST_FILLED = 500;
+const SAMPLES = {
+  "date-time": "2026-01-31T12:00:00Z",
+  date: "2026-01-31",
+  time: "12:00:00",
+  duration: "PT1S",
+  uuid: "00000000-0000-0000-0000-000000000000",
+};
 
 /** Return a function that follows `$ref`s of a schema to the schemas that they mean. */
 export function resolverOf(root) {
   return function resolve(schema) {
-    let found = schema ?? {};
-    for (let level = 0; found.$ref && level < MOST_LEVELS; level += 1) {
+    let found = objectOf(schema);
+    for (let level = 0; typeof found.$ref === "string" && level < MOST_LEVELS; level += 1) {
       const { $ref, ...beside } = found;
       const path = $ref.replace(/^#\/?/, "").split("/").filter(Boolean);
-      found = { ...path.reduce((part, name) => part?.[unescape(name)], root), ...beside };
+      found = { ...objectOf(path.reduce((part, name) => part?.[unescape(name)], root)), ...beside };
     }
     return found;
   };
 }
 
+/** Return a schema as an object: `true` is one that allows any value. */
+function objectOf(schema) {
+  return typeof schema === "object" && schema !== null ? schema : {};
+}
+
 function unescape(name) {
-  return decodeURIComponent(name).replaceAll("~1", "/").replaceAll("~0", "~");
+  return decoded(name).replaceAll("~1", "/").replaceAll("~0", "~");
+}
+
+function decoded(name) {
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name;
+  }
 }
 
 /**
@@ -59,31 +80,65 @@ export function kindOf(schema, resolve) {
   return { kind: simple.includes(schema.type) ? schema.type : "json" };
 }
 
-/** Return the value that a form begins with. */
+/**
+ * Return the value that a form begins with: defaults, and else empty values that the schema allows.
+ * The rule is that of the template of the command line, but for a value that may be null, which is.
+ */
 export function defaultOf(given, resolve, level = 0) {
   const schema = resolve(given);
   if ("default" in schema) {
     return filled(schema.default, schema, resolve, level);
   }
-  const { kind, choices } = kindOf(schema, resolve);
-  if (kind === "variants" && level < MOST_LEVELS) {
-    return defaultOf(choices[0], resolve, level + 1);
+  const { kind } = kindOf(schema, resolve);
+  if (kind === "const" || kind === "choice") {
+    return kind === "const" ? fixedOf(schema) : schema.enum[0];
   }
-  const least = schema.minimum ?? (schema.exclusiveMinimum ?? -1) + 1;
-  const simple = {
-    const: fixedOf(schema),
-    choice: schema.enum?.[0],
-    array: [],
-    boolean: false,
-    integer: Math.max(least, 0),
-    number: Math.max(least, 0),
-    string: "",
-    bytes: "",
+  if (kind === "nullable" || level >= MOST_LEVELS) {
+    return null;
+  }
+  const choices = schema.anyOf ?? schema.oneOf;
+  if (choices) {
+    return defaultOf(choices.find((one) => resolve(one).type !== "null") ?? choices[0], resolve, level + 1);
+  }
+  const type = Array.isArray(schema.type) ? schema.type[0] : schema.type;
+  const makers = {
+    array: () => itemsOf(schema, resolve, level),
+    boolean: () => false,
+    integer: () => numberOf(schema, true),
+    number: () => numberOf(schema, false),
+    object: () => filled({}, schema, resolve, level),
+    string: () => SAMPLES[schema.format] ?? (kind === "bytes" ? "A" : "x").repeat(lengthOf(schema.minLength)),
   };
-  if (kind !== "object" || level >= MOST_LEVELS) {
-    return kind in simple ? simple[kind] : null;
+  return makers[type ?? (schema.properties ? "object" : "")]?.() ?? null;
+}
+
+/** Return as many items as a list needs. */
+function itemsOf(schema, resolve, level) {
+  const parts = [...(schema.prefixItems ?? [])];
+  while (parts.length < lengthOf(schema.minItems)) {
+    parts.push(schema.items ?? {});
   }
-  return filled({}, schema, resolve, level);
+  return parts.map((part) => defaultOf(part, resolve, level + 1));
+}
+
+/** Return zero, or the number within the limits of a schema that is next to it or easy to read. */
+function numberOf({ minimum, maximum, exclusiveMinimum: above, exclusiveMaximum: below }, isInteger) {
+  if (minimum > 0) {
+    return minimum;
+  }
+  if (above >= 0) {
+    const [least, end] = [Number(above), Number(maximum ?? below ?? Infinity)];
+    return isInteger || least + 1 < end ? least + 1 : (least + end) / 2;
+  }
+  if (maximum < 0) {
+    return maximum;
+  }
+  return below <= 0 ? Number(below) - 1 : 0;
+}
+
+/** Return the least length that a schema asks for, as far as a form goes. */
+function lengthOf(least) {
+  return Math.min(Math.ceil(Number(least ?? 0)), MOST_FILLED);
 }
 
 function filled(value, schema, resolve, level) {
@@ -92,7 +147,7 @@ function filled(value, schema, resolve, level) {
     return value;
   }
   const names = Object.keys(schema.properties).filter((name) => name in value || !isLeftOut(schema, name, resolve));
-  const of = (name) => value[name] ?? defaultOf(schema.properties[name], resolve, level + 1);
+  const of = (name) => name in value ? value[name] : defaultOf(schema.properties[name], resolve, level + 1);
   return { ...value, ...Object.fromEntries(names.map((name) => [name, of(name)])) };
 }
 

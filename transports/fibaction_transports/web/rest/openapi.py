@@ -12,7 +12,7 @@ from typing import Any
 from fibaction.types.action import ActionInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
-from fibaction_transports.web.rest.openapi_schemas import SHARED, Names, moved
+from fibaction_transports.web.rest.openapi_schemas import SHARED, Names, example_of, moved
 
 Json = dict[str, Any]
 
@@ -200,6 +200,7 @@ class _Described:
             for part in ("goal", "feedback", "result", "status")
         )
         schemas |= moved(info.goal, self._goal, schema_names, is_goal=True)
+        self._example = example_of(info.goal) if schemas[self._goal] else {}
         schemas |= moved(info.feedback, feedback, schema_names)
         schemas |= moved(info.result, result, schema_names)
         schemas[self._status] = {
@@ -254,7 +255,7 @@ class _Described:
         return _answer(description, _ref(self._status))
 
     def _sending(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
-        content = {"application/json": {"schema": _ref(self._goal)}}
+        content = {"application/json": {"schema": _ref(self._goal), **self._example}}
         body = {"requestBody": {"required": True, "content": content}}
         return self._operation(verb, summary, answers, *parameters) | body
 

@@ -6,7 +6,8 @@ generator leaves out punctuation and capitals; references and discriminators fol
 again be names of classes, and equal ones, so the shared schemas have none.
 
 What a server checks beyond its schema is added to goals: a field that is not known is rejected,
-whole numbers have 64 bits at most, and bytes are base64 text.
+whole numbers have 64 bits at most, and bytes are base64 text. Each goal has an example, which is
+the template of the command line.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ from typing import Any, TypeAlias
 from urllib.parse import unquote
 
 from fibaction.border.plain_values import is_list, is_map
+from fibaction.schema.template import Template
 
 Json: TypeAlias = dict[str, Any]
 
 BASE64 = "^(?:[A-Za-z0-9+/]{4})*(?:[A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"
 SHARED = "#/components/schemas/"
+LARGEST_EXAMPLE = 20_000
+"""Parts and characters of the goal that is an example."""
 
 _DATA = frozenset({"const", "default", "enum", "example", "examples", "required"})
 _ANNOTATIONS = frozenset({"default", "deprecated", "description", "examples", "title"})
@@ -68,6 +72,23 @@ def moved(schema: Json, name: str, names: Names, *, is_goal: bool = False) -> Js
     except RecursionError:
         return {name: {}}
     return found
+
+
+def example_of(schema: Json) -> Json:
+    """Return the field of a body with a goal to begin with; empty if the goal would be large.
+
+    A default may be that of many fields, so a small schema may have a very large template.
+    """
+    template = Template(schema)
+    left = LARGEST_EXAMPLE if template.is_usable else 0
+    todo: list[Any] = [template.value]
+    while todo and left > 0:
+        part = todo.pop()
+        inner = list(part.values()) if is_map(part) else part if is_list(part) else []
+        left -= 1 + len(inner) + (len(part) if isinstance(part, str) else 0)
+        if left > 0:
+            todo += inner
+    return {"example": template.value} if left > 0 else {}
 
 
 class _Parts:
