@@ -19,12 +19,14 @@ ANSWERS = {
     "humble": ["faq.md"],
     "jupyter": ["howto/notebook.md", "cookbook/notebook.md"],
     "metrics": ["howto/metrics.md"],
+    "multiprocessing": ["cookbook/process_pool.md"],
     "opentelemetry": ["howto/tracing.md"],
     "preempt": ["howto/schedule.md", "cookbook/preempting_arm.md"],
     "priority": ["howto/schedule.md"],
     "progress bar": ["howto/notebook.md", "cookbook/file_copy.md"],
     "pydantic": ["howto/types.md", "cookbook/pydantic_action.md"],
     "retry": ["howto/deadlines.md", "cookbook/retry.md"],
+    "serial port": ["cookbook/serial_port.md"],
     "websocket": ["howto/in_a_web_application.md"],
 }
 """Words that people type, and the pages that answer them."""
