@@ -14,6 +14,9 @@ from typing import Final
 
 from fibaction.words.action_error import ActionError
 
+NUMBER_TYPES: Final = frozenset("bcdoxXneEfFgG%")
+"""The last characters of format specifications that only numbers take."""
+
 
 class NamedNumber(IntEnum):
     """A number of ROS 2 that is printed by its name."""
@@ -22,7 +25,9 @@ class NamedNumber(IntEnum):
         return self.name
 
     def __format__(self, spec: str, /) -> str:
-        return format(self.name, spec)
+        """Format the name; the number if the specification is one of numbers, such as `03d`."""
+        is_of_numbers = spec[-1:] in NUMBER_TYPES
+        return int.__format__(self, spec) if is_of_numbers else format(self.name, spec)
 
 
 class GoalStatus(NamedNumber):

@@ -52,6 +52,10 @@ def test_statuses_and_events_print_their_names() -> None:
     assert str(GoalStatus.CANCELED) == "CANCELED"
 
 
+def test_a_status_prints_its_number_where_a_number_is_asked_for() -> None:
+    assert f"{GoalStatus.CANCELED:d} {GoalStatus.CANCELED:03d} {GoalStatus.CANCELED:x}" == "5 005 5"
+
+
 @pytest.mark.promise("STATUS-4")
 def test_canceled_is_reached_only_through_canceling() -> None:
     before = [status for (status, _), after in TRANSITIONS.items() if after.name == "CANCELED"]
