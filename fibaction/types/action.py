@@ -82,8 +82,10 @@ class Codec(Generic[T]):
 
     def accepts(self, value: object) -> TypeGuard[T]:
         """Return whether the value is of this type, or is a ROS message that `encode` takes."""
-        if self.holds(value) or not is_message(value):
-            return self.holds(value)
+        if isinstance(value, self.classes):
+            return True
+        if not is_message(value):
+            return False
         from fibaction.types.ros_messages import reader_of
 
         try:

@@ -21,7 +21,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Awaitable, Generator
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from threading import get_ident
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from anyio import Lock
 
@@ -45,12 +46,14 @@ class Report(Generic[FeedbackT_contra]):
     call waits itself, and raises `GoalCanceled` if the goal is to stop.
     """
 
-    __slots__ = ("_late", "_running", "_turns")
+    __slots__ = ("_late", "_running", "_takers", "_thread", "_turns")
 
     def __init__(self, running: RunningGoal) -> None:
         self._running: RunningGoal | None = running
+        self._thread = get_ident()  # that of the event loop
         self._late: deque[bytes] = deque()
-        self._turns = Lock(fast_acquire=True)
+        self._takers = 0  # tasks that have the turn, or wait for it
+        self._turns: Lock | None = None  # most functions never need it
 
     def __call__(self, feedback: FeedbackT_contra) -> Awaitable[None]:
         """Send feedback.
@@ -60,18 +63,19 @@ class Report(Generic[FeedbackT_contra]):
             GoalCanceled: The goal is to stop, and this is not the thread of the event loop.
             RuntimeError: The function has ended, or the event loop has.
         """
-        running = self._open()
-        home = running.home
-        if home is not None and not home.is_here:
-            home.run(partial(self._in_thread, feedback))
+        running = self._running or self._open()
+        if get_ident() != self._thread:
+            assert running.home is not None
+            running.home.run(partial(self._in_thread, feedback))
             return DONE
         payload = running.encode(feedback)
-        if self._turns.locked():
+        if self._takers:
             self._late.append(payload)
             if len(self._late) > MOST_LATE:
                 running.append(self._late.popleft())
             return _Turn(self)
-        self._append_late(running)
+        if self._late:
+            self._append_late(running)
         return _Turn(self) if running.append(payload) else DONE
 
     def close(self) -> None:
@@ -82,14 +86,19 @@ class Report(Generic[FeedbackT_contra]):
 
     async def turn(self) -> None:
         """Wait for the turn of one message, and pause after it."""
-        async with self._turns:
-            running = self._open()
-            if self._late:
-                running.append(self._late.popleft())
-            await running.pause()
-            while self._late and not self._turns.statistics().tasks_waiting:
-                running.append(self._late.popleft())  # a callback's, which waits for no turn
+        self._turns = self._turns or Lock(fast_acquire=True)
+        self._takers += 1
+        try:
+            async with self._turns:
+                running = self._open()
+                if self._late:
+                    running.append(self._late.popleft())
                 await running.pause()
+                while self._late and self._takers == 1:
+                    running.append(self._late.popleft())  # a callback's, which waits for no turn
+                    await running.pause()
+        finally:
+            self._takers -= 1
 
     async def _in_thread(self, feedback: FeedbackT_contra) -> None:
         """Send feedback for a thread that waits."""
@@ -127,7 +136,11 @@ class _NoTurn:
     __slots__ = ()
 
     def __await__(self) -> Generator[Any, Any, None]:
-        yield from ()
+        return NOTHING
+
+
+# An iterator is all that `await` needs; this one ends at once each time, and takes no time to make.
+NOTHING = cast("Generator[Any, Any, None]", iter(()))
 
 
 DONE = _NoTurn()

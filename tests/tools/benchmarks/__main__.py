@@ -1,7 +1,7 @@
 """`python -m tests.tools.benchmarks all`: measure everything, as `make bench` does it.
 
-`inprocess`, `tcp`, `ros2` or `dds` measures one thing, and prints JSON. `page` makes the pictures
-and the tables of the docs again, of what was measured last.
+`inprocess`, `functions`, `tcp`, `ros2` or `dds` measures one thing, and prints JSON. `page` makes
+the pictures and the tables of the docs again, of what was measured last.
 
 Machines are shared and noisy, so every figure stands beside another that was measured in turn with
 it, in the same run: read the ratios.
@@ -17,10 +17,11 @@ from importlib.metadata import version
 
 import anyio
 
-from tests.tools.benchmarks import dds, inprocess, ros2, suite, tcp
+from tests.tools.benchmarks import dds, functions, inprocess, ros2, suite, tcp
 
 SUBJECTS = {
     "inprocess": inprocess.measure,
+    "functions": functions.measure,
     "tcp": tcp.measure,
     "ros2": ros2.measure,
     "dds": dds.measure,
