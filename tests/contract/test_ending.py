@@ -27,6 +27,7 @@ from fibaction import (
 from fibaction.border.abc import StatusStream
 from tests.contract.conftest import PATIENCE, Reach, running
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.forms import Form
 
 pytestmark = pytest.mark.anyio
 
@@ -314,7 +315,7 @@ async def test_a_goal_that_is_sent_while_the_server_stops_is_rejected(reach: Rea
 
 @pytest.mark.promise("STOP-6")
 async def test_an_executor_that_does_not_stop_in_time_is_killed(
-    reach: Reach, caplog: pytest.LogCaptureFixture
+    reach: Reach, form: Form, caplog: pytest.LogCaptureFixture
 ) -> None:
     killed = []
 
@@ -328,7 +329,7 @@ async def test_an_executor_that_does_not_stop_in_time_is_killed(
             finally:
                 killed.append(goal.request.order)
 
-    server = ActionServer(FIBONACCI, hangs, shutdown_timeout=0.01)
+    server = ActionServer(FIBONACCI, form(hangs), shutdown_timeout=0.01)
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
         async for _ in goal.feedback:
@@ -343,7 +344,9 @@ async def test_an_executor_that_does_not_stop_in_time_is_killed(
 
 
 @pytest.mark.promise("GOAL-3", "STATUS-4", "STOP-6")
-async def test_a_result_that_comes_after_the_time_to_stop_changes_nothing(reach: Reach) -> None:
+async def test_a_result_that_comes_after_the_time_to_stop_changes_nothing(
+    reach: Reach, form: Form
+) -> None:
     killed = anyio.Event()
 
     async def too_late(goal: GoalHandle[Goal]) -> Items:
@@ -357,7 +360,7 @@ async def test_a_result_that_comes_after_the_time_to_stop_changes_nothing(reach:
                 killed.set()
         yield Result([1])
 
-    server = ActionServer(FIBONACCI, too_late, shutdown_timeout=0.01)
+    server = ActionServer(FIBONACCI, form(too_late), shutdown_timeout=0.01)
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
         async for _ in goal.feedback:
@@ -427,7 +430,9 @@ async def test_a_server_that_has_stopped_is_not_found(reach: Reach) -> None:
 
 
 @pytest.mark.promise("STOP-2", "STOP-4", "STOP-7")
-async def test_a_success_that_comes_while_the_server_stops_is_a_success(reach: Reach) -> None:
+async def test_a_success_that_comes_while_the_server_stops_is_a_success(
+    reach: Reach, form: Form
+) -> None:
     async def finishes(goal: GoalHandle[Goal]) -> Items:
         try:
             yield Feedback([1])
@@ -436,7 +441,7 @@ async def test_a_success_that_comes_while_the_server_stops_is_a_success(reach: R
             await anyio.lowlevel.checkpoint()
         yield Result([2])
 
-    server = ActionServer(FIBONACCI, finishes)
+    server = ActionServer(FIBONACCI, form(finishes))
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
         async for _ in goal.feedback:
@@ -446,7 +451,9 @@ async def test_a_success_that_comes_while_the_server_stops_is_a_success(reach: R
 
 
 @pytest.mark.promise("STOP-1", "STOP-5", "STOP-7")
-async def test_a_goal_that_is_canceling_when_the_server_stops_is_canceled(reach: Reach) -> None:
+async def test_a_goal_that_is_canceling_when_the_server_stops_is_canceled(
+    reach: Reach, form: Form
+) -> None:
     tidying, go = anyio.Event(), anyio.Event()
 
     async def tidies_up(goal: GoalHandle[Goal]) -> Items:
@@ -459,7 +466,7 @@ async def test_a_goal_that_is_canceling_when_the_server_stops_is_canceled(reach:
             raise GoalCanceled(result=Result([1])) from None
         yield Result([])
 
-    server = ActionServer(FIBONACCI, tidies_up)
+    server = ActionServer(FIBONACCI, form(tidies_up))
     async with reach(server) as client, anyio.create_task_group() as tasks:
         goal = await client.send_goal(Goal(1))
         async for _ in goal.feedback:

@@ -12,6 +12,7 @@ from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus,
 from tests.contract.conftest import Reach
 from tests.support.executors import ABORTED, Items, raises_after_feedback
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.forms import OF_GENERATORS, Form, as_function
 
 pytestmark = pytest.mark.anyio
 
@@ -22,11 +23,14 @@ pytestmark = pytest.mark.anyio
 )
 async def test_an_executor_that_goes_wrong_is_aborted_with_the_reason(
     reach: Reach,
+    form: Form,
     executor: Callable[[GoalHandle[Goal]], Items],
     reason: str,
     part: list[int] | None,
 ) -> None:
-    async with reach(ActionServer(FIBONACCI, executor)) as client:
+    if form is as_function and executor.__name__ in OF_GENERATORS:
+        pytest.skip("a function cannot break this rule of generators")
+    async with reach(ActionServer(FIBONACCI, form(executor))) as client:
         goal = await client.send_goal(Goal(1))
         outcome = await goal.outcome()
         result = None if part is None else Result(part)
@@ -41,9 +45,9 @@ async def test_an_executor_that_goes_wrong_is_aborted_with_the_reason(
 
 @pytest.mark.promise("EXECUTE-6")
 async def test_an_exception_leaves_its_traceback_in_the_log(
-    reach: Reach, caplog: pytest.LogCaptureFixture
+    reach: Reach, form: Form, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with reach(ActionServer(FIBONACCI, raises_after_feedback)) as client:
+    async with reach(ActionServer(FIBONACCI, form(raises_after_feedback))) as client:
         await (await client.send_goal(Goal(1))).outcome()
     assert "Traceback" in caplog.text
     assert "raise ValueError(" in caplog.text
@@ -69,6 +73,7 @@ async def test_the_generator_is_always_closed(reach: Reach) -> None:
 @pytest.mark.promise("EXECUTE-3")
 async def test_an_executor_that_never_awaits_starves_no_other_and_can_be_canceled(
     reach: Reach,
+    form: Form,
 ) -> None:
     yields = 0
 
@@ -78,7 +83,7 @@ async def test_an_executor_that_never_awaits_starves_no_other_and_can_be_cancele
             yield Feedback([yields])
         yield Result([yields])
 
-    server = ActionServer(FIBONACCI, never_awaits, feedback="latest")
+    server = ActionServer(FIBONACCI, form(never_awaits), feedback="latest")
     other = ActionServer(_renamed(), fibonacci)
     async with reach.connection(server, other) as connection:
         client = connection.client(FIBONACCI)
@@ -102,25 +107,35 @@ def _renamed() -> Any:
 
 
 @pytest.mark.promise("EXECUTE-4")
-async def test_feedback_that_is_mutated_after_its_yield_stays_as_it_was(reach: Reach) -> None:
+async def test_feedback_that_is_mutated_after_its_yield_stays_as_it_was(
+    reach: Reach, form: Form
+) -> None:
     async def mutates(goal: GoalHandle[Goal]) -> Items:
         feedback = Feedback([0])
         for number in range(goal.request.order):
             feedback.partial_sequence[0] = number
             yield feedback
             feedback.partial_sequence[0] = -1
+        yield Result([])
+
+    async with reach(ActionServer(FIBONACCI, form(mutates))) as client:
+        mine = await client.send_goal(Goal(5))
+        assert [item.partial_sequence async for item in mine.feedback] == [[n] for n in range(5)]
+
+
+@pytest.mark.promise("EXECUTE-4")
+async def test_a_result_that_is_mutated_after_its_yield_stays_as_it_was(reach: Reach) -> None:
+    async def mutates(goal: GoalHandle[Goal]) -> Items:
         result = Result([7])
         yield result
         result.sequence.append(8)
 
     async with reach(ActionServer(FIBONACCI, mutates)) as client:
-        mine = await client.send_goal(Goal(5))
-        assert [item.partial_sequence async for item in mine.feedback] == [[n] for n in range(5)]
-        assert await mine.result() == Result([7])
+        assert await client.call(Goal(5)) == Result([7])
 
 
 @pytest.mark.promise("EXECUTE-9")
-async def test_a_timeout_around_a_yield_reaches_the_executor(reach: Reach) -> None:
+async def test_a_timeout_around_a_yield_reaches_the_executor(reach: Reach, form: Form) -> None:
     async def impatient(goal: GoalHandle[Goal]) -> Items:
         with anyio.move_on_after(0.01) as patience:
             while True:
@@ -128,7 +143,7 @@ async def test_a_timeout_around_a_yield_reaches_the_executor(reach: Reach) -> No
         assert patience.cancelled_caught
         yield Result([2])
 
-    server = ActionServer(FIBONACCI, impatient, feedback_window=1, stall_timeout=60)
+    server = ActionServer(FIBONACCI, form(impatient), feedback_window=1, stall_timeout=60)
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
         # Nobody reads, so the executor waits at its yield; its own timeout must get through.
@@ -138,7 +153,7 @@ async def test_a_timeout_around_a_yield_reaches_the_executor(reach: Reach) -> No
 
 
 @pytest.mark.promise("EXECUTE-1", "ACCEPT-9")
-async def test_the_executor_knows_its_goal(reach: Reach) -> None:
+async def test_the_executor_knows_its_goal(reach: Reach, form: Form) -> None:
     seen: dict[str, Any] = {}
 
     async def looks(goal: GoalHandle[Goal]) -> Items:
@@ -152,7 +167,7 @@ async def test_the_executor_knows_its_goal(reach: Reach) -> None:
         )
         yield Result([])
 
-    async with reach(ActionServer(FIBONACCI, looks)) as client:
+    async with reach(ActionServer(FIBONACCI, form(looks))) as client:
         goal = await client.send_goal(Goal(4))
         await goal.result()
     assert seen == {

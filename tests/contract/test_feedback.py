@@ -12,6 +12,7 @@ import pytest
 from fibaction import ActionServer, GoalFeedback, GoalHandle, GoalInfo, GoalStatus
 from tests.contract.conftest import Reach
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.forms import Form
 
 pytestmark = pytest.mark.anyio
 
@@ -38,10 +39,12 @@ def numbers(feedback: list[Feedback]) -> list[int]:
 
 
 @pytest.mark.promise("GOAL-2", "FEEDBACK-1", "FEEDBACK-2")
-async def test_all_feedback_arrives_in_order_however_slowly_it_is_read(reach: Reach) -> None:
+async def test_all_feedback_arrives_in_order_however_slowly_it_is_read(
+    reach: Reach, form: Form
+) -> None:
     executor = Counts()
     executor.finish.set()
-    server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
+    server = ActionServer(FIBONACCI, form(executor), feedback_window=4, stall_timeout=math.inf)
     async with reach(server) as client, client.send_goal(Goal(100)) as goal:
         seen = []
         async for item in goal.feedback:
@@ -56,10 +59,11 @@ async def test_all_feedback_arrives_in_order_however_slowly_it_is_read(reach: Re
 @pytest.mark.promise("FEEDBACK-2", "FEEDBACK-3")
 async def test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read(
     reach: Reach,
+    form: Form,
 ) -> None:
     executor = Counts()
     executor.finish.set()
-    server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
+    server = ActionServer(FIBONACCI, form(executor), feedback_window=4, stall_timeout=math.inf)
     async with reach(server) as client, client.send_goal(Goal(1000)) as goal:
         await anyio.wait_all_tasks_blocked()
         waited_at = executor.yielded
@@ -69,9 +73,11 @@ async def test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read(
 
 
 @pytest.mark.promise("FEEDBACK-4")
-async def test_a_client_that_stalls_loses_the_oldest_and_is_told_how_many(reach: Reach) -> None:
+async def test_a_client_that_stalls_loses_the_oldest_and_is_told_how_many(
+    reach: Reach, form: Form
+) -> None:
     executor = Counts()
-    server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=0.01)
+    server = ActionServer(FIBONACCI, form(executor), feedback_window=4, stall_timeout=0.01)
     async with reach(server) as client, client.send_goal(Goal(1000)) as goal:
         with await client.endpoint.status() as statuses:
             executor.finish.set()
@@ -177,10 +183,12 @@ async def test_a_goal_that_is_not_followed_any_more_is_not_held_up(reach: Reach)
 
 
 @pytest.mark.promise("FEEDBACK-9")
-async def test_latest_never_waits_and_a_slow_reader_sees_the_newest(reach: Reach) -> None:
+async def test_latest_never_waits_and_a_slow_reader_sees_the_newest(
+    reach: Reach, form: Form
+) -> None:
     executor = Counts()
     server = ActionServer(
-        FIBONACCI, executor, feedback="latest", feedback_window=4, stall_timeout=math.inf
+        FIBONACCI, form(executor), feedback="latest", feedback_window=4, stall_timeout=math.inf
     )
     async with reach(server) as client, client.send_goal(Goal(1000)) as goal:
         with anyio.fail_after(5):

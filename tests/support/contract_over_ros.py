@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.forms import Form, as_generator
 from tests.support.ros_contract import EXCLUSIONS, MODULES
 
 pytest.register_assert_rewrite(*MODULES)
@@ -44,10 +45,17 @@ def contract_over(scheme: str) -> dict[str, Any]:
     return {
         "pytestmark": pytest.mark.anyio,
         "anyio_backend": contract.anyio_backend,
+        "form": form,
         "patient": patient,
         "reach": reach,
         **tests,
     }
+
+
+@pytest.fixture
+def form() -> Form:
+    """Return the form of the executors: no way can tell it behind the server."""
+    return as_generator
 
 
 @pytest.fixture(autouse=True)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 from fibaction import FunctionAction, GoalHandle, Report, action
 from fibaction.server.execution.executor import Executor
 from tests.support.executors import Items
 from tests.support.fibonacci import Feedback, Goal, Result
 
-FORMS = ("generator", "function")
+Generator: TypeAlias = Callable[[GoalHandle[Goal]], Items]
+Form: TypeAlias = Callable[[Generator], Executor[Goal, Feedback, Result]]
+"""Makes an executor of a generator, in one of the forms."""
 
 OF_GENERATORS = {
     "ends_without_a_result",
@@ -24,7 +27,12 @@ OF_GENERATORS = {
 """The executors that break rules which only a generator can break."""
 
 
-def as_function(executor: Callable[[GoalHandle[Goal]], Items]) -> Executor[Goal, Feedback, Result]:
+def as_generator(executor: Generator) -> Executor[Goal, Feedback, Result]:
+    """Return the executor itself."""
+    return executor
+
+
+def as_function(executor: Generator) -> Executor[Goal, Feedback, Result]:
     """Return an executor of the same steps that is made of a function: it reports what the
     generator yields, and returns its result.
     """
@@ -59,3 +67,6 @@ def as_function(executor: Callable[[GoalHandle[Goal]], Items]) -> Executor[Goal,
 
     assert isinstance(fibonacci, FunctionAction)
     return fibonacci.executor
+
+
+FORMS: dict[str, Form] = {"generator": as_generator, "function": as_function}
