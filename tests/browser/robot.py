@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import sys
 from collections.abc import AsyncGenerator
 from typing import Annotated, Any, Literal
@@ -121,6 +122,26 @@ class Fetch(msgspec.Struct):
     fallback: ToPoint | ToShelf | None = None
 
 
+class Photo(msgspec.Struct):
+    """A picture, and the size of the frames to show."""
+
+    data: Annotated[bytes, msgspec.Meta(extra_json_schema={"contentMediaType": "image/png"})]
+    size: Annotated[int, msgspec.Meta(ge=1, le=64, description="Pixels of an edge")] = 8
+
+
+class Frame(msgspec.Struct):
+    """An image of a camera, as ROS has it."""
+
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: bytes
+
+
+LOOK = Action("look", goal=Photo, feedback=Frame, result=bytes)
+COMPLETE = Action("complete", goal=str, feedback=str, result=int)
 FETCH = Action("fetch", goal=Fetch, feedback=int, result=str)
 DRIVE = Action("arm/drive", goal=Drive, feedback=Driving, result=Driven)
 FLOOD = Action("flood", goal=Load, feedback=Wave, result=int)
@@ -206,6 +227,25 @@ async def wait(goal: GoalHandle[Goal]) -> Items:
     yield Result([])
 
 
+async def look(goal: GoalHandle[Photo]) -> Items:
+    """Show frames that become green, then give the picture back."""
+    size = goal.request.size
+    for green in (0, 100, 200):
+        data = bytes([50, green, 0]) * size * size
+        yield Frame(size, size, "rgb8", 0, 3 * size, data)
+        await anyio.sleep(0.02)
+    yield goal.request.data
+
+
+async def complete(goal: GoalHandle[str]) -> Items:
+    """Continue a text, piece by piece."""
+    pieces = re.findall(r"\S+\s*", goal.request)
+    for piece in pieces:
+        yield piece
+        await anyio.sleep(0.01)
+    yield len(pieces)
+
+
 def keep_on(goal: GoalHandle[Goal]) -> None:
     """Reject a cancel of an even order."""
     if goal.request.order % 2 == 0:
@@ -236,6 +276,8 @@ def servers() -> list[ActionServer[Any, Any, Any]]:
         ActionServer(CLEAN, clean, schedule=Schedule(concurrency=1, queue=10)),
         ActionServer(BREAK, fail),
         ActionServer(FETCH, fetch),
+        ActionServer(LOOK, look),
+        ActionServer(COMPLETE, complete),
         ActionServer(ODD, be_odd),
         ActionServer(STUBBORN, wait, on_cancel=keep_on),
     ]

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 import signal
+import struct
 import time
+import zlib
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import BrowserContext, Locator, Page, expect
+from playwright.sync_api import BrowserContext, FilePayload, Locator, Page, expect
 
 from tests.browser.served import BridgeProcess, RobotProcess
 
@@ -257,6 +259,92 @@ def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
     assert goal(page).locator("canvas").first.evaluate(some)
 
 
+def png(color: tuple[int, int, int], size: int) -> bytes:
+    """Return a picture of one color."""
+    rows = (b"\0" + bytes(color) * size) * size
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", size, size, 8, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(rows)),
+        (b"IEND", b""),
+    ]
+    body = [
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(body)
+
+
+def choose_picture(page: Page, picture: bytes) -> None:
+    """Choose a file in the form of `look`."""
+    chosen = FilePayload(name="picture.png", mimeType="image/png", buffer=picture)
+    page.get_by_label("File for data").set_input_files(chosen)
+    expect(page.locator(".goal-form")).to_contain_text(f"{len(picture)} bytes")
+
+
+def test_a_file_is_sent_as_bytes_and_images_are_drawn(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "look")
+    choose_picture(page, png((10, 20, 250), 9))
+    send(page, size="5")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    pixel = "canvas => [...canvas.getContext('2d').getImageData(2, 2, 1, 1).data, canvas.width]"
+    for name, expected in {
+        "Image data of the goal": [10, 20, 250, 255, 9],
+        "Image image of the feedback": [50, 200, 0, 255, 5],
+        "Image image of the result": [10, 20, 250, 255, 9],
+    }.items():
+        canvas = goal(page).get_by_role("img", name=name)
+        expect(canvas).to_be_visible()
+        assert canvas.evaluate(pixel) == expected
+    expect(goal(page).get_by_label("Result", exact=True)).to_contain_text("iVBORw0KGgo")
+    goal(page).get_by_role("button", name="Use as new goal").click()
+    goal_id = send(page)
+    expect(row(page, goal_id)).to_contain_text("data: iVBORw0KGgo")
+
+
+def test_bytes_are_entered_as_base64_after_a_file_was_chosen(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "look")
+    choose_picture(page, png((1, 2, 3), 40))
+    page.get_by_label("data", exact=True).fill("b%")
+    page.get_by_role("button", name="Send goal").click()
+    expect(page.get_by_role("alert")).to_have_text("data: this is not base64")
+    page.get_by_label("data", exact=True).fill("AAEC")
+    send(page)
+    expect(goal(page).get_by_label("Result", exact=True)).to_have_text('"AAEC"')
+    expect(goal(page).get_by_role("img", name="Image image of the result")).to_have_count(0)
+
+
+def test_the_limits_of_a_number_are_told_beside_it(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "look")
+    expect(page.get_by_label("size")).to_have_accessible_description("Pixels of an edge · 1 to 64")
+    page.goto(f"{robot.url}/#/arm/drive")
+    expect(page.get_by_label("speed")).to_have_accessible_description(
+        "Speed on straight lines · more than 0, at most 2"
+    )
+
+
+def test_feedback_of_text_is_one_text(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "complete")
+    send(page, goal="The cup is on  the shelf.")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    text = goal(page).get_by_label("Text of the feedback")
+    assert text.evaluate("one => one.textContent") == "The cup is on  the shelf."
+    page.reload()
+    assert text.evaluate("one => one.textContent") == "The cup is on  the shelf."
+    expect(goal(page).get_by_label("Latest feedback")).to_be_hidden()
+
+
+def test_long_text_stays_at_its_end(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "complete")
+    send(page, goal=("word" * 20 + " ") * 50 + "end")
+    text = goal(page).get_by_label("Text of the feedback")
+    expect(text).to_contain_text("end")
+    rest = "one => one.scrollHeight - one.scrollTop - one.clientHeight"
+    assert text.evaluate(rest) < 2
+    assert text.evaluate("one => one.scrollTop") > 50
+
+
 # To cancel
 
 
@@ -458,6 +546,25 @@ def test_the_keyboard_reaches_everything_that_matters(page: Page, robot: RobotPr
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
+def test_enter_opens_the_only_match(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    first = send(page, order="3")
+    send(page, order="4")
+    actions, goals = page.get_by_label("Search actions"), page.get_by_label("Search goals")
+    goals.fill("3")
+    goals.press("Enter")
+    actions.fill("c")
+    actions.press("Enter")
+    expect(page.get_by_role("heading", name="fibonacci")).to_be_visible()
+    goals.fill(first)
+    goals.press("Enter")
+    expect(goal(page).locator("header code")).to_have_text(first)
+    expect(page.locator("#content")).to_be_focused()
+    actions.fill("drive")
+    actions.press("Enter")
+    expect(page.get_by_role("heading", name="arm/drive")).to_be_visible()
+
+
 # Parents and children
 
 
@@ -516,7 +623,7 @@ def test_a_parent_that_is_not_known_here_is_no_link_and_a_step_is_text(
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["", "fibonacci", "arm/drive", "mission"])
+@pytest.mark.parametrize("name", ["", "fibonacci", "arm/drive", "mission", "look", "complete"])
 def test_axe_finds_no_violation(page: Page, robot: RobotProcess, name: str, theme: Any) -> None:
     # Without transitions, in the middle of which a colour has no contrast yet.
     page.emulate_media(color_scheme=theme, reduced_motion="reduce")

@@ -28,7 +28,16 @@ CLIENT = Path(str(files("fibaction_transports.web"))) / "javascript"
 CONSOLE = CLIENT.parent / "console"
 IN_NODE = [
     f"{name}.js"
-    for name in ("dom", "goal_record", "goal_text", "schema", "series", "store", "values")
+    for name in (
+        "dom",
+        "feedback_parts",
+        "goal_record",
+        "goal_text",
+        "schema",
+        "series",
+        "store",
+        "values",
+    )
 ]
 """The modules of the console that are tested without a browser."""
 MOST_BYTES = 6_400

@@ -1,13 +1,13 @@
 /** The list of actions, with the number of active goals of each. */
 
 import { arrange, h, setText, show } from "./dom.js";
-import { linkTo } from "./goal_text.js";
+import { linkTo, openLink } from "./goal_text.js";
 
 export class ActionList {
   constructor(store) {
     this.store = store;
     this.items = new Map();
-    this.search = h("input", { type: "search", placeholder: "Search actions", "aria-label": "Search actions", oninput: () => this.update() });
+    this.search = h("input", { type: "search", placeholder: "Search actions", "aria-label": "Search actions", oninput: () => this.update(), onkeydown: (event) => event.key === "Enter" && this.open() });
     this.all = this.item("", "All actions");
     this.list = h("ul", {});
     this.note = h("p", { class: "note" });
@@ -38,8 +38,18 @@ export class ActionList {
     });
     this.mark(this.all, !shown.action, 0);
     arrange(this.list, [this.all.element, ...shownItems]);
+    this.names = names;
     show(this.note, names.length === 0);
     setText(this.note, actions.size ? "No action has this name." : "No action is served.");
+  }
+
+  /** Open the only action that matches the search, or the one of exactly that name. */
+  open() {
+    const word = this.search.value.toLowerCase();
+    const [name] = this.names.length === 1 ? this.names : this.names.filter((one) => one.toLowerCase() === word);
+    if (name && word) {
+      openLink(linkTo(name));
+    }
   }
 
   mark(item, isShown, count) {

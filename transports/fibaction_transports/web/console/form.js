@@ -1,14 +1,12 @@
 /** A form for a goal, made from its JSON Schema. */
 
+import { bytesField } from "./bytes_field.js";
 import { h, show } from "./dom.js";
-import { defaultOf, fits, fixedOf, isLeftOut, kindOf, resolverOf, unitOf, variantName } from "./schema.js";
-import { base64Of, bytesOf, parsed, textOf } from "./values.js";
+import { FieldError, labelled } from "./field_parts.js";
+import { defaultOf, fits, fixedOf, isLeftOut, kindOf, resolverOf, variantName } from "./schema.js";
+import { parsed, textOf } from "./values.js";
 
 const MOST_LEVELS = 6;
-let lastId = 0;
-
-/** A value that is not valid, and the field that it is in. */
-export class FieldError extends Error {}
 
 /**
  * Return a field for a schema: an element, a function that reads the value, and one that sets it.
@@ -20,6 +18,7 @@ export function fieldFor(given, name, value, resolve, level = 0, mayBeLeftOut = 
   const makers = {
     array: listField,
     boolean: checkField,
+    bytes: bytesField,
     choice: choiceField,
     const: constField,
     nullable: nullableField,
@@ -29,19 +28,6 @@ export function fieldFor(given, name, value, resolve, level = 0, mayBeLeftOut = 
   };
   const make = makers[kind] ?? inputField;
   return make({ schema: inner ?? schema, kind, choices, name, value, resolve, level, mayBeLeftOut });
-}
-
-function labelled(schema, name, input, ...more) {
-  lastId += 1;
-  input.id = `field-${lastId}`;
-  const unit = unitOf(schema);
-  const note = schema.description ?? "";
-  if (note) {
-    input.setAttribute("aria-describedby", `note-${lastId}`);
-  }
-  const label = h("label", { for: input.id }, name, unit ? h("span", { class: "unit" }, ` ${unit}`) : null);
-  const hint = note ? h("small", { id: `note-${lastId}` }, note) : null;
-  return h("div", { class: "field" }, label, input, hint, ...more);
 }
 
 function inputField({ schema, kind, name, value }) {
@@ -55,11 +41,11 @@ function inputField({ schema, kind, name, value }) {
     max: schema.maximum,
     minlength: schema.minLength,
     maxlength: schema.maxLength,
-    placeholder: schema.format ?? (kind === "bytes" ? "base64" : null),
+    placeholder: schema.format,
     autocomplete: "off",
   });
   const set = (one) => {
-    input.value = one instanceof Uint8Array ? base64Of(one) : String(one ?? "");
+    input.value = String(one ?? "");
   };
   set(value);
   const read = () => {
@@ -90,7 +76,7 @@ function readInput(kind, input) {
     }
     return Number(text);
   }
-  return kind === "bytes" ? bytesOf(text) : input.value;
+  return input.value;
 }
 
 function checkField({ schema, name, value }) {

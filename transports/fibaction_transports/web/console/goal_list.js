@@ -1,7 +1,7 @@
 /** A table of goals, with a search and a filter. */
 
 import { arrange, h, setText, show } from "./dom.js";
-import { durationOf, linkTo, shortId, showBadge, stateOf, stepOf, timeOf } from "./goal_text.js";
+import { durationOf, linkTo, openLink, shortId, showBadge, stateOf, stepOf, timeOf } from "./goal_text.js";
 import { summaryOf } from "./values.js";
 
 const MOST_ROWS = 100;
@@ -72,7 +72,7 @@ export class GoalList {
   constructor({ withAction, oncancel, oncancelAll, onforget }) {
     this.options = { withAction, oncancel };
     this.rows = new Map();
-    this.search = h("input", { type: "search", placeholder: "Search goals", "aria-label": "Search goals" });
+    this.search = h("input", { type: "search", placeholder: "Search goals", "aria-label": "Search goals", onkeydown: (event) => event.key === "Enter" && this.open() });
     const names = Object.keys(FILTERS).map((name) => h("option", {}, name));
     this.filter = h("select", { "aria-label": "Filter goals" }, ...names);
     this.cancelAll = h("button", { type: "button", onclick: oncancelAll }, "Cancel all");
@@ -116,6 +116,13 @@ export class GoalList {
     show(this.cancelAll, active > 1);
     show(this.forget, goals.length > active);
     setText(this.note, noteOf(goals.length, found.length, visible.length));
+  }
+
+  /** Open the only goal that matches the search. */
+  open() {
+    if (this.search.value && this.body.children.length === 1) {
+      openLink(this.neighbour("", 1));
+    }
   }
 
   /** Move to the next or the previous goal, and return its address. */

@@ -1,10 +1,12 @@
 /** One goal as the console knows it: from its server, from this page, or from the history. */
 
+import { TextFeed, imagesOf, textPathOf } from "./feedback_parts.js";
 import { chartsOf, progressOf } from "./schema.js";
 import { Series } from "./series.js";
 
 const MOST_KEPT_POINTS = 100;
 const MOST_FEEDBACK_LINES = 200;
+const MOST_LINES_WITH_BYTES = 10; // which may be images
 const MOST_KEPT_LINES = 20;
 
 /** The statuses of goals that have not ended. */
@@ -42,6 +44,8 @@ export class GoalRecord {
     this.recent = [];
     this.handle = null;
     this.isPast = false;
+    this.text = new TextFeed(info ? textPathOf(info.feedback) : null);
+    this.mostLines = info && imagesOf(info.feedback).length ? MOST_LINES_WITH_BYTES : MOST_FEEDBACK_LINES;
     this.series = new Series(info ? chartsOf(info.feedback) : []);
     this.readProgress = info ? progressOf(info.feedback) : () => null;
   }
@@ -81,15 +85,16 @@ export class GoalRecord {
     this.endedAt = endedAt ? millisecondsOf(endedAt) : this.endedAt;
   }
 
-  /** Take one feedback message. */
-  addFeedback(feedback, number, now = Date.now()) {
+  /** Take one feedback message, whose number counts in an attempt. */
+  addFeedback(feedback, number, attempt, now = Date.now()) {
     this.feedback = feedback;
     this.feedbackCount = number;
     this.progress = this.readProgress(feedback) ?? this.progress;
     this.recent.push([now, feedback]);
-    if (this.recent.length > 2 * MOST_FEEDBACK_LINES) {
-      this.recent.splice(0, MOST_FEEDBACK_LINES);
+    if (this.recent.length > 2 * this.mostLines) {
+      this.recent.splice(0, this.mostLines);
     }
+    this.text.add(feedback, number, attempt);
     this.series.add(feedback, (now - this.sentAt) / 1000);
   }
 
@@ -97,13 +102,14 @@ export class GoalRecord {
   thin() {
     if (!this.isActive && this.recent.length > MOST_KEPT_LINES) {
       this.recent = this.recent.slice(-MOST_KEPT_LINES);
+      this.text.restore(this.text.kept());
       this.series.restore(this.series.kept(MOST_KEPT_POINTS));
     }
   }
 
   /** Return the last feedback messages, with their times. */
   get lines() {
-    return this.recent.slice(-MOST_FEEDBACK_LINES);
+    return this.recent.slice(-this.mostLines);
   }
 
   /** Return what the history keeps. */
@@ -113,14 +119,15 @@ export class GoalRecord {
     const { parent, feedback, feedbackCount, feedbackDropped } = this;
     const points = this.series.kept(MOST_KEPT_POINTS);
     return { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason,
-      parent, feedback, feedbackCount, feedbackDropped, points };
+      parent, feedback, feedbackCount, feedbackDropped, points, text: this.text.kept() };
   }
 
   /** Return the record of a goal in the history. */
-  static of({ points, ...kept }, info) {
+  static of({ points, text, ...kept }, info) {
     const record = new GoalRecord(kept.action, kept.id, info);
     Object.assign(record, kept, { isPast: true });
     record.series.restore(points ?? []);
+    record.text.restore(text);
     return record;
   }
 }

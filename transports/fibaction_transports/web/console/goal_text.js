@@ -75,6 +75,12 @@ export function stepOf(parent) {
   return parent.step || "without a name";
 }
 
+/** Go to an address within the page, and to its content. */
+export function openLink(address) {
+  window.location.hash = address.slice(1);
+  document.getElementById("content").focus();
+}
+
 /** Return the address of a goal within the page. */
 export function linkTo(action, id = "") {
   const name = action.split("/").map(encodeURIComponent).join("/");

@@ -3,8 +3,11 @@
 import { Chart } from "./chart.js";
 import { h, setText, show } from "./dom.js";
 import { GoalFamily } from "./goal_family.js";
+import { Images } from "./images.js";
 import { counted, durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
 import { textOf } from "./values.js";
+
+const A_LINE = 24;
 
 export class GoalView {
   constructor(record, { store, oncancel, onagain }) {
@@ -16,14 +19,18 @@ export class GoalView {
     this.goal = h("pre", { tabindex: 0, "aria-label": "Goal" });
     this.result = h("pre", { tabindex: 0, "aria-label": "Result" });
     this.latest = h("pre", { tabindex: 0, "aria-label": "Latest feedback" });
+    this.text = h("pre", { tabindex: 0, "aria-label": "Text of the feedback", class: "text" });
     this.lines = h("pre", { tabindex: 0, "aria-label": "Feedback messages", class: "lines" });
     const redraw = () => this.updateFeedback(this.record);
     this.log = h("details", { ontoggle: redraw }, h("summary", {}, "Messages"), this.lines);
     this.feedbackTitle = h("h3", {}, "Feedback");
     this.chartList = h("div", { class: "charts" });
+    this.imageList = h("div", {});
+    this.goalImages = h("div", {});
+    this.resultImages = h("div", {});
     this.cancel = h("button", { type: "button", class: "danger", onclick: () => oncancel(this.record) }, "Cancel goal");
     this.again = h("button", { type: "button", onclick: () => onagain(this.record) }, "Use as new goal");
-    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.chartList, this.latest, this.log);
+    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.chartList, this.text, this.imageList, this.latest, this.log);
     this.element = h(
       "section",
       { class: "card goal", "aria-label": "Goal" },
@@ -32,7 +39,7 @@ export class GoalView {
       this.family.element,
       this.bar,
       this.reason,
-      h("div", { class: "pair" }, h("div", {}, h("h3", {}, "Goal"), this.goal), h("div", {}, h("h3", {}, "Result"), this.result)),
+      h("div", { class: "pair" }, h("div", {}, h("h3", {}, "Goal"), this.goal, this.goalImages), h("div", {}, h("h3", {}, "Result"), this.result, this.resultImages)),
       this.feedback,
     );
     this.take(record);
@@ -43,6 +50,12 @@ export class GoalView {
     this.series = record.series;
     this.charts = record.series.charts.map((chart) => new Chart(chart));
     this.chartList.replaceChildren(...this.charts.map((chart) => chart.element));
+    const places = { goal: this.goalImages, feedback: this.imageList, result: this.resultImages };
+    this.images = Object.entries(places).map(([of, place]) => {
+      const images = new Images(record.info?.[of], of);
+      place.replaceChildren(images.element);
+      return [of, images];
+    });
   }
 
   /** Show the goal as it is now. */
@@ -62,13 +75,28 @@ export class GoalView {
     setText(this.result, resultOf(record));
     show(this.cancel, record.isActive && record.status !== "CANCELING");
     show(this.again, record.goal !== undefined);
+    this.images.forEach(([of, images]) => images.show(record[of]));
     this.updateFeedback(record);
+  }
+
+  /** Show the text that the feedback is, and stay at its end unless the person has scrolled. */
+  updateText({ text }) {
+    show(this.text, text.pieces.length > 0);
+    if (this.text.hidden) {
+      return;
+    }
+    const isAtEnd = this.text.scrollHeight - this.text.scrollTop - this.text.clientHeight < A_LINE;
+    setText(this.text, text.text);
+    if (isAtEnd) {
+      this.text.scrollTop = this.text.scrollHeight;
+    }
   }
 
   updateFeedback(record) {
     const dropped = record.feedbackDropped ? `, ${record.feedbackDropped} dropped` : "";
     setText(this.feedbackTitle, `Feedback: ${counted(record.feedbackCount, "message")}${dropped}`);
-    show(this.latest, record.feedback !== undefined);
+    this.updateText(record);
+    show(this.latest, record.feedback !== undefined && !(record.text.path?.length === 0 && record.text.pieces.length));
     setText(this.latest, textOf(record.feedback));
     show(this.log, record.lines.length > 0);
     if (this.log.open) {

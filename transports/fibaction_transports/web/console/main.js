@@ -15,6 +15,7 @@ const TICK = 500;
 const TICKS_OF_PLACES = 4;
 const KEYS = [
   ["/", "Search actions"],
+  ["Enter", "In a search: open the only match"],
   ["n", "Go to the form of a new goal"],
   ["Ctrl Enter", "Send the goal of the form"],
   ["j, k", "Next, previous goal"],

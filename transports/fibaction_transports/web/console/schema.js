@@ -14,6 +14,8 @@ const SAMPLES = {
   duration: "PT1S",
   uuid: "00000000-0000-0000-0000-000000000000",
 };
+const IMAGE = ["width", "height", "encoding", "step", "data"];
+const LIMITS_OF_TYPES = [-(2 ** 31), 2 ** 31 - 1, 2 ** 32 - 1];
 
 /** Return a function that follows `$ref`s of a schema to the schemas that they mean. */
 export function resolverOf(root) {
@@ -197,6 +199,23 @@ export function variantName(given, tag, resolve) {
   return String((named && fixedOf(resolve(named))) ?? title ?? "JSON");
 }
 
+/** Return whether values of a schema are images of ROS, `sensor_msgs/Image`. */
+export function isRosImage(schema, resolve) {
+  const fields = schema.properties ?? {};
+  return IMAGE.every((name) => name in fields) && kindOf(resolve(fields.data), resolve).kind === "bytes";
+}
+
+/** Return the limits of a number as text; those of its type, such as of all int32, are not told. */
+export function rangeOf({ minimum, maximum, exclusiveMinimum, exclusiveMaximum }) {
+  const isTold = (limit) => Number.isSafeInteger(Math.trunc(Number(limit ?? NaN))) && !LIMITS_OF_TYPES.includes(limit);
+  if (isTold(minimum) && isTold(maximum)) {
+    return `${minimum} to ${maximum}`;
+  }
+  const words = { "at least": minimum, "more than": exclusiveMinimum, "at most": maximum, "less than": exclusiveMaximum };
+  const told = Object.entries(words).filter(([, limit]) => isTold(limit));
+  return told.map(([word, limit]) => `${word} ${limit}`).join(", ");
+}
+
 /** Return the unit of a schema, as its author has named it; empty if it has none. */
 export function unitOf(schema) {
   return schema["x-unit"] ?? schema.unit ?? "";
@@ -233,7 +252,7 @@ export function chartsOf(root) {
       const name = path.join(".");
       const chart = unit ? `${parent} ${unit}` : name;
       add(chart, unit && parent ? parent : name, unit, { name: name || "value", path });
-    } else if (kind === "object" && level < MOST_LEVELS) {
+    } else if (kind === "object" && level < MOST_LEVELS && !isRosImage(schema, resolve)) {
       for (const [name, one] of Object.entries(schema.properties)) {
         visit(one, [...path, name], level + 1);
       }

@@ -298,7 +298,7 @@ export class Store {
   async readFeedback(record, handle) {
     try {
       for await (const feedback of handle.feedback) {
-        record.addFeedback(feedback, handle.number);
+        record.addFeedback(feedback, handle.number, handle.attempt);
         this.change();
       }
     } catch {

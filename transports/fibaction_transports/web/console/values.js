@@ -1,8 +1,9 @@
 /** Values of goals, feedback and results: as text, and as JSON that can be stored. */
 
 const MOST_ITEMS = 100;
+const MOST_BYTES = 48;
 
-/** Return a value as indented text. Long lists are shortened, unless `whole`. */
+/** Return a value as indented text. Long lists and bytes are shortened, unless `whole`. */
 export function textOf(value, { whole = false } = {}) {
   return write(value, "", whole);
 }
@@ -15,7 +16,8 @@ function write(value, indent, whole) {
     return value.toString();
   }
   if (value instanceof Uint8Array) {
-    return `"${base64Of(value)}"`;
+    const isShort = whole || value.length <= MOST_BYTES;
+    return isShort ? `"${base64Of(value)}"` : `"${base64Of(value.subarray(0, MOST_BYTES))}…" (${value.length} bytes)`;
   }
   if (Array.isArray(value)) {
     return writeList(value, indent, whole);
