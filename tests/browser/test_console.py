@@ -308,11 +308,22 @@ def test_bytes_are_entered_as_base64_after_a_file_was_chosen(
     choose_picture(page, png((1, 2, 3), 40))
     page.get_by_label("data", exact=True).fill("b%")
     page.get_by_role("button", name="Send goal").click()
-    expect(page.get_by_role("alert")).to_have_text("data: this is not base64")
+    expect(page.get_by_role("alert")).to_have_text('data: "b%" is not base64')
     page.get_by_label("data", exact=True).fill("AAEC")
     send(page)
     expect(goal(page).get_by_label("Result", exact=True)).to_have_text('"AAEC"')
     expect(goal(page).get_by_role("img", name="Image image of the result")).to_have_count(0)
+
+
+def test_bytes_are_base64_in_a_goal_that_is_edited_as_json(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "look")
+    page.get_by_role("button", name="Edit as JSON").click()
+    page.get_by_label("goal (JSON)").fill('{"data": "b%", "size": 3}')
+    page.get_by_role("button", name="Send goal").click()
+    expect(page.get_by_role("alert")).to_have_text('goal: "b%" is not base64')
+    page.get_by_label("goal (JSON)").fill('{"data": "AAEC", "size": 3}')
+    send(page)
+    expect(goal(page).get_by_label("Result", exact=True)).to_have_text('"AAEC"')
 
 
 def test_the_limits_of_a_number_are_told_beside_it(page: Page, robot: RobotProcess) -> None:

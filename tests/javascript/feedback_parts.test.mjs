@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import test from "node:test";
 import { TextFeed, imagesOf, mediaTypeOf, pixelsOf, textPathOf } from "./feedback_parts.js";
 import { GoalRecord } from "./goal_record.js";
-import { chartsOf, rangeOf } from "./schema.js";
+import { chartsOf, rangeOf, resolverOf, withBytes } from "./schema.js";
 import { textOf } from "./values.js";
 
 const BYTES = { type: "string", contentEncoding: "base64" };
@@ -128,6 +128,24 @@ test("the limits of a number are told, but for those of its type", () => {
   assert.equal(rangeOf({ minimum: 0, maximum: 2n ** 64n - 1n }), "at least 0");
   assert.equal(rangeOf({ minimum: -3.4e38, maximum: 3.4e38 }), "");
   assert.equal(rangeOf({}), "");
+});
+
+test("base64 of JSON becomes bytes where the schema has them, at any place", () => {
+  const part = { properties: { kind: { const: "photo" }, data: BYTES }, required: ["kind", "data"] };
+  const root = { ...object({ note: { type: "string" }, raw: BYTES, none: { anyOf: [BYTES, { type: "null" }] },
+    list: { type: "array", items: BYTES }, pair: { type: "array", prefixItems: [{ type: "string" }, BYTES], items: false },
+    all: { type: "object", additionalProperties: BYTES },
+    one: { anyOf: [{ type: "string" }, { $ref: "#/$defs/Part" }] } }), $defs: { Part: { type: "object", ...part } } };
+  const resolve = resolverOf(root);
+  const bytes = Uint8Array.of(0, 1, 2);
+  assert.deepEqual(withBytes({ note: "AAEC", raw: "AAEC", none: null, list: ["AAEC"], pair: ["AAEC", "AAEC"],
+    all: { AAEC: "AAEC" }, one: { kind: "photo", data: "AAEC" }, unknown: "AAEC" }, root, resolve),
+  { note: "AAEC", raw: bytes, none: null, list: [bytes], pair: ["AAEC", bytes],
+    all: { AAEC: bytes }, one: { kind: "photo", data: bytes }, unknown: "AAEC" });
+  assert.deepEqual(withBytes({ none: "AAEC", one: "AAEC", raw: 7, all: 2n ** 60n }, root, resolve),
+    { none: bytes, one: "AAEC", raw: 7, all: 2n ** 60n });
+  assert.equal(withBytes(null, true, resolve), null);
+  assert.throws(() => withBytes({ raw: "b%" }, root, resolve), /"b%" is not base64/);
 });
 
 test("long bytes are shortened where they are shown, and whole where they are edited", () => {

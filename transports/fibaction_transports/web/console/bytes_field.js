@@ -52,8 +52,8 @@ export function bytesField({ schema, name, value }) {
     }
     try {
       return held ?? bytesOf(input.value.trim());
-    } catch {
-      return fail("this is not base64");
+    } catch (error) {
+      return fail(error.message);
     }
   };
   return { element: labelled(schema, name, input, file, note), read, set };

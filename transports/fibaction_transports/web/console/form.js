@@ -3,7 +3,7 @@
 import { bytesField } from "./bytes_field.js";
 import { h, show } from "./dom.js";
 import { FieldError, labelled } from "./field_parts.js";
-import { defaultOf, fits, fixedOf, isLeftOut, kindOf, resolverOf, variantName } from "./schema.js";
+import { defaultOf, fits, fixedOf, isLeftOut, kindOf, resolverOf, variantName, withBytes } from "./schema.js";
 import { parsed, textOf } from "./values.js";
 
 const MOST_LEVELS = 6;
@@ -184,19 +184,23 @@ function listField({ schema, name, value, resolve, level }) {
   return { element, read: () => items.map(({ field }) => field.read()), set };
 }
 
-function jsonField({ schema, name, value }) {
+function jsonField({ schema, of = schema, name, value, resolve }) {
   const area = h("textarea", { rows: 3, spellcheck: "false" });
   const set = (one) => {
     area.value = textOf(one ?? null, { whole: true });
   };
   set(value);
   const read = () => {
-    try {
-      return parsed(area.value);
-    } catch (error) {
-      area.focus();
-      throw new FieldError(`${name}: this is not JSON: ${error.message}`);
-    }
+    const tried = (what, make) => {
+      try {
+        return make();
+      } catch (error) {
+        area.focus();
+        throw new FieldError(`${name}: ${what}${error.message}`);
+      }
+    };
+    const given = tried("this is not JSON: ", () => parsed(area.value));
+    return tried("", () => withBytes(given, of, resolve));
   };
   return { element: labelled(schema, `${name} (JSON)`, area), read, set };
 }
@@ -209,7 +213,7 @@ export class GoalForm {
     const isObject = kindOf(resolve(info.goal), resolve).kind === "object";
     this.onsend = onsend;
     this.field = fieldFor(info.goal, isObject ? "" : "goal", start, resolve);
-    this.json = jsonField({ schema: {}, name: "goal", value: start });
+    this.json = jsonField({ schema: {}, of: info.goal, name: "goal", value: start, resolve });
     this.isJson = false;
     this.toggle = h("button", { type: "button", class: "quiet", "aria-pressed": "false", onclick: () => this.switch() }, "Edit as JSON");
     this.button = h("button", { type: "submit", class: "main" }, "Send goal");

@@ -1,5 +1,7 @@
 /** JSON Schemas of actions, as far as a form and charts need them. */
 
+import { bytesOf } from "./values.js";
+
 const PERCENT = ["percent", "percentage", "percent_complete", "percentage_complete", "percent_done"];
 const FRACTION = ["fraction", "fraction_complete", "fraction_done", "ratio", "completion", "progress"];
 const COUNTS = ["done", "completed", "current", "progress"]; // next to "total"
@@ -189,6 +191,31 @@ export function fits(value, given, resolve) {
   const hasAll = (schema.required ?? []).every((name) => name in value);
   const isKnown = Object.keys(value).every((name) => name in schema.properties);
   return hasAll && isKnown && Object.entries(schema.properties).every(isFixed);
+}
+
+/**
+ * Return a value of JSON, which has bytes as base64, with bytes where the schema has them.
+ *
+ * It throws an error if such a text is not base64.
+ */
+export function withBytes(value, given, resolve) {
+  const schema = resolve(given);
+  const { kind, inner, choices } = kindOf(schema, resolve);
+  if (kind === "bytes" && typeof value === "string") {
+    return bytesOf(value);
+  }
+  if (kind === "nullable" || kind === "variants") {
+    const chosen = inner ?? choices.find((one) => fits(value, one, resolve));
+    return chosen ? withBytes(value, chosen, resolve) : value;
+  }
+  if (Array.isArray(value)) {
+    return value.map((one, index) => withBytes(one, schema.prefixItems?.[index] ?? schema.items, resolve));
+  }
+  if (value === null || typeof value !== "object") {
+    return value;
+  }
+  const of = (name) => schema.properties?.[name] ?? schema.additionalProperties;
+  return Object.fromEntries(Object.entries(value).map(([name, one]) => [name, withBytes(one, of(name), resolve)]));
 }
 
 /** Return what a variant is called: its tag, its title, or its type. */

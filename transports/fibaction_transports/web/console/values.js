@@ -84,9 +84,15 @@ export function restored(text) {
   });
 }
 
-/** Return the bytes that a text in base64 stands for. */
+/** Return the bytes that a text in base64 stands for; an error if it is not base64. */
 export function bytesOf(text) {
-  return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  let letters;
+  try {
+    letters = atob(text);
+  } catch {
+    throw new SyntaxError(`${JSON.stringify(text.slice(0, MOST_BYTES))} is not base64`);
+  }
+  return Uint8Array.from(letters, (letter) => letter.charCodeAt(0));
 }
 
 /** Return bytes as text in base64. */
