@@ -286,7 +286,8 @@ def test_a_file_is_sent_as_bytes_and_images_are_drawn(page: Page, robot: RobotPr
     choose_picture(page, png((10, 20, 250), 9))
     send(page, size="5")
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
-    pixel = "canvas => [...canvas.getContext('2d').getImageData(2, 2, 1, 1).data, canvas.width]"
+    pixel = "[...canvas.getContext('2d').getImageData(2, 2, 1, 1).data, canvas.width]"
+    is_drawn = f"([canvas, expected]) => String({pixel}) === String(expected)"
     for name, expected in {
         "Image data of the goal": [10, 20, 250, 255, 9],
         "Image image of the feedback": [50, 200, 0, 255, 5],
@@ -294,7 +295,7 @@ def test_a_file_is_sent_as_bytes_and_images_are_drawn(page: Page, robot: RobotPr
     }.items():
         canvas = goal(page).get_by_role("img", name=name)
         expect(canvas).to_be_visible()
-        assert canvas.evaluate(pixel) == expected
+        page.wait_for_function(is_drawn, arg=[canvas.element_handle(), expected])
     expect(goal(page).get_by_label("Result", exact=True)).to_contain_text("iVBORw0KGgo")
     goal(page).get_by_role("button", name="Use as new goal").click()
     goal_id = send(page)
@@ -340,9 +341,9 @@ def test_feedback_of_text_is_one_text(page: Page, robot: RobotProcess) -> None:
     send(page, goal="The cup is on  the shelf.")
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
     text = goal(page).get_by_label("Text of the feedback")
-    assert text.evaluate("one => one.textContent") == "The cup is on  the shelf."
+    expect(text).to_have_js_property("textContent", "The cup is on  the shelf.")
     page.reload()
-    assert text.evaluate("one => one.textContent") == "The cup is on  the shelf."
+    expect(text).to_have_js_property("textContent", "The cup is on  the shelf.")
     expect(goal(page).get_by_label("Latest feedback")).to_be_hidden()
 
 
@@ -560,13 +561,14 @@ def test_the_keyboard_reaches_everything_that_matters(page: Page, robot: RobotPr
 def test_enter_opens_the_only_match(page: Page, robot: RobotProcess) -> None:
     open_action(page, robot)
     first = send(page, order="3")
-    send(page, order="4")
+    second = send(page, order="4")
     actions, goals = page.get_by_label("Search actions"), page.get_by_label("Search goals")
-    goals.fill("3")
+    goals.fill("fibonacci")
     goals.press("Enter")
     actions.fill("c")
     actions.press("Enter")
     expect(page.get_by_role("heading", name="fibonacci")).to_be_visible()
+    expect(goal(page).locator("header code")).to_have_text(second)
     goals.fill(first)
     goals.press("Enter")
     expect(goal(page).locator("header code")).to_have_text(first)

@@ -95,6 +95,7 @@ export class GoalList {
 
   /** Show these goals, the newest first. */
   update(goals, shown) {
+    this.latest = [goals, shown];
     const words = this.search.value.toLowerCase().split(/\s+/).filter(Boolean);
     const fits = FILTERS[this.filter.value];
     const found = goals.filter((goal) => fits(goal) && matches(goal, words));
@@ -120,6 +121,7 @@ export class GoalList {
 
   /** Open the only goal that matches the search. */
   open() {
+    this.update(...this.latest); // the text may be newer than the table
     if (this.search.value && this.body.children.length === 1) {
       openLink(this.neighbour("", 1));
     }
