@@ -55,24 +55,26 @@ def proofs() -> list[Proof]:
 NAMES = [f"test_{number}" for number in range(200)]
 
 
-@pytest.mark.parametrize("is_case", [False, True])
-def test_each_test_has_its_turn_on_both_backends_and_with_each_way(is_case: bool) -> None:
+@pytest.mark.parametrize("takes_turns", [False, True])
+def test_each_test_has_its_turn_on_both_backends_and_with_each_way(takes_turns: bool) -> None:
     all_of_them = {(one, way) for way in WAYS for one in ("asyncio", "trio")}
     possible = all_of_them - {("trio", way) for way in NOT_ON_TRIO}
 
     for name in NAMES:
-        due = {pair for pair in possible if is_due(name, *pair, is_case=is_case)}
+        due = {pair for pair in possible if is_due(name, *pair, takes_turns=takes_turns)}
         assert len(due) >= len(possible) / TURNS - 1
         assert {backend for backend, _ in due} == {"asyncio", "trio"}
     for pair in possible:
-        number = sum(is_due(name, *pair, is_case=is_case) for name in NAMES)
+        number = sum(is_due(name, *pair, takes_turns=takes_turns) for name in NAMES)
         assert number > len(NAMES) / TURNS / 2
-    assert not any(is_due("test_1", *pair, is_case=is_case) for pair in all_of_them - possible)
+    assert not any(
+        is_due("test_1", *pair, takes_turns=takes_turns) for pair in all_of_them - possible
+    )
 
 
-def test_each_test_runs_over_each_way_that_is_no_combination() -> None:
+def test_a_test_that_does_not_wait_runs_over_each_way_that_is_no_combination() -> None:
     for way in WAYS.keys() - COMBINED:
-        assert all(is_due(name, "asyncio", way, is_case=False) for name in NAMES)
+        assert all(is_due(name, "asyncio", way, takes_turns=False) for name in NAMES)
 
 
 # The page as it is

@@ -5,7 +5,8 @@ tests/tools/promises.py. A test that a way cannot keep is listed in `EXCLUSIONS`
 and is skipped with it.
 
 Each test runs over each way that has parts of its own. The ways that combine the parts of others,
-and the ways on trio, take turns: see `is_due`. `make contract` runs each test over each way.
+and the ways on trio, take turns: see `is_due`. A test marked `turns`, which waits for a second or
+more, takes turns over all ways. `make contract` runs each test over each way.
 """
 
 from __future__ import annotations
@@ -332,16 +333,17 @@ MANY_CASES = 4
 """A test of more cases than this is a table, and its cases take turns over all combinations."""
 
 
-def is_due(name: str, backend: str, way: str, *, is_case: bool) -> bool:
+def is_due(name: str, backend: str, way: str, *, takes_turns: bool) -> bool:
     """Return whether a test, or a case of a table, runs over a way when these take turns.
 
+    With `takes_turns` all ways do, and else those that combine the parts of others.
     It depends on the name only, so that each process and each selection of files has the same.
     """
     if backend == "trio" and way in NOT_ON_TRIO:
         return False
     if (backend, way) in TAKE_TURNS:
         place = TAKE_TURNS.index((backend, way))
-    elif is_case:
+    elif takes_turns:
         place = list(WAYS).index(way) + (backend == "trio")
     else:
         return True
@@ -370,7 +372,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left_out |= {
         item
         for item, (name, case, backend, way) in cases.items()
-        if not is_due(name + case, backend, way, is_case=number[name] > MANY_CASES)
+        if not is_due(
+            name + case,
+            backend,
+            way,
+            takes_turns=number[name] > MANY_CASES or item.get_closest_marker("turns") is not None,
+        )
     }
     items[:] = [item for item in items if item not in left_out]
     config.hook.pytest_deselected(items=[*left_out])

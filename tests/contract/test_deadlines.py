@@ -112,6 +112,7 @@ async def test_a_timeout_ends_each_wait_and_cancels_the_goal(
 
 
 @pytest.mark.promise("DEADLINE-1")
+@pytest.mark.turns
 async def test_a_timeout_tells_the_status_and_the_feedback_that_was_read(reach: Reach) -> None:
     steps = Steps()
     async with reach(ActionServer(FIBONACCI, steps)) as client:
@@ -128,6 +129,7 @@ async def test_a_timeout_tells_the_status_and_the_feedback_that_was_read(reach: 
 
 
 @pytest.mark.promise("DEADLINE-1")
+@pytest.mark.turns
 async def test_a_timeout_tells_the_status_to_a_client_that_reads_no_feedback(reach: Reach) -> None:
     steps = Steps()
     async with reach(ActionServer(FIBONACCI, steps)) as client:
@@ -139,6 +141,7 @@ async def test_a_timeout_tells_the_status_to_a_client_that_reads_no_feedback(rea
 
 
 @pytest.mark.promise("DEADLINE-1")
+@pytest.mark.turns
 async def test_a_timeout_tells_a_client_without_feedback_that_its_goal_still_waits(
     reach: Reach,
 ) -> None:
@@ -188,6 +191,7 @@ async def test_a_goal_that_is_still_being_decided_times_out_and_does_not_run_on(
 
 
 @pytest.mark.promise("DEADLINE-2")
+@pytest.mark.turns
 async def test_an_outcome_in_time_counts_however_late_it_is_read(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, let_go())) as client:
         assert await client.call(Goal(2), timeout=30) == Result([2])
@@ -211,6 +215,7 @@ async def test_feedback_without_end_does_not_put_the_deadline_off(reach: Reach) 
 
 
 @pytest.mark.promise("DEADLINE-3")
+@pytest.mark.turns
 async def test_a_goal_that_no_task_waits_for_is_not_canceled(reach: Reach) -> None:
     steps = Steps()
     async with reach(ActionServer(FIBONACCI, steps)) as client:
