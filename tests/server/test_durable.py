@@ -37,6 +37,7 @@ from fibaction import (
 )
 from fibaction._runtime.tasks import Background
 from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, Then
+from fibaction.client import attempts
 from tests.contract.conftest import tcp_address
 from tests.support.memory_store import Fate, MemoryStore
 
@@ -759,7 +760,14 @@ async def test_a_client_is_told_that_another_server_has_its_goal_and_stays_conne
 # A store that cannot be used
 
 
+@pytest.fixture
+def leaving_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a client leave soon a server that answers nothing any more."""
+    monkeypatch.setattr(attempts, "LEAVE_TIMEOUT", 0.05)
+
+
 @pytest.mark.promise("KEEP-8")
+@pytest.mark.usefixtures("leaving_soon")
 async def test_if_nothing_can_be_written_nothing_is_told_and_the_server_stops(
     machine: Machine,
 ) -> None:
@@ -776,6 +784,7 @@ async def test_if_nothing_can_be_written_nothing_is_told_and_the_server_stops(
 
 
 @pytest.mark.promise("KEEP-8")
+@pytest.mark.usefixtures("leaving_soon")
 async def test_a_client_that_waits_when_the_store_fails_is_told_that_the_line_is_lost(
     machine: Machine,
 ) -> None:
