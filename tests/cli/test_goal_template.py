@@ -48,6 +48,18 @@ def test_each_field_has_its_default_or_an_empty_value_and_what_is_known_of_it() 
     ]
 
 
+@pytest.mark.parametrize(
+    ("schema", "line"),
+    [
+        ({"type": "integer", "minimum": 3}, "3"),
+        ({"type": "object"}, "{}"),
+        ({"$ref": "#/no"}, "{}"),
+    ],
+)
+def test_a_goal_without_fields_is_one_line(schema: dict[str, Any], line: str) -> None:
+    assert list(GoalTemplate(schema).lines()) == [line]
+
+
 def test_the_template_is_a_goal_that_may_be_sent() -> None:
     for schema in (msgspec.json.schema(Pick), msgspec.json.schema(Goal), Model.model_json_schema()):
         template = GoalTemplate(schema)
