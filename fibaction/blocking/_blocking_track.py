@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any, TextIO
 
 from fibaction.blocking._blocking_goal import BlockingGoal
@@ -25,7 +26,7 @@ def track(
         GoalAborted, GoalCanceled, GoalTimeout, UnknownGoal: As for `BlockingGoal.result`.
         ActionError: As for `BlockingGoal.result`.
     """
-    with ProgressLine(text, file) as line:
+    with closing(ProgressLine(text, file)) as line:
         for feedback in goal.feedback:
             line.show(feedback, goal.feedback.number)
         result = goal.result()

@@ -6,9 +6,9 @@ What the line shows is decided in `ProgressLine`, which the `track` of `fibactio
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from importlib import import_module
-from types import TracebackType
-from typing import Any, Protocol, Self, TextIO, TypeVar
+from typing import Any, Protocol, TextIO, TypeVar
 
 from fibaction._runtime.text import printable
 from fibaction.client.feedback_reader import FeedbackReader
@@ -64,7 +64,7 @@ async def track(goal: _Tracked[ResultT], text: str = "", *, file: TextIO | None 
         GoalAborted, GoalCanceled, GoalTimeout, UnknownGoal: As for `ClientGoal.result`.
         TransportError, ProtocolError: As for `ClientGoal.result`.
     """
-    with ProgressLine(text, file) as line:
+    with closing(ProgressLine(text, file)) as line:
         async for feedback in goal.feedback:
             line.show(feedback, goal.feedback.number)
         result = await goal.result()
@@ -73,22 +73,11 @@ async def track(goal: _Tracked[ResultT], text: str = "", *, file: TextIO | None 
 
 
 class ProgressLine:
-    """The progress of one goal on a line, until the end of the block."""
+    """The progress of one goal on a line, until it is closed."""
 
     def __init__(self, text: str, file: TextIO | None) -> None:
         self._meter = ProgressMeter()
         self._bar = _bar(text, sys.stderr if file is None else file)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._bar.close()
 
     def show(self, feedback: object, number: int) -> None:
         """Show the progress that a feedback tells, or else its number."""
@@ -97,6 +86,10 @@ class ProgressLine:
     def fill(self) -> None:
         """Show that the goal has succeeded."""
         self._bar.fill()
+
+    def close(self) -> None:
+        """Leave the line as it is."""
+        self._bar.close()
 
 
 def _bar(text: str, file: TextIO) -> _Bar:
