@@ -35,7 +35,7 @@ pytestmark = pytest.mark.skipif(IS_LEFT_OUT, reason=MISSING)
 
 
 def begins_with(schemas: list[dict[str, Any]]) -> list[Any]:
-    """What the forms of these schemas begin with."""
+    """Return the values that forms of these schemas begin with."""
     assert PROGRAM is not None
     done = subprocess.run(
         [PROGRAM, "--input-type=module", "-e", PROGRAM_TEXT, "--", SCHEMA_JS.as_uri()],

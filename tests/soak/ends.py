@@ -76,7 +76,7 @@ def state() -> dict[str, Any]:
 async def settled(before: dict[str, Any]) -> dict[str, Any]:
     """Return the state as soon as there is no more than before, or after `SETTLING` seconds."""
     with anyio.move_on_after(SETTLING):
-        while any(  # noqa: ASYNC110  # the system tells nobody that a file is closed
+        while any(  # noqa: ASYNC110  # no event says that a file is closed
             state()[what] > before[what] for what in ("tasks", "files", "threads")
         ):
             await anyio.sleep(0.02)

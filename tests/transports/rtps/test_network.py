@@ -383,7 +383,7 @@ async def test_a_loop_of_asyncio_wakes_once_for_the_earliest_time() -> None:
     with pytest.raises(ValueError, match="enough"):
         await loop.run(sleeper, ())
     loop.settle_soon()
-    await anyio.wait_all_tasks_blocked()  # nobody is driven any more
+    await anyio.wait_all_tasks_blocked()  # nothing is driven any more
     assert woken[0] >= now
     loop.wake(now)
     await anyio.sleep(0.001)
