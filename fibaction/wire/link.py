@@ -129,6 +129,11 @@ class Link:
         while self._queued and self._error is None:
             await self._room.wait()
 
+    async def ended(self) -> None:
+        """Wait until the connection has ended."""
+        while self._error is None:
+            await self._room.wait()
+
     async def say_last(self, frame: bytes) -> None:
         """Tell the peer after the end why it has ended, if the line still works."""
         with suppress(ActionError), move_on_after(1):

@@ -23,6 +23,7 @@ from fibaction.wire.messages import (
     Actions,
     Follow,
     Following,
+    Goodbye,
     Hello,
     ListActions,
     Received,
@@ -212,6 +213,8 @@ class Network:
     def __init__(self) -> None:
         self.refusal: TransportError | None = None
         self.hangs = False
+        self.closes = True
+        """True if servers close a connection when the client has said goodbye, as real ones do."""
         self.dialed = 0
         self._waiting: deque[Peer] = deque()
         self._more = Notifier()
@@ -224,6 +227,8 @@ class Network:
         if self.refusal is not None:
             raise self.refusal
         end, other = memory.pair(other=WHERE)
+        if self.closes:
+            end.close_after(lambda frame: isinstance(decode_from_client(frame), Goodbye))
         self._waiting.append(Peer(end, decode_from_client))
         self._more.notify()
         return other

@@ -42,6 +42,8 @@ class _Way:
         self.is_stopped = False
         self.is_muted = False
         self.is_cut = False
+        self.is_last: Callable[[bytes], bool] = lambda _frame: False
+        """Tells the frame after which its reader closes the connection."""
         self.writes: list[tuple[float, list[bytes]]] = []
         self.pieces = 0
         self.news = Notifier()
@@ -66,6 +68,8 @@ class MemoryChannel(Channel):
         if not way.is_muted:
             way.frames += frames
             way.news.notify()
+            if any(way.is_last(frame) for frame in frames):
+                self.cut()
 
     async def receive(self) -> list[bytes]:
         way = self._incoming
@@ -94,6 +98,10 @@ class MemoryChannel(Channel):
     def stop_reading(self) -> None:
         """From now on, the other end cannot write."""
         self._incoming.is_stopped = True
+
+    def close_after(self, is_last: Callable[[bytes], bool]) -> None:
+        """Close the connection as soon as the other end has written such a frame."""
+        self._incoming.is_last = is_last
 
     def take_a_piece(self) -> None:
         """Take a part of what the other end writes."""

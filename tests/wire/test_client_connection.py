@@ -851,6 +851,35 @@ async def test_leaving_a_server_that_does_not_read_takes_a_second() -> None:
     assert server.channel.is_cut
 
 
+@in_virtual_time()
+async def test_leaving_reads_on_until_the_server_has_closed() -> None:
+    network = Network()
+    network.closes = False
+    async with anyio.create_task_group() as tasks:
+
+        async def close() -> None:
+            await server.hear(Goodbye)
+            await anyio.sleep(0.3)
+            assert not server.channel.is_cut
+            await server.say(*[Ended(call_id, SUCCEEDED, b"", "", 0)] * 3)  # to no call any more
+            server.channel.cut()
+
+        async with reached(network) as (connection, server):
+            async with goal_of(connection, server) as (_, call_id):
+                tasks.start_soon(close)
+            start = anyio.current_time()
+    assert anyio.current_time() - start == pytest.approx(0.3)
+
+
+@in_virtual_time()
+async def test_leaving_a_server_that_does_not_close_takes_a_second() -> None:
+    network = Network()
+    network.closes = False
+    async with reached(network):
+        start = anyio.current_time()
+    assert anyio.current_time() - start == pytest.approx(1)
+
+
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_no_call_waits_on_where_the_task_that_leaves_is_itself_canceled() -> None:
     apart = Apart(reached())

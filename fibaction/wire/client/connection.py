@@ -85,7 +85,7 @@ OPEN_TIMEOUT = 5.0
 WAITING_GOAL = 64
 """Bytes of a message for each goal that waits in it, at most."""
 LEAVE_TIMEOUT = 1.0
-"""Seconds that leaving waits for the last messages to be written."""
+"""Seconds that leaving waits for the last messages to be written, and for the server to close."""
 
 OpenLine = Callable[[], Awaitable[Line]]
 """Opens a line; raises `TransportError`."""
@@ -149,14 +149,21 @@ class RemoteConnection(Connection):
         self._reconnector.stop(error)
 
     async def leave(self) -> None:
-        """Say goodbye, and end all calls."""
-        try:
-            with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
-                if self._link is not None:
-                    self._link.post(encode(Goodbye("the client has what it wanted")))
-                    await self._link.flush()
-        finally:  # asyncio can cancel the task itself, which no scope shields
-            self._reconnector.stop()
+        """Say goodbye, end all calls, and wait until the server has closed the line.
+
+        A line that is closed while the server still writes is reset: the server then learns of that
+        before it has read the goodbye, and takes this client for lost.
+        """
+        link = self._link
+        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
+            try:
+                if link is not None:
+                    link.post(encode(Goodbye("the client has what it wanted")))
+                    await link.flush()
+            finally:  # asyncio can cancel the task itself, which no scope shields
+                self._reconnector.stop()
+            if link is not None:
+                await link.ended()
 
     async def _attempt(self) -> ActionError:
         """Open a line, use it until it ends, and return the error that ended it."""
