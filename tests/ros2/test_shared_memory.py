@@ -1,7 +1,9 @@
-"""The files of Fast DDS in /dev/shm: a process that ends removes its own, however it ends.
+"""Shared memory, through which Fast DDS sends on one machine unless the user turns it off.
 
-Each process is alone in a domain, so that all files which it has open are its own, but for the port
-of multicast, which all domains of the machine share.
+Goals pass through it, and a process that ends removes its files in /dev/shm, however it ends.
+
+A process whose files are looked at is alone in a domain, so that all files which it has open are
+its own, but for the port of multicast, which all domains of the machine share.
 """
 
 from __future__ import annotations
@@ -13,9 +15,12 @@ from signal import SIGINT, SIGKILL, SIGTERM
 
 import pytest
 
+from fibaction import connect
 from fibaction_transports.ros2.on_rclpy.rcl import middleware
+from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
+from tests.support.fibonacci import Goal
 
 pytestmark = [
     pytest.mark.anyio,
@@ -37,10 +42,20 @@ def anyio_backend(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+@pytest.fixture(autouse=True)
+def shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let Fast DDS use shared memory, as where nothing is set."""
+    monkeypatch.delenv("FASTDDS_BUILTIN_TRANSPORTS")
+
+
+def mapped_by(pid: int | str) -> set[Path]:
+    """Return the files of Fast DDS that a process has mapped."""
+    return {Path(name) for name in MAPPED.findall(Path(f"/proc/{pid}/maps").read_text())}
+
+
 def files_of(process: Peer) -> set[Path]:
     """Return the files of Fast DDS that a process has mapped, with what lies beside them."""
-    maps = Path(f"/proc/{process.process.pid}/maps").read_text()
-    mapped = {Path(name) for name in MAPPED.findall(maps)}
+    mapped = mapped_by(process.process.pid)
     beside = {
         other
         for path in mapped
@@ -56,6 +71,20 @@ async def until_mapped(process: Peer) -> set[Path]:
         return files_of(process)
 
     return await eventually(look, lambda files: len(files) >= OF_A_PROCESS)
+
+
+@pytest.mark.parametrize("url", ["ros2://", "dds://"])
+async def test_a_goal_is_executed_by_a_stock_server_with_shared_memory(url: str) -> None:
+    async with peer("server") as stock, connect(url) as connection:
+        assert mapped_by(stock.process.pid) != set()
+        assert url == "dds://" or mapped_by("self") != set()
+        client = connection.client(action("stock"))
+        async with client.send_goal(Goal(order=4)) as goal:
+            feedback = [one.partial_sequence async for one in goal.feedback]
+            result = await goal.result()
+
+    assert feedback == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
+    assert result.sequence == [0, 1, 1, 2, 3]
 
 
 @pytest.mark.parametrize(("number", "code"), [(SIGINT, 128 + SIGINT), (SIGTERM, 0)])
