@@ -19,7 +19,7 @@ from tests.browser.served import RobotProcess
 
 CHROMIUM = Path("/usr/bin/chromium")
 IS_LEFT_OUT = not CHROMIUM.exists() and os.environ.get("FIBACTION_BROWSER") != "required"
-PATIENCE = 10_000
+PATIENCE = 30_000
 """Milliseconds within which a page does what a test waits for."""
 
 

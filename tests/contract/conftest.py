@@ -65,7 +65,7 @@ class Way(Protocol):
     ) -> AbstractAsyncContextManager[str]: ...
 
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 """Seconds after which a test that hangs fails."""
 
 

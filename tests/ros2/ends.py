@@ -21,7 +21,7 @@ from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 Items = AsyncGenerator[Feedback | Result, None]
-PATIENCE = 10.0
+PATIENCE = 30.0
 """Seconds after which a test that hangs fails."""
 
 

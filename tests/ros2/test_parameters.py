@@ -37,7 +37,7 @@ async def answered(future: Any) -> Any:
 async def test_parameters_of_a_node_can_be_listed_read_and_set_while_it_serves() -> None:
     url = new_url()
     place = url.partition("=")[2]
-    with anyio.fail_after(2 * PATIENCE), spun_node(place) as node:
+    with anyio.fail_after(PATIENCE), spun_node(place) as node:
         parameters = AsyncParameterClient(node, f"{place}/robot")
         async with (
             serve(ActionServer(FIBONACCI, fibonacci), url.replace("//", "//robot")),
@@ -72,7 +72,7 @@ async def test_services_publish_events_if_that_is_asked_for(level: str) -> None:
     place = url.partition("=")[2].partition("&")[0]
     service = Fibonacci.Impl.SendGoalService
     events: list[Any] = []
-    with anyio.fail_after(2 * PATIENCE), spun_node(place) as node:
+    with anyio.fail_after(PATIENCE), spun_node(place) as node:
         name = "fibonacci/_action/send_goal/_service_event"
         subscription = node.create_subscription(service.Event, name, events.append, 100)
         async with (

@@ -81,7 +81,7 @@ class Simulation:
 async def simulation() -> AsyncGenerator[Simulation, None]:
     place = new_url().partition("=")[2]
     with (
-        anyio.fail_after(3 * PATIENCE),
+        anyio.fail_after(PATIENCE),
         spun_node(place, "stock") as stock,
         spun_node(place, "server", *SIMULATED) as served,
         spun_node(place, "client", *SIMULATED) as following,

@@ -40,7 +40,7 @@ from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and t
 
 pytestmark = pytest.mark.anyio
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 KEPT = EndQos(durability="transient_local", depth=5)
 
 

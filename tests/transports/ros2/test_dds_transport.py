@@ -31,7 +31,7 @@ from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 pytestmark = pytest.mark.anyio
 
 ROOT = Path(__file__).parents[3]
-PATIENCE = 10.0
+PATIENCE = 30.0
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ async def test_goals_feedback_and_results_may_be_large(size: int, tmp_path: Path
 
     heard: list[bool] = []
     space = f"/t{uuid.uuid4().hex}"
-    with anyio.fail_after(3 * PATIENCE):
+    with anyio.fail_after(PATIENCE):
         async with (
             serve(
                 ActionServer(big, execute), f"dds://?namespace={space}", search=[str(tmp_path)]

@@ -16,7 +16,7 @@ from tests.transports.ros2.test_dds_node import until
 
 pytestmark = pytest.mark.anyio
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 
 
 def domain() -> int:

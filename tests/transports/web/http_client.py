@@ -15,7 +15,7 @@ from anyio.abc import SocketStream
 from fibaction_transports.web.http.http_exchange import headers_in as headers_of
 from tests.transports.hearing import port_of
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 """Seconds for an answer."""
 
 

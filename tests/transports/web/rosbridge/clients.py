@@ -21,7 +21,7 @@ from tests.transports.hearing import port_of
 from tests.transports.web.test_web_transport import Call
 from tests.transports.web.upgrade import upgrade
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 """Seconds for a message."""
 
 

@@ -32,7 +32,7 @@ from fibaction._runtime.notify import Notifier
 from tests.transports.proxy import BROKEN
 
 BROKEN_OR_ENDED: tuple[type[Exception], ...] = (*BROKEN, anyio.EndOfStream)
-PATIENCE = 10.0
+PATIENCE = 30.0
 """Seconds for a message."""
 REJECTED = "Action goal was rejected"
 NO_SERVER = "No action server available"
