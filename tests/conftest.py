@@ -5,9 +5,10 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import random
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -33,8 +34,44 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+WORKER = os.environ.get("PYTEST_XDIST_WORKER")
+"""The name of this process among those of pytest-xdist."""
+
 # The lines of all tests together would be a flood: each is written, but in the tests of that limit.
 log.QUOTA = sys.maxsize
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect no garbage while tests are collected: nearly all that is made then stays."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Let each process of pytest-xdist import the test files in an order of its own.
+
+    pytest keeps the code that it makes of a file. In the same order, all processes would make that
+    of each file at the same time.
+    """
+    report = yield
+    if WORKER is not None and isinstance(collector, pytest.Directory):
+        random.Random(WORKER).shuffle(report.result)
+    return report
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of all processes in the same order, that of their paths."""
+    if WORKER is not None:
+        parts = {path: path.parts for path in {item.path for item in items}}
+        items.sort(key=lambda item: parts[item.path])
 
 
 def _levels() -> dict[str, int]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import random
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,6 +55,10 @@ class Tracer:
         self._found: dict[Path, dict[str, set[Place]]] = {}
         self._followed = IMPORTING
         self._test: Path | None = IMPORTING
+        paths = [str(module) for module, _ in self._modules]
+        # Processes begin at different places, so that each module is prepared by one of them.
+        random.Random(os.environ.get("PYTEST_XDIST_WORKER")).shuffle(paths)
+        self._probes.prepare(paths)
         # Else the test file that is the first to need a module would get its definitions.
         imported = [importlib.import_module(dotted(module)) for module, _ in self._modules]
         self._forgets: list[Callable[[], None]] = [

@@ -6,16 +6,23 @@ module that is measured is imported, a probe is put before each of its statement
 branch that has none. Everything else runs at full speed, on each version of Python. What is a
 statement and what is a branch is decided by coverage.py's report: see
 `tests/tools/own_coverage.py`.
+
+The code of a module with its probes is kept beside its bytecode, since it takes ten times as long
+to make as to load.
 """
 
 from __future__ import annotations
 
 import ast
 import builtins
+import marshal
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from hashlib import sha256
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from importlib.util import cache_from_source
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, NamedTuple, TypeVar
@@ -25,6 +32,9 @@ NodeT = TypeVar("NodeT", bound=ast.AST)
 NAME = "__probes__"
 """The name of a module's probes; a name with underscores at both ends means the same in a class."""
 
+
+THIS = Path(__file__).read_bytes()
+"""The text of this module: code that another version of it has made is made again."""
 
 POSITION = ("lineno", "col_offset", "end_lineno", "end_col_offset")
 """The names of the place of a node in a tree."""
@@ -176,6 +186,26 @@ def _first_line(node: Any) -> int:
     return _lines(node)[0]
 
 
+def _code(path: str) -> tuple[list[Place], CodeType]:
+    """Return the probes of a module and its code with them, which is made once for each text."""
+    source = Path(path).read_bytes()
+    kept = Path(cache_from_source(path, optimization="probes"))
+    mark = sha256(b"\0".join([THIS, path.encode(), source])).digest()
+    data = kept.read_bytes() if kept.exists() else b""
+    if data.startswith(mark):
+        found, code = marshal.loads(data[len(mark) :])
+        return [Place(*each) for each in found], code
+    placement = Placement()
+    code = compile(placement.visit(ast.parse(source, path)), path, "exec", dont_inherit=True)
+    if not sys.dont_write_bytecode:
+        kept.parent.mkdir(exist_ok=True)
+        # Other processes may write or read the same file now.
+        own = kept.with_suffix(f".{os.getpid()}")
+        own.write_bytes(mark + marshal.dumps(([*map(tuple, placement.places)], code)))
+        own.replace(kept)
+    return placement.places, code
+
+
 class Reached(list[bool]):
     """Which probes of a module were reached."""
 
@@ -203,13 +233,17 @@ class Probes(MetaPathFinder):
             spec.loader = _Loader(spec.loader.name, spec.loader.path, self)
         return spec
 
+    def prepare(self, paths: Iterable[str]) -> None:
+        """Make the code of these modules, so that it is there for this process and for others."""
+        if not sys.dont_write_bytecode:
+            for path in paths:
+                _code(path)
+
     def code(self, path: str) -> CodeType:
         """Return the code of a module, with its probes."""
-        placement = Placement()
-        tree = placement.visit(ast.parse(Path(path).read_bytes(), path))
-        self._places[path] = placement.places
-        self._reached.setdefault(path, Reached([False] * len(placement.places)))
-        return compile(tree, path, "exec", dont_inherit=True)
+        self._places[path], code = _code(path)
+        self._reached.setdefault(path, Reached([False] * len(self._places[path])))
+        return code
 
     def reached(self, path: str) -> Reached:
         """Return which probes of a module were reached."""

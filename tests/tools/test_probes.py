@@ -14,6 +14,7 @@ import anyio
 import pytest
 from coverage import Coverage
 
+from tests.tools import probes as tool
 from tests.tools.own_coverage import gaps
 from tests.tools.probes import Probes
 
@@ -117,6 +118,40 @@ def test_what_is_imported_and_what_is_called_later_are_told_apart(
     assert module.Kept().twice == 0
     assert {place.line for place in probes.take()[str(path)]} == {line}
     assert probes.take() == {}
+
+
+def test_code_is_made_once_for_each_text_of_a_module(
+    path: Path, probes: Probes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+
+    class Counted(tool.Placement):
+        def __init__(self) -> None:
+            super().__init__()
+            made.append(path.read_text())
+
+    monkeypatch.setattr(tool, "Placement", Counted)
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    probes.prepare([str(path)])
+    probes.prepare([str(path)])
+    use(importlib.import_module(path.stem), [1])
+    assert made == [PROGRAM]
+    from_kept = probes.take()
+
+    path.write_text(f"{PROGRAM}\n")
+    del sys.modules[path.stem]
+    use(importlib.import_module(path.stem), [1])
+    assert made == [PROGRAM, f"{PROGRAM}\n"]
+    assert probes.take() == from_kept
+
+
+def test_no_code_is_kept_where_python_keeps_none(
+    path: Path, probes: Probes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    probes.prepare([str(path)])
+    importlib.import_module(path.stem)
+    assert list(path.parent.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("values", [[], [0], [1], [2], [3], [4], [9], [0, 1, 2, 3, 4, 9]])
