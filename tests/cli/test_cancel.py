@@ -119,7 +119,7 @@ def test_no_goal_to_cancel_is_what_was_wanted(invoke: Invoke, tcp: str) -> None:
         (["wait", "aa", "bb"], "there is more than NAME and GOAL_ID"),
         (["--all", "--before", "1"], "--all and --before cannot be combined"),
         (["--before", "0"], "a stamp of 0 means all goals"),
-        (["--before", "soon"], "'soon' is neither nanoseconds since 1970 nor a time in ISO 8601"),
+        (["--before", "soon"], "'soon' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m"),
         (["wait"], "unlike 'wait'; --all means all"),
         (["dddd"], "there is no goal dddd at any server"),
         (["wait", str(ID)], f"goal {ID} is unknown"),

@@ -22,7 +22,7 @@ from fibaction import (
 )
 from fibaction.cli.output.family import Family, family_of, step_of
 from fibaction.cli.verbs.attach import attach
-from fibaction.cli.verbs.list_goals import list_goals
+from fibaction.cli.verbs.list_goals import Form, list_goals
 from fibaction.observe.monitor import GoalKey, GoalSnapshot, Monitor
 
 URL = "inproc://family"
@@ -62,7 +62,7 @@ async def test_a_list_for_programs_has_the_parents_and_the_children(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     async with fetched() as (mission, shelf, dock):
-        await list_goals(URL, None, watch=False, as_json=True)
+        await list_goals(URL, form=Form.JSON)
 
     found = {
         line["goal_id"]: line for line in map(json.loads, capsys.readouterr().out.split("\n")[:-1])
@@ -78,7 +78,7 @@ async def test_a_list_for_people_has_a_column_of_steps_and_children(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     async with fetched() as (mission, _, _):
-        await list_goals(URL, None, watch=False, as_json=False)
+        await list_goals(URL)
 
     heading, fetch, shelf, dock = capsys.readouterr().out.splitlines()
     at = heading.index("PARENT, CHILDREN")

@@ -13,7 +13,7 @@ import pytest
 
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.verbs.list_goals import list_goals
+from fibaction.cli.verbs.list_goals import Form, list_goals
 from tests.cli.conftest import ROOT, Open, Run, Start, detached, interrupt
 from tests.support.nats_server import IS_LEFT_OUT, nats_server
 from tests.support.processes import ended, lines_until
@@ -165,8 +165,8 @@ async def test_goals_that_no_worker_can_read_are_told(
                     if worker.unreadable:
                         break
                     await anyio.sleep(0.1)
-            assert await list_goals(url, None, watch=False, as_json=False) == 0
-            assert await list_goals(url, None, watch=False, as_json=True) == 0
+            assert await list_goals(url) == 0
+            assert await list_goals(url, form=Form.JSON) == 0
     out, err = capsys.readouterr()
     assert f"{goal.goal_id}  /turn   no worker" in out
     assert '"has_worker":false' in out

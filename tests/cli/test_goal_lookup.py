@@ -4,10 +4,26 @@ from __future__ import annotations
 
 import anyio
 import pytest
+from msgspec.structs import replace
 
-from fibaction import ActionClient, ConnectionLost, GoalID, ServerNotFound
-from fibaction.cli.arguments.goal_lookup import ActionClients, find_goal, goal_digits, goals_of
+from fibaction import (
+    ActionClient,
+    ConnectionLost,
+    GoalID,
+    GoalInfo,
+    GoalStatus,
+    ServerNotFound,
+)
+from fibaction.cli.arguments.goal_lookup import (
+    ActionClients,
+    GoalChoice,
+    find_goal,
+    goal_digits,
+    goals_of,
+)
+from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.words.goal_query import GoalQuery
 from tests.cli.served import Altered, Served, counter
 
 A = GoalID.parse("aaaaaaaa" + "0" * 24)
@@ -106,6 +122,62 @@ async def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one() -> None:
             await find_goal({"one": clients["one"]}, "dd")
 
     assert several.value.exit_code == none.value.exit_code == ExitCode.USAGE
+
+
+def timed(
+    number: int, began_at: int | None = None, ended_at: int | None = None, client: str = ""
+) -> GoalRow:
+    status = GoalStatus.EXECUTING if ended_at is None else GoalStatus.SUCCEEDED
+    info = GoalInfo(GoalID(bytes([number] * 16)), number, status, 0, client)
+    return GoalRow("one", replace(info, began_at=began_at, ended_at=ended_at))
+
+
+@pytest.mark.parametrize(
+    ("sort", "order"),
+    [
+        ("accepted", [1, 2, 3, 4]),
+        ("began", [4, 3, 1, 2]),
+        ("ended", [3, 4, 2, 1]),
+        ("waited", [4, 3, 1, 2]),
+        ("ran", [3, 4, 2, 1]),
+        ("status", [3, 4, 1, 2]),
+        ("action", [1, 2, 3, 4]),
+        ("client", [4, 2, 3, 1]),
+    ],
+)
+def test_a_sorted_list_ends_with_the_greatest_and_begins_with_what_is_not_known(
+    sort: str, order: list[int]
+) -> None:
+    rows = [
+        timed(1, 101, 201, "c"),
+        timed(2, 107, 108, "b"),
+        timed(3, 50, None, "b"),
+        timed(4, None, None, "a"),
+    ]
+
+    def found(limit: int) -> tuple[list[int], int]:
+        chosen, left_out = GoalChoice(sort=sort, limit=limit).of(rows)
+        return [row.info.stamp for row in chosen], left_out
+
+    assert found(0) == (order, 0)
+    assert found(4) == (order, 0)
+    assert found(3) == (order[1:], 1)
+
+
+def test_a_choice_tells_what_its_goals_are() -> None:
+    assert GoalChoice(sort="ran", limit=3).adjective == ""
+    statuses = GoalQuery(frozenset([GoalStatus.ABORTED]))
+    assert GoalChoice(("aborted", "ended"), statuses).adjective == "aborted or ended "
+    assert GoalChoice(("aborted",), statuses._replace(since=1)).adjective == "matching "
+
+
+@pytest.mark.asyncio
+async def test_several_actions_are_named_and_each_of_them_is_served() -> None:
+    served = Served(counter("one"), counter("other"), counter("third"))
+
+    assert list(await ActionClients(served.connection, "third", "/one").now()) == ["third", "one"]
+    with pytest.raises(Failure, match="/two is not served"):
+        await ActionClients(served.connection, "one", "two").now()
 
 
 @pytest.mark.asyncio

@@ -9,7 +9,9 @@ from rich.console import Console
 
 from fibaction import GoalID, GoalInfo, GoalStatus, Outcome, Parent
 from fibaction.cli.output.goal_table import (
+    CSV_COLUMNS,
     GoalRow,
+    csv_cells,
     duration,
     in_color,
     in_columns,
@@ -21,6 +23,8 @@ from fibaction.cli.output.goal_table import (
 A = GoalID.parse("aaaaaaaa" + "0" * 24)
 B = GoalID.parse("aaaaaaaa" + "1" * 24)
 C = GoalID.parse("cccccccc" + "0" * 24)
+NOON = 1_769_860_800 * 10**9
+"""2026-01-31T12:00:00Z."""
 WAITING = GoalInfo(C, 10**9, GoalStatus.ACCEPTED, 0, "me", 2, 5)
 
 
@@ -193,3 +197,74 @@ def test_the_time_for_a_table_grows_with_its_rows() -> None:
     rows = [GoalRow("a", GoalInfo(GoalID.random(), 1, GoalStatus.EXECUTING, 0, "x" * 200))] * 50_000
 
     assert len(in_columns(rows, actions=True, width=80, now=0)) == 50_001
+
+
+def csv_row(row: GoalRow) -> dict[str, str]:
+    return dict(zip(CSV_COLUMNS, csv_cells(row), strict=True))
+
+
+def test_a_row_of_csv_has_times_spans_and_the_result() -> None:
+    began, ended = NOON + 1_500_000_000, NOON + 4_000_001_000
+    info = GoalInfo(
+        *(A, NOON, GoalStatus.SUCCEEDED, 3, "robot7 at 10.0.0.7:4"),
+        attempt=2,
+        parent=Parent(B, "pick"),
+        began_at=began,
+        ended_at=ended,
+    )
+    row = GoalRow("arm/pick", info, Outcome(GoalStatus.SUCCEEDED, {"cup": [-1]}))
+
+    assert csv_row(row) == {
+        "action": "arm/pick",
+        "goal_id": str(A),
+        "status": "SUCCEEDED",
+        "accepted_at": "2026-01-31T12:00:00.000000Z",
+        "began_at": "2026-01-31T12:00:01.500000Z",
+        "ended_at": "2026-01-31T12:00:04.000001Z",
+        "waited": "1.500000",
+        "ran": "2.500001",
+        "attempt": "2",
+        "feedback_count": "3",
+        "client": "robot7 at 10.0.0.7:4",
+        "parent": str(B),
+        "step": "pick",
+        "reason": "",
+        "result": '{"cup":[-1]}',
+    }
+
+
+def test_what_is_not_known_is_empty_in_csv() -> None:
+    cells = csv_row(row())
+    empty = {name for name, cell in cells.items() if not cell}
+    assert empty == {
+        *("began_at", "ended_at", "waited", "ran", "client", "parent", "step", "reason", "result")
+    }
+
+
+def test_a_goal_that_runs_has_waited_and_no_time_of_its_run() -> None:
+    info = GoalInfo(A, NOON, GoalStatus.EXECUTING, began_at=NOON + 10**9)
+    cells = csv_row(GoalRow("arm/pick", info))
+    assert (cells["waited"], cells["ran"]) == ("1.000000", "")
+
+
+def test_the_reason_of_an_outcome_that_is_not_known_is_that_of_the_list() -> None:
+    info = GoalInfo(A, NOON, GoalStatus.ABORTED, reason="too hot")
+    assert csv_row(GoalRow("arm/pick", info))["reason"] == "too hot"
+    whole = Outcome[object](GoalStatus.ABORTED, reason="too hot, and more")
+    assert csv_row(GoalRow("arm/pick", info, whole))["reason"] == "too hot, and more"
+
+
+@pytest.mark.parametrize(
+    ("reason", "cell"),
+    [
+        ("=1+1", "'=1+1"),
+        ("+1", "'+1"),
+        ("-1", "'-1"),
+        ("@A1", "'@A1"),
+        ("a=1", "a=1"),
+        ("one\ntwo\x1b[2J", "one\\x0atwo\\x1b[2J"),
+    ],
+)
+def test_text_of_others_is_one_line_of_csv_and_no_formula(reason: str, cell: str) -> None:
+    info = GoalInfo(A, NOON, GoalStatus.ABORTED, reason=reason)
+    assert csv_row(GoalRow("arm/pick", info))["reason"] == cell

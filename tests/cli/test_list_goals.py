@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import signal
@@ -14,12 +15,16 @@ import pytest
 from rich.console import Console
 
 from fibaction import ActionClient, ConnectionLost, GoalID, GoalInfo, GoalStatus, connect, serve
+from fibaction.cli.arguments.goal_lookup import GoalChoice
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.output.goal_table import GoalRow, picture
 from fibaction.cli.output.lines import note
+from fibaction.cli.output.outcomes import MOST_ENDS, Outcomes
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import list_goals
+from fibaction.cli.verbs.list_goals import Form
 from fibaction.observe.monitor import AnyClient
+from fibaction.words.goal_query import GoalQuery
 from tests.cli.conftest import Open, Robot, Run, Start, detached, interrupt
 from tests.cli.served import Altered, Heard, Served, counter
 from tests.cli.test_echo import echoed
@@ -75,19 +80,24 @@ def row(number: int, status: GoalStatus) -> GoalRow:
     return GoalRow("count", GoalInfo(GoalID(bytes([number] * 16)), number, status))
 
 
+def choice_of(*words: str) -> GoalChoice:
+    statuses = [list_goals.STATUS_WORDS[word] for word in words]
+    return GoalChoice(words, GoalQuery(frozenset[GoalStatus]().union(*statuses)))
+
+
 def test_active_goals_and_then_the_newest_are_chosen_and_stay_in_their_order() -> None:
     statuses = [GoalStatus.EXECUTING, GoalStatus.ABORTED, GoalStatus.SUCCEEDED, GoalStatus.ACCEPTED]
     rows = [row(number, status) for number, status in enumerate(statuses)]
-    assert list_goals.GoalChoice(limit=3).of(rows) == ([rows[0], rows[2], rows[3]], 1)
-    assert list_goals.GoalChoice(limit=4).of(rows) == (rows, 0)
-    assert list_goals.GoalChoice().of(rows) == (rows, 0)
+    assert GoalChoice(limit=3).of(rows) == ([rows[0], rows[2], rows[3]], 1)
+    assert GoalChoice(limit=4).of(rows) == (rows, 0)
+    assert GoalChoice().of(rows) == (rows, 0)
 
 
 def test_goals_are_chosen_by_the_words_for_their_statuses() -> None:
     rows = [row(number, status) for number, status in enumerate(GoalStatus)]
 
     def chosen(*words: str) -> list[str]:
-        return [one.info.status.name for one in list_goals.GoalChoice(words).of(rows)[0]]
+        return [one.info.status.name for one in choice_of(*words).of(rows)[0]]
 
     assert chosen("active") == ["ACCEPTED", "EXECUTING", "CANCELING"]
     assert chosen("ended") == ["SUCCEEDED", "CANCELED", "ABORTED"]
@@ -122,7 +132,65 @@ def test_a_list_that_is_watched_has_no_choice(here: Run, url: str, option: tuple
     found = here("goals", "--watch", *option, url=url)
 
     assert found.code == ExitCode.USAGE
-    assert "--watch shows all goals: leave out --status and --limit" in found.err
+    assert found.err == (
+        "Error: --watch shows all goals: leave out the options that choose or sort them, such as"
+        " --status and --limit\n"
+    )
+
+
+def test_goals_lists_those_of_a_span_of_time_and_of_several_actions(here: Run, url: str) -> None:
+    early = detached(here, url, "fibonacci", "order: 1")
+    late = detached(here, url, "arm/pick", "object_name: cup")
+    both = ("goals", "fibonacci", "arm/pick")
+    stamps = {goal["goal_id"]: goal["stamp"] for goal in here(*both, "--json", url=url).json}
+
+    def found(*options: str) -> list[str]:
+        listed = here(*both, *options, "--json", url=url).json
+        return [goal["goal_id"] for goal in listed if goal["goal_id"] in (early, late)]
+
+    assert found() == [early, late]
+    assert found("--since", str(stamps[early] + 1)) == [late]
+    assert found("--until", str(stamps[early])) == [early]
+    assert found("--since", "1h", "--client", "a client of another name") == []
+    assert found("--since", "1h", "--sort", "action") == [late, early]
+    names = {line.split()[1] for line in here(*both, url=url).lines[1:]}
+    assert names == {"/fibonacci", "/arm/pick"}
+    none = here(*both, "--until", "2026-01-31", url=url)
+    assert none.err == "There are no matching goals of /fibonacci or /arm/pick.\n"
+
+
+def test_goals_as_csv_has_a_heading_and_a_line_for_each(here: Run, url: str) -> None:
+    goal_id = detached(here, url, "fibonacci", "order: 5")
+    heading, *goals = csv.reader(here("goals", "fibonacci", "--csv", url=url).lines)
+    (goal,) = (goal for goal in goals if goal[1] == goal_id)
+    cells = dict(zip(heading, goal, strict=True))
+
+    assert cells["action"] == "fibonacci"
+    assert cells["status"] == "SUCCEEDED"
+    assert cells["result"] == '{"sequence":[0,1,1,2,3,5]}'
+    assert cells["accepted_at"] <= cells["began_at"] <= cells["ended_at"]
+    assert here("goals", "--csv", "--until", "2026-01-31", url=url).out == f"{','.join(heading)}\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--since", "soon"], "'soon' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m for"),
+        (["--since", "1m", "--until", "1h"], "--since is later than --until: no goal is between"),
+        (["--sort", "size"], "'size' is not one of 'accepted', 'began', 'ended', 'waited', 'ran'"),
+        (["--json", "--csv"], "--json and --csv cannot be combined"),
+        (["--watch", "--csv"], "--watch prints no CSV: use --json"),
+        (["--watch", "wait", "stubborn"], "--watch shows one action, or all: give one NAME or"),
+        (["--watch", "--since", "1m"], "--watch shows all goals: leave out the options that choos"),
+    ],
+)
+def test_options_that_mean_nothing_are_one_sentence(
+    here: Run, nobody: str, options: list[str], text: str
+) -> None:
+    found = here("goals", *options, url=nobody)
+
+    assert (found.code, found.out) == (ExitCode.USAGE, "")
+    assert text in found.err.splitlines()[-1]
 
 
 def test_goals_limits_itself_to_a_namespace(here: Run, url: str) -> None:
@@ -214,9 +282,9 @@ def test_a_server_that_dies_and_one_that_stops_are_told_of(
     assert err.splitlines()[-1].startswith("Error: ")
 
 
-async def running_goals(url: str, name: str | None = None, *, watch: bool = False) -> int:
+async def running_goals(url: str, *names: str) -> int:
     with anyio.fail_after(20):
-        return await list_goals.list_goals(url, name, watch=watch, as_json=False)
+        return await list_goals.list_goals(url, names)
 
 
 @pytest.mark.asyncio
@@ -224,7 +292,7 @@ async def test_without_goals_there_is_a_remark(capsys: pytest.CaptureFixture[str
     async with serve(counter("one"), "inproc://goals"):
         assert await running_goals("inproc://goals") == 0
         assert await running_goals("inproc://goals", "one") == 0
-        assert await list_goals.list_goals("inproc://goals", None, watch=False, as_json=True) == 0
+        assert await list_goals.list_goals("inproc://goals", form=Form.JSON) == 0
 
     out, err = capsys.readouterr()
     assert out == ""
@@ -232,15 +300,50 @@ async def test_without_goals_there_is_a_remark(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.asyncio
+@pytest.mark.parametrize(("goals", "text"), [(1, "1 goal"), (2, "2 goals")])
+async def test_a_list_for_programs_tells_of_results_that_it_does_not_have(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, goals: int, text: str
+) -> None:
+    async def give_none(_self: object, _clients: object, rows: object, _timeout: float) -> object:
+        return rows
+
+    monkeypatch.setattr(Outcomes, "of", give_none)
+    server, url = counter("one", ["done"]), "inproc://goals"
+    async with serve(server, url), connect(url, server.action) as client:
+        for number in range(goals):
+            await client.call(number)
+        assert await list_goals.list_goals(url, form=Form.JSON) == 0
+
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == goals
+    assert err == f"The result of {text} is left out: the server did not give it.\n"
+
+
+@pytest.mark.asyncio
+async def test_a_list_for_programs_has_the_results_of_more_goals_than_a_screen(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    server, url = counter("one", ["done"]), "inproc://goals"
+    async with serve(server, url), connect(url, server.action) as client:
+        for number in range(MOST_ENDS + 1):
+            await client.call(number)
+        assert await list_goals.list_goals(url, form=Form.JSON) == 0
+
+    out, err = capsys.readouterr()
+    assert [json.loads(line)["result"] for line in out.splitlines()] == ["done"] * (MOST_ENDS + 1)
+    assert err == ""
+
+
+@pytest.mark.asyncio
 async def test_without_goals_in_a_namespace_there_is_a_remark(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    list_those = partial(list_goals.list_goals, "inproc://goals", watch=False, as_json=False)
+    list_those = partial(list_goals.list_goals, "inproc://goals")
     async with serve([counter("robot1/one"), counter("robot2/one")], "inproc://goals"):
         async with connect("inproc://goals", counter("robot2/one").action) as client:
             await client.send_goal(1)
-            assert await list_those(None, Namespace("/robot1")) == 0
-            assert await list_those("/robot1/one", Namespace("/robot1")) == 0
+            assert await list_those((), Namespace("/robot1")) == 0
+            assert await list_those(("/robot1/one",), Namespace("/robot1")) == 0
 
     err = capsys.readouterr().err
     assert err == "There are no goals in /robot1.\nThere are no goals of /robot1/one.\n"
@@ -330,7 +433,7 @@ async def test_a_watched_list_ends_with_ctrl_c(screen: Console, name: str | None
     codes: list[int] = []
 
     async def run() -> None:
-        codes.append(await running_goals("inproc://goals", name, watch=True))
+        codes.append(await list_goals.watch_goals("inproc://goals", name, as_json=False))
 
     async with serve(counter("one"), "inproc://goals"):
         async with anyio.create_task_group() as tasks:
@@ -348,8 +451,8 @@ async def test_elsewhere_each_change_is_a_line() -> None:
     server, url = counter("one"), "inproc://goals"
     async with serve(server, url), connect(url, server.action) as client:
         await client.send_goal(1, goal_id=ID)
-        watch = partial(list_goals.list_goals, url, watch=True)
-        plain = await echoed(partial(watch, None, as_json=False), "EXECUTING")
+        watch = partial(list_goals.watch_goals, url)
+        plain = await echoed(partial(watch, as_json=False), "EXECUTING")
         events = await echoed(partial(watch, "one", as_json=True), "EXECUTING")
 
     assert plain[0].endswith(f"  {ID}  EXECUTING  /one  1  -")
@@ -362,7 +465,7 @@ async def test_a_watched_namespace_has_no_changes_of_others() -> None:
     async with serve(robots, url), connect(url) as connection:
         for robot in reversed(robots):
             await connection.client(robot.action).send_goal(1)
-        watch = partial(list_goals.list_goals, url, None, Namespace("/robot1"), watch=True)
+        watch = partial(list_goals.watch_goals, url, namespace=Namespace("/robot1"))
         lines = await echoed(partial(watch, as_json=True), "EXECUTING")
 
     assert {json.loads(line)["action"] for line in lines} == {"robot1/one"}

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import io
 import json
 import logging
@@ -49,6 +50,13 @@ def test_a_remark_with_text_of_a_server_stays_on_one_line(
     lines.note("it is away: gone\n\x1b[2J")
 
     assert capsys.readouterr().err == "it is away: gone\\x0a\\x1b[2J\n"
+
+
+def test_rows_of_csv_are_read_back_as_they_were(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [["reason", "result"], ['he said "no", twice', '{"a":[1,2]}'], ["", ""]]
+    lines.say_csv(rows)
+
+    assert list(csv.reader(capsys.readouterr().out.splitlines())) == rows
 
 
 def test_the_log_goes_to_the_stderr_of_that_moment() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 from fibaction.cli.output.escape import excerpt
@@ -28,7 +28,15 @@ async def find_action(connection: Connection, name: str) -> ActionInfo:
         Failure: It is not served. The code is `UNREACHABLE`, since a wrong name and a server that
             has not started cannot be told apart on a network of servers.
     """
-    actions = await connection.actions()
+    return action_of(name, await connection.actions())
+
+
+def action_of(name: str, actions: Collection[ActionInfo]) -> ActionInfo:
+    """Return the action of that name. A slash in front is optional.
+
+    Raises:
+        Failure: It is not among them; the code is that of `find_action`.
+    """
     wanted = shown(name)
     for info in actions:
         if shown(info.name) == wanted:

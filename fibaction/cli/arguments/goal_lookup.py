@@ -1,31 +1,84 @@
-"""Lookup of goals: those of one action or of all, and one by the beginning of its ID."""
+"""Lookup of goals: of some actions or of all, those that are chosen, and one by its ID."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import anyio
 
 from fibaction._api import ClientConnection
-from fibaction.cli.arguments.action_names import find_action, shown
-from fibaction.cli.output.goal_table import GoalRow
+from fibaction.cli.arguments.action_names import action_of, shown
+from fibaction.cli.output.goal_table import GoalRow, ran, waited
 from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of
-from fibaction.observe.monitor import AnyClient
+from fibaction.observe.monitor import AnyClient, newest_active_first
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError
+from fibaction.words.goal_query import ANY_GOAL, GoalQuery
 from fibaction.words.goals import GoalID
 
 MOST_AT_ONCE = 100
 """Actions that are asked at the same time: a server limits the requests of a connection."""
 
+SORTS: dict[str, Callable[[GoalRow], Any]] = {
+    "accepted": lambda row: row.info.stamp,
+    "began": lambda row: row.info.began_at,
+    "ended": lambda row: row.info.ended_at,
+    "waited": lambda row: waited(row.info),
+    "ran": lambda row: ran(row.info),
+    "status": lambda row: row.info.status,
+    "action": lambda row: shown(row.action),
+    "client": lambda row: row.info.client,
+}
+"""The keys by which a list can be sorted; a key is None if it is not known of a goal."""
+
+
+class GoalChoice(NamedTuple):
+    """The goals of a list that are printed, and their order."""
+
+    words: tuple[str, ...] = ()
+    """The words for their statuses, as the user has typed them; none for any."""
+    wanted: GoalQuery = ANY_GOAL
+    limit: int = 0
+    """The most goals; 0 for any number."""
+    sort: str = ""
+    """The name of their order in `SORTS`; empty for that of their acceptance."""
+
+    @property
+    def adjective(self) -> str:
+        """Words that go before "goals" in a sentence; empty if any goal is wanted."""
+        if self.wanted != GoalQuery(self.wanted.statuses):
+            return "matching "
+        return " or ".join(self.words) + " " if self.words else ""
+
+    def of(self, rows: list[GoalRow]) -> tuple[list[GoalRow], int]:
+        """Return the chosen ones of these rows, and the number of those beyond the limit.
+
+        The rows come in the order of acceptance. Without another order, the limit leaves the active
+        and the newest ones; else it leaves the last ones. Goals of which the key is not known come
+        first.
+        """
+        found = [row for row in rows if self.wanted.has(row.info)]
+        left_out = max(len(found) - self.limit, 0) if self.limit else 0
+        if self.sort:
+            key = SORTS[self.sort]
+            unknown = [row for row in found if key(row) is None]
+            known = sorted((row for row in found if key(row) is not None), key=key)
+            return [*unknown, *known][left_out:], left_out
+        if left_out:
+            found = sorted(found, key=lambda row: newest_active_first(row.info))[: self.limit]
+            found.sort(key=lambda row: row.info.stamp)
+        return found, left_out
+
 
 class ActionClients:
-    """A client for each action that is served, or for the one that the user names."""
+    """A client for each action that is served, or for those that the user names."""
 
-    def __init__(self, connection: ClientConnection, name: str | None = None) -> None:
+    def __init__(self, connection: ClientConnection, *names: str | None) -> None:
+        """Name the actions; None names none."""
         self._connection = connection
-        self._name = name
+        self._names = [name for name in names if name is not None]
         self._all: dict[str, AnyClient | None] = {}
 
     async def now(self) -> dict[str, AnyClient]:
@@ -35,21 +88,22 @@ class ActionClients:
         with a remark.
 
         Raises:
-            Failure: The named action is not served.
-            ActionError: The server cannot be asked, or the named action cannot be used from here.
+            Failure: A named action is not served.
+            ActionError: The server cannot be asked, or a named action cannot be used from here.
         """
-        if self._name is not None:
+        if self._names:
             if not self._all:
-                info = await find_action(self._connection, self._name)
-                self._all[info.name] = self._connection.client(Action.untyped(info))
-            actions = list(self._all)
+                actions = await self._connection.actions()
+                for info in [action_of(name, actions) for name in self._names]:
+                    self._all[info.name] = self._connection.client(Action.untyped(info))
+            names = list(self._all)
         else:
             infos = sorted(await self._connection.actions(), key=lambda info: shown(info.name))
             for info in infos:
                 if info.name not in self._all:
                     self._all[info.name] = self._client(info)
-            actions = [info.name for info in infos]
-        found = ((name, self._all[name]) for name in actions)
+            names = [info.name for info in infos]
+        found = ((name, self._all[name]) for name in names)
         return {name: client for name, client in found if client is not None}
 
     def _client(self, info: ActionInfo) -> AnyClient | None:

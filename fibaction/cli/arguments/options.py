@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -65,6 +66,20 @@ def url_option(function: FunctionT) -> FunctionT:
         callback=_url_to_reach,
         help="URL of the server.  [as in fibaction --help]",
     )(function)
+
+
+class TimeType(click.ParamType[int]):
+    """A time, in nanoseconds since 1970: ISO 8601, a stamp, or a time ago such as `10m`."""
+
+    name = "time"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        from fibaction.words.goal_query import time_of  # its imports would slow down --help
+
+        try:
+            return time_of(value, time.time_ns(), is_local=True)
+        except ValueError as exc:
+            self.fail(str(exc))
 
 
 def json_option(function: FunctionT) -> FunctionT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import msgspec
@@ -13,18 +14,19 @@ from fibaction.cli.output.outcomes import readable, with_outcome
 from fibaction.words.goals import Outcome
 
 
-async def rows_of_store(path: str, name: str | None) -> list[GoalRow]:
-    """Return the goals in the file, of one action or of all, in the order of their acceptance.
+async def rows_of_store(path: str, names: Collection[str]) -> list[GoalRow]:
+    """Return the goals in the file, of these actions or of all, in the order of their acceptance.
 
     Raises:
         StoreError: The file cannot be read.
     """
     from fibaction.stores._copy import stored_goals  # sqlite3 would slow down --help
 
+    wanted = set(map(shown, names))
     rows = [
         with_outcome(GoalRow(action, goal.info), _outcome(goal))
         for action, goals in (await stored_goals(path)).items()
-        if name is None or shown(action) == shown(name)
+        if not wanted or shown(action) in wanted
         for goal in goals
     ]
     return sorted(rows, key=lambda row: row.info.stamp)

@@ -10,7 +10,7 @@ import json
 
 from fibaction._runtime.text import excerpt, printable, with_escapes
 
-__all__ = ["clean", "clean_json", "clean_lines", "excerpt"]
+__all__ = ["clean", "clean_json", "clean_lines", "excerpt", "printable"]
 
 MAX_LINE = 2000
 """Characters of a line with a sentence. Names are cut sooner, by `excerpt`."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from fibaction.cli.arguments.action_names import shown
-from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.escape import excerpt, printable
 from fibaction.cli.output.family import Family, parent_json
+from fibaction.cli.output.lines import as_json
 from fibaction.observe.monitor import newest_active_first
 from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
@@ -109,6 +111,68 @@ class GoalRow(msgspec.Struct, frozen=True):
             "reason": info.reason,
             **end,
         }
+
+
+CSV_COLUMNS = (
+    *("action", "goal_id", "status", "accepted_at", "began_at", "ended_at", "waited", "ran"),
+    *("attempt", "feedback_count", "client", "parent", "step", "reason", "result"),
+)
+"""The columns of a list of goals as CSV."""
+
+
+def csv_cells(row: GoalRow) -> list[str]:
+    """Return the cells of a row of CSV: times in ISO 8601, spans in seconds, the result in JSON;
+    what is not known is empty.
+    """
+    info, outcome = row.info, row.outcome
+    parent, step = (str(info.parent.goal_id), info.parent.step) if info.parent else ("", "")
+    reason, result = (info.reason, None) if outcome is None else (outcome.reason, outcome.result)
+    return [
+        _csv_text(row.action),
+        row.goal_id,
+        info.status.name,
+        *map(_iso, (info.stamp, info.began_at, info.ended_at)),
+        *map(_seconds, (waited(info), ran(info))),
+        str(info.attempt),
+        str(info.feedback_count),
+        _csv_text(info.client),
+        parent,
+        _csv_text(step),
+        _csv_text(reason),
+        "" if result is None else as_json(result),
+    ]
+
+
+def waited(info: GoalInfo) -> int | None:
+    """Return the nanoseconds from the acceptance of a goal to its begin; None if not known."""
+    return None if info.began_at is None else info.began_at - info.stamp
+
+
+def ran(info: GoalInfo) -> int | None:
+    """Return the nanoseconds from the begin of a goal to its end; None if not known."""
+    if info.began_at is None or info.ended_at is None:
+        return None
+    return info.ended_at - info.began_at
+
+
+def _iso(time_ns: int | None) -> str:
+    """Return a time as text; empty if there is none."""
+    if time_ns is None:
+        return ""
+    when = datetime.fromtimestamp(time_ns // 10**9, UTC)
+    return f"{when:%Y-%m-%dT%H:%M:%S}.{time_ns // 1000 % 10**6:06}Z"
+
+
+def _seconds(span: int | None) -> str:
+    return "" if span is None else f"{span / 1e9:.6f}"
+
+
+def _csv_text(text: str) -> str:
+    """Return text of others for a cell, on one line. An apostrophe before it keeps a spreadsheet
+    from taking it for a formula.
+    """
+    text = printable(text)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def ordinal(number: int) -> str:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import logging
 import sys
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, TextIO
 
 import click
@@ -38,6 +41,13 @@ class LogHandler(logging.StreamHandler[TextIO]):
 def say_json(value: Any) -> None:
     """Print a value as one line of JSON."""
     click.echo(as_json(value))
+
+
+def say_csv(rows: Iterable[Iterable[str]]) -> None:
+    """Print rows of CSV. The cells are printable, so each row is one line."""
+    lines = io.StringIO()
+    csv.writer(lines, lineterminator="\n").writerows(rows)
+    click.echo(lines.getvalue(), nl=False)
 
 
 def console() -> Console:

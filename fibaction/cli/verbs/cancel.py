@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
-
 import anyio
 import click
 
@@ -19,7 +17,7 @@ from fibaction.cli.arguments.goal_lookup import (
 )
 from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
-from fibaction.cli.arguments.options import json_option, url_option
+from fibaction.cli.arguments.options import TimeType, json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.lines import note, say, say_json
@@ -29,11 +27,9 @@ from fibaction.words.errors import ActionError, UnknownGoal
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.statuses import GoalStatus
 
-_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 
-
-class _Stamp(click.ParamType[int]):
-    """A time: nanoseconds since 1970, as stamps are, or ISO 8601."""
+class _Stamp(TimeType):
+    """A time: nanoseconds since 1970, as stamps are, ISO 8601, or a time ago."""
 
     name = "stamp"
 
@@ -41,11 +37,7 @@ class _Stamp(click.ParamType[int]):
         try:
             stamp = int(value)
         except ValueError:
-            try:
-                when = datetime.datetime.fromisoformat(value).astimezone()  # the local zone's time
-            except ValueError:
-                self.fail(f"{value!r} is neither nanoseconds since 1970 nor a time in ISO 8601")
-            stamp = (when - _EPOCH) // datetime.timedelta(microseconds=1) * 1000
+            stamp = super().convert(value, param, ctx)
         if stamp <= 0:
             self.fail("a stamp of 0 means all goals: write --all for that")
         return stamp
@@ -58,6 +50,7 @@ Examples:
   fibaction cancel 5fda41e0
   fibaction cancel fibonacci --all
   fibaction cancel --before 2026-01-31T12:00:00
+  fibaction cancel drive --before 10m
 
 Exit code 1: a goal was not canceled, since the server rejected that or the goal had ended.""",
 )
@@ -83,8 +76,8 @@ def cancel_command(
     """Cancel a goal of any client, or many, of the action NAME or of all actions.
 
     The beginning of a GOAL_ID is enough, if no other goal's ID begins so. STAMP is in nanoseconds
-    since 1970, as `goals --json` prints it, or as in 2026-01-31T12:00:00Z. The command does not
-    wait for the end of the goals.
+    since 1970, as `goals --json` prints it, or as in 2026-01-31T12:00:00Z, or as in 10m for ten
+    minutes ago. The command does not wait for the end of the goals.
     """
     if everything and before is not None:
         raise click.UsageError("--all and --before cannot be combined")

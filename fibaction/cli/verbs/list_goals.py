@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from enum import Enum
+from functools import partial, wraps
+from typing import Any
 
 import anyio
 import click
@@ -13,21 +14,29 @@ import click
 from fibaction._api import ClientConnection, connect
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION
-from fibaction.cli.arguments.goal_lookup import ActionClients, goals_of
+from fibaction.cli.arguments.goal_lookup import SORTS, ActionClients, GoalChoice, goals_of
 from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
-from fibaction.cli.arguments.options import json_option, url_option
+from fibaction.cli.arguments.options import TimeType, json_option, url_option
 from fibaction.cli.arguments.stored_goals import rows_of_store
 from fibaction.cli.output.family import Family
-from fibaction.cli.output.goal_table import GoalRow, in_color, in_columns, picture
-from fibaction.cli.output.lines import console, note, on_terminal, say, say_json
+from fibaction.cli.output.goal_table import (
+    CSV_COLUMNS,
+    GoalRow,
+    csv_cells,
+    in_color,
+    in_columns,
+    picture,
+)
+from fibaction.cli.output.lines import console, note, on_terminal, say, say_csv, say_json
 from fibaction.cli.output.outcomes import Outcomes
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.cli.verbs.echo import EventPrinter, print_events
 from fibaction.cli.verbs.workers import note_unreadable
-from fibaction.observe.monitor import AnyClient, newest_active_first
+from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError
+from fibaction.words.goal_query import STATUSES, GoalQuery
 from fibaction.words.statuses import GoalStatus
 
 UPDATE_PAUSE = 0.5
@@ -36,36 +45,68 @@ AWAY_TIMEOUT = 1.0
 """Seconds without an answer after which the server is shown as away."""
 LIMIT = 100
 """Goals that are listed if nothing else is said."""
-ACTIVE = frozenset(status for status in GoalStatus if status.is_active)
-ENDED = frozenset(status for status in GoalStatus if status.is_terminal)
-STATUSES = {
-    "active": ACTIVE,
-    "ended": ENDED,
-    **{status.name.lower(): frozenset((status,)) for status in (*sorted(ACTIVE), *sorted(ENDED))},
-}
+EXPORT_TIMEOUT = 30.0
+"""Seconds for the results of all goals of a list for programs."""
+STATUS_WORDS = {word.lower(): statuses for word, statuses in STATUSES.items()}
 """The statuses that each word of `--status` means."""
-
-
-class GoalChoice(NamedTuple):
-    """The goals of a list that are printed."""
-
-    words: tuple[str, ...] = ()
-    """The words for their statuses; none for any."""
-    limit: int = 0
-    """The most goals; 0 for any number."""
-
-    def of(self, rows: list[GoalRow]) -> tuple[list[GoalRow], int]:
-        """Return the chosen rows in their order, and the number of those beyond the limit."""
-        statuses = frozenset[GoalStatus]().union(*(STATUSES[word] for word in self.words))
-        found = [row for row in rows if not self.words or row.info.status in statuses]
-        if not self.limit or len(found) <= self.limit:
-            return found, 0
-        chosen = sorted(found, key=lambda row: newest_active_first(row.info))[: self.limit]
-        return sorted(chosen, key=lambda row: row.info.stamp), len(found) - self.limit
-
-
 ANY = GoalChoice()
 """All goals."""
+DEFAULT = GoalChoice(limit=LIMIT)
+"""The goals that are listed if nothing else is said."""
+
+
+class Form(Enum):
+    """The form in which a list is printed."""
+
+    TABLE = "table"
+    JSON = "json"
+    CSV = "csv"
+
+
+def choice_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that choose goals and order them. The function gets them as `choice`."""
+
+    @click.option(
+        "--status",
+        "words",
+        type=click.Choice(tuple(STATUS_WORDS), case_sensitive=False),
+        multiple=True,
+        help="List the goals with this status only; may be given several times.",
+    )
+    @click.option(
+        "--client", metavar="TEXT", default="", help="List the goals whose CLIENT has TEXT in it."
+    )
+    @click.option("--since", type=TimeType(), help="List the goals accepted at that time or later.")
+    @click.option("--until", type=TimeType(), help="List those accepted at that time or earlier.")
+    @click.option(
+        "--sort",
+        type=click.Choice(tuple(SORTS)),
+        help="Begin with the least or the earliest, end with the greatest or the latest.",
+    )
+    @click.option(
+        "--limit",
+        type=click.IntRange(min=0),
+        default=LIMIT,
+        help="List so many goals: the active and the newest ones, or the last ones of --sort; 0 for"
+        f" all.  [default: {LIMIT}]",
+    )
+    @wraps(function)
+    def choosing(
+        words: tuple[str, ...],
+        client: str,
+        since: int | None,
+        until: int | None,
+        sort: str | None,
+        limit: int,
+        **others: Any,
+    ) -> None:
+        if since is not None and until is not None and since > until:
+            raise Failure("--since is later than --until: no goal is between them", ExitCode.USAGE)
+        statuses = frozenset[GoalStatus]().union(*(STATUS_WORDS[word] for word in words))
+        wanted = GoalQuery(statuses, client, since, until)
+        function(choice=GoalChoice(words, wanted, limit, sort or ""), **others)
+
+    return choosing
 
 
 @click.command(
@@ -75,104 +116,134 @@ Examples:
   fibaction goals
   fibaction goals fibonacci --watch
   fibaction goals --status active --limit 20
+  fibaction goals --since 10m --sort ran
+  fibaction goals drive pick --status aborted --since 2026-01-31 --csv
   fibaction goals -n /robot1 --json
   fibaction goals --store goals.db""",
 )
-@click.argument("name", type=ACTION, required=False)
+@click.argument("names", metavar="[NAME]...", type=ACTION, nargs=-1)
 @click.option("-w", "--watch", is_flag=True, help="Continue until Ctrl-C.")
 @click.option(
     "--store",
     metavar="FILE",
     help="List the goals in the file of a store, whether its server runs or not.",
 )
-@click.option(
-    "--status",
-    "words",
-    type=click.Choice(tuple(STATUSES), case_sensitive=False),
-    multiple=True,
-    help="List the goals with this status only; may be given several times.",
-)
-@click.option(
-    "--limit",
-    type=click.IntRange(min=0),
-    help=f"List so many goals, the active and the newest ones; 0 for all.  [default: {LIMIT}]",
-)
+@choice_options
 @namespace_option
 @json_option
+@click.option("--csv", "as_csv", is_flag=True, help="Print CSV with a heading.")
 @url_option
 def goals_command(
-    name: str | None,
+    names: tuple[str, ...],
     watch: bool,
     store: str | None,
-    words: tuple[str, ...],
-    limit: int | None,
+    choice: GoalChoice,
     namespace: Namespace,
     as_json: bool,
+    as_csv: bool,
     url: str,
 ) -> None:
-    """List the goals of the action NAME, or of all actions: those that are active, and those that
-    have ended and that the server remembers.
+    """List the goals of the action NAME, of several, or of all actions: those that are active, and
+    those that have ended and that the server remembers.
 
     With --namespace, a NAME without a slash in front is relative to the namespace.
 
+    A time is as in 2026-01-31T12:00:00, or as in 30s, 10m, 2h or 7d for a time ago, or nanoseconds
+    since 1970.
+
     With --watch the list is kept up to date on a terminal; elsewhere each change is a line.
     """
-    name = None if name is None else namespace.absolute(name)
-    if watch and (words or limit is not None):
-        raise Failure("--watch shows all goals: leave out --status and --limit", ExitCode.USAGE)
-    choice = GoalChoice(words, LIMIT if limit is None else limit)
-    if store is None:
-        run(list_goals, url, name, namespace, choice, watch=watch, as_json=as_json)
-    if watch:
+    if as_json and as_csv:
+        raise Failure("--json and --csv cannot be combined", ExitCode.USAGE)
+    form = Form.JSON if as_json else Form.CSV if as_csv else Form.TABLE
+    names = tuple(namespace.absolute(name) for name in names)
+    if watch and store is not None:
         raise Failure("--store lists what is in the file now: leave out --watch", ExitCode.USAGE)
-    run(list_stored, store, name, namespace, choice, as_json=as_json)
+    if watch:
+        _check_watched(names, choice, form)
+        run(watch_goals, url, *names, namespace=namespace, as_json=as_json)
+    if store is not None:
+        run(list_stored, store, names, namespace, choice, form=form)
+    run(list_goals, url, names, namespace, choice, form=form)
+
+
+def _check_watched(names: tuple[str, ...], choice: GoalChoice, form: Form) -> None:
+    """Check the options beside `--watch`.
+
+    Raises:
+        Failure: They are for a list that is printed once.
+    """
+    if choice != DEFAULT:
+        raise Failure(
+            "--watch shows all goals: leave out the options that choose or sort them, such as"
+            " --status and --limit",
+            ExitCode.USAGE,
+        )
+    if form is Form.CSV:
+        raise Failure("--watch prints no CSV: use --json", ExitCode.USAGE)
+    if len(names) > 1:
+        raise Failure("--watch shows one action, or all: give one NAME or none", ExitCode.USAGE)
 
 
 async def list_stored(
     path: str,
-    name: str | None,
+    names: tuple[str, ...],
     namespace: Namespace,
     choice: GoalChoice = ANY,
     *,
-    as_json: bool,
+    form: Form = Form.TABLE,
 ) -> int:
-    """Print the goals in the file of a store, of one action or of those in a namespace."""
-    rows = await rows_of_store(path, name)
-    if name is None:
+    """Print the goals in the file of a store, of some actions or of those in a namespace."""
+    rows = await rows_of_store(path, names)
+    if not names:
         rows = [row for row in rows if namespace.holds(row.action)]
     rows, left_out = choice.of(rows)
-    _print_once(rows, name, namespace, choice, as_json=as_json)
+    _print_rows(rows, names, namespace, choice, form)
     _tell_left_out(left_out)
     return ExitCode.SUCCEEDED
 
 
 async def list_goals(
     url: str,
-    name: str | None,
+    names: tuple[str, ...] = (),
     namespace: Namespace = ROOT,
     choice: GoalChoice = ANY,
     *,
-    watch: bool,
-    as_json: bool,
+    form: Form = Form.TABLE,
 ) -> int:
-    """Print the goals of one action, or of those in a namespace, once or until Ctrl-C.
+    """Print the goals of some actions, or of those in a namespace.
+
+    Raises:
+        Failure: An action is not served, or the namespace has no actions.
+    """
+    async with connect(url) as whole:
+        connection = whole if names else namespace.narrow(whole)
+        clients = await ActionClients(connection, *names).now()
+        found = await goals_of(clients)
+        rows, left_out = choice.of(found)
+        if form is Form.TABLE:
+            rows = await Outcomes().of(clients, rows)
+        else:
+            rows = await Outcomes(len(rows)).of(clients, rows, EXPORT_TIMEOUT)
+        _print_rows(rows, names, namespace, choice, form)
+        _tell_left_out(left_out)
+        left = {row.action for row in found if not row.info.has_worker}
+        if left and form is Form.TABLE:
+            note_unreadable(await whole.workers(), left)
+    return ExitCode.SUCCEEDED
+
+
+async def watch_goals(
+    url: str, name: str | None = None, *, namespace: Namespace = ROOT, as_json: bool
+) -> int:
+    """Print the goals of one action, or of those in a namespace, until Ctrl-C.
 
     Raises:
         Failure: The action is not served, or the namespace has no actions.
     """
     async with connect(url) as whole:
         connection = namespace.narrow(whole) if name is None else whole
-        if not watch:
-            clients = await ActionClients(connection, name).now()
-            found = await goals_of(clients)
-            rows, left_out = choice.of(found)
-            rows = await Outcomes().of(clients, rows)
-            _print_once(rows, name, namespace, choice, as_json=as_json)
-            _tell_left_out(left_out)
-            left = {row.action for row in found if not row.info.has_worker}
-            if left and not as_json:
-                note_unreadable(await whole.workers(), left)
-        elif as_json or not on_terminal():
+        if as_json or not on_terminal():
             printer = EventPrinter(as_json)
             await until_interrupted(
                 partial(print_events, connection, name, printer, feedback=False)
@@ -188,29 +259,35 @@ def _tell_left_out(count: int) -> None:
         note(f"{goals} not listed: --limit 0 lists all.")
 
 
-def _print_once(
+def _print_rows(
     rows: list[GoalRow],
-    name: str | None,
+    names: tuple[str, ...],
     namespace: Namespace,
     choice: GoalChoice,
-    *,
-    as_json: bool,
+    form: Form,
 ) -> None:
-    if as_json:
+    has_actions = len(names) != 1
+    if form is Form.JSON:
         family = Family(row.info for row in rows)
         for row in rows:
             say_json(row.json() | {"children": family.children(row.info.goal_id)})
+    elif form is Form.CSV:
+        say_csv([CSV_COLUMNS, *map(csv_cells, rows)])
     elif not rows:
         where = "" if namespace == ROOT else f" in {namespace.path}"
-        of_status = " or ".join(choice.words) + " " if choice.words else ""
-        note(f"There are no {of_status}goals{f' of {shown(name)}' if name else where}.")
+        of_names = f" of {' or '.join(map(shown, names))}" if names else where
+        note(f"There are no {choice.adjective}goals{of_names}.")
     elif on_terminal():
         screen = console()
-        for line in in_color(rows, in_columns(rows, actions=name is None, width=screen.width)):
+        for line in in_color(rows, in_columns(rows, actions=has_actions, width=screen.width)):
             screen.print(line, soft_wrap=True)
     else:
-        for text in in_columns(rows, actions=name is None):
+        for text in in_columns(rows, actions=has_actions):
             say(text)
+    unread = sum(row.outcome is None and row.info.status.is_terminal for row in rows)
+    if unread and form is not Form.TABLE:
+        goals = "1 goal" if unread == 1 else f"{unread:,} goals"
+        note(f"The result of {goals} is left out: the server did not give it.")
 
 
 async def _watch_screen(connection: ClientConnection, name: str | None) -> None:

@@ -1,0 +1,92 @@
+"""`GoalQuery`: the goals of a list that are wanted, and the texts by which users say so.
+
+It does not depend on where the list comes from, so the same words mean the same in a shell and in
+the address of an HTTP request. The time now is an argument.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+from decimal import Decimal
+from typing import NamedTuple
+
+from fibaction._runtime.text import excerpt
+from fibaction.words.goals import GoalInfo
+from fibaction.words.statuses import GoalStatus
+
+ACTIVE = frozenset(status for status in GoalStatus if status.is_active)
+ENDED = frozenset(status for status in GoalStatus if status.is_terminal)
+STATUSES = {
+    "active": ACTIVE,
+    "ended": ENDED,
+    **{status.name: frozenset((status,)) for status in (*sorted(ACTIVE), *sorted(ENDED))},
+}
+"""The statuses that each word for them means."""
+
+TIME_TEXT = "^([0-9]{16,19}|[0-9]{1,9}([.][0-9]{1,9})?(s|m|min|h|d))$"
+"""The pattern of the texts of a time that are not in ISO 8601: a stamp, or the time since then."""
+
+_TIME = re.compile(TIME_TEXT, re.ASCII)
+_SECONDS = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+
+
+class GoalQuery(NamedTuple):
+    """The goals of a list that are wanted; without arguments, all of them."""
+
+    statuses: frozenset[GoalStatus] = frozenset()
+    """Their statuses; empty for any."""
+    client: str = ""
+    """A part of the text for their client; empty for any client."""
+    since: int | None = None
+    """The earliest time of their acceptance: nanoseconds since 1970; None for any."""
+    until: int | None = None
+    """The latest time of their acceptance: nanoseconds since 1970; None for any."""
+
+    def has(self, info: GoalInfo) -> bool:
+        """Return whether a goal is wanted."""
+        return (
+            (not self.statuses or info.status in self.statuses)
+            and (self.since is None or info.stamp >= self.since)
+            and (self.until is None or info.stamp <= self.until)
+            and self.client in info.client
+        )
+
+
+ANY_GOAL = GoalQuery()
+"""The query that finds every goal."""
+
+
+def time_of(text: str, now: int, *, is_local: bool) -> int:
+    """Return the time that a text means, in nanoseconds since 1970: a time of ISO 8601, a stamp, or
+    a time before `now`, such as `10m` for ten minutes.
+
+    A time of ISO 8601 without a zone is in that of this machine if `is_local`, else in UTC.
+
+    Raises:
+        ValueError: It means none; the error says what does.
+    """
+    found = _TIME.fullmatch(text)
+    if found is None:
+        return _iso_time(text, is_local=is_local)
+    unit = found[3]
+    if unit is None:
+        return int(text)
+    return now - int(Decimal(text.removesuffix(unit)) * _SECONDS[unit] * 10**9)
+
+
+def _iso_time(text: str, *, is_local: bool) -> int:
+    try:
+        if text.isdecimal():
+            raise ValueError  # a date without its dashes looks like a number of seconds
+        when = datetime.fromisoformat(text)
+        if when.tzinfo is None:
+            when = when.astimezone() if is_local else when.replace(tzinfo=UTC)
+    except (ValueError, OverflowError, OSError):  # the last two: too far from now for the zone
+        raise ValueError(
+            f"{excerpt(text)!r} is not a time: it is as in 2026-01-31T12:00:00Z, or 10m for ten"
+            " minutes ago, or nanoseconds since 1970"
+        ) from None
+    return (when - _EPOCH) // _MICROSECOND * 1000

@@ -1,0 +1,131 @@
+"""`fibaction.words.goal_query`: which goals are wanted, and texts of times."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Generator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fibaction import GoalID, GoalInfo, GoalStatus
+from fibaction.words.goal_query import STATUSES, GoalQuery, time_of
+
+NOW = 1_800_000_000 * 10**9
+NOON = 1_769_860_800 * 10**9
+"""2026-01-31T12:00:00Z."""
+
+
+def info(
+    status: GoalStatus = GoalStatus.EXECUTING,
+    stamp: int = NOW,
+    client: str = "robot7 at 10.0.0.7:4",
+) -> GoalInfo:
+    return GoalInfo(GoalID(b"\x01" * 16), stamp, status, client=client)
+
+
+def test_without_arguments_every_goal_is_wanted() -> None:
+    assert all(GoalQuery().has(info(status, client="")) for status in GoalStatus)
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["active"], "ACCEPTED EXECUTING CANCELING"),
+        (["ended"], "SUCCEEDED CANCELED ABORTED"),
+        (["EXECUTING", "ABORTED"], "EXECUTING ABORTED"),
+    ],
+)
+def test_words_mean_statuses(words: list[str], wanted: str) -> None:
+    one = GoalQuery(frozenset[GoalStatus]().union(*(STATUSES[word] for word in words)))
+    assert [status.name for status in GoalStatus if one.has(info(status))] == wanted.split()
+
+
+def test_every_status_of_a_goal_has_its_word() -> None:
+    assert {name for name in STATUSES if name.isupper()} == {
+        status.name for status in GoalStatus if status is not GoalStatus.UNKNOWN
+    }
+
+
+def test_both_ends_of_a_span_of_time_are_within_it() -> None:
+    span = GoalQuery(since=NOW, until=NOW + 2)
+    found = [stamp - NOW for stamp in range(NOW - 1, NOW + 4) if span.has(info(stamp=stamp))]
+    assert found == [0, 1, 2]
+
+
+def test_a_client_is_found_by_its_name_its_address_or_a_part_of_them() -> None:
+    assert GoalQuery(client="robot7").has(info())
+    assert GoalQuery(client="10.0.0.7").has(info())
+    assert not GoalQuery(client="robot8").has(info())
+    assert not GoalQuery(client="robot7").has(info(client=""))
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("10s", 10), ("10m", 600), ("10min", 600), ("1.5h", 5400), ("7d", 604_800), ("0s", 0)],
+)
+def test_a_number_with_a_unit_is_a_time_ago(text: str, seconds: int) -> None:
+    assert time_of(text, NOW, is_local=False) == NOW - seconds * 10**9
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2026-01-31T12:00:00Z",
+        "2026-01-31T12:00:00",
+        "2026-01-31 13:00+01:00",
+        str(NOON),
+    ],
+)
+def test_times_of_iso_8601_and_stamps_are_times(text: str) -> None:
+    assert time_of(text, NOW, is_local=False) == NOON
+
+
+def test_a_day_begins_at_its_first_moment() -> None:
+    assert time_of("2026-01-31", NOW, is_local=False) == NOON - 12 * 3600 * 10**9
+
+
+@pytest.fixture
+def in_tokyo(monkeypatch: pytest.MonkeyPatch) -> Generator[None, None, None]:
+    with monkeypatch.context() as patched:
+        patched.setenv("TZ", "JST-9")
+        time.tzset()
+        yield
+    time.tzset()
+
+
+@pytest.mark.usefixtures("in_tokyo")
+def test_a_time_without_a_zone_is_of_this_machine_where_a_person_types_it() -> None:
+    assert time_of("2026-01-31T21:00:00", NOW, is_local=True) == NOON
+    assert time_of("2026-01-31T12:00:00Z", NOW, is_local=True) == NOON
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "soon", "10", "20260131", "-10m", "10 m", "10w", "2026-02-30", "9" * 20, "1٢m", "1.m"],
+)
+def test_other_texts_are_not_times(text: str) -> None:
+    with pytest.raises(
+        ValueError, match=f"^{re.escape(repr(text))} is not a time: it is as in 202"
+    ):
+        time_of(text, NOW, is_local=False)
+
+
+@given(st.text(), st.booleans())
+def test_any_text_is_a_time_or_an_error_that_says_what_is(text: str, is_local: bool) -> None:
+    try:
+        found = time_of(text, NOW, is_local=is_local)
+    except ValueError as exc:
+        error = str(exc)
+    else:
+        assert isinstance(found, int)
+        return
+    assert " is not a time: it is as in 2026-01-31T12:00:00Z" in error
+
+
+@pytest.mark.usefixtures("in_tokyo")
+def test_a_time_that_the_zone_of_this_machine_does_not_reach_is_not_a_time() -> None:
+    with pytest.raises(ValueError, match="is not a time"):
+        time_of("0001-01-01T00:00:00", NOW, is_local=True)
