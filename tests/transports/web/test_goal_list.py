@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
+from urllib.parse import parse_qs
 
 import anyio
 import anyio.lowlevel
-import msgspec
 import pytest
+from msgspec.structs import replace
 
 from fibaction.border.http_access import Refused
 from fibaction.feeds.status_broadcast import StatusBroadcast
+from fibaction.words.goal_query import GoalQuery
 from fibaction.words.goals import GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest import goal_list
-from fibaction_transports.web.rest.goal_list import Page, listed, page_of
+from fibaction_transports.web.rest.goal_list import Page, listed, page_of, wanted_of
 
 pytestmark = pytest.mark.anyio
+
+NOW = 1_800_000_000 * 10**9
 
 
 class Listed:
@@ -62,7 +67,7 @@ async def test_the_children_of_a_goal_are_listed_in_pages_too() -> None:
     listed_goals = [Listed(number) for number in range(1, 6)]
     for number, of in ((0, parent), (2, parent), (3, GoalID.random()), (4, parent)):
         child = listed_goals[number]
-        child.info = msgspec.structs.replace(child.info, parent=Parent(of, f"step {number}"))
+        child.info = replace(child.info, parent=Parent(of, f"step {number}"))
 
     async def page(page: Page) -> tuple[list[str], str]:
         stream: Any = StatusBroadcast().follow(listed_goals)
@@ -72,6 +77,78 @@ async def test_the_children_of_a_goal_are_listed_in_pages_too() -> None:
     first, cursor = await page(page_of("2", None, str(parent)))
     assert first == ["step 0", "step 2"]
     assert await page(page_of("2", cursor, str(parent))) == (["step 4"], "")
+
+
+async def test_only_goals_that_are_wanted_are_counted_for_a_page() -> None:
+    numbers, ended = range(1, 9), replace(Listed(0).info, status=GoalStatus.ABORTED)
+    all_goals = [Listed(number) for number in numbers]
+    for goal in all_goals[::2]:
+        goal.info = replace(ended, goal_id=goal.goal_id, stamp=goal.info.stamp)
+
+    async def page(page: Page) -> tuple[list[int], str]:
+        stream: Any = StatusBroadcast().follow(all_goals)
+        body, cursor = await listed(stream, page, anyio.Lock())
+        return [int(one["goal_id"], 16) for one in json.loads(body)], cursor
+
+    wanted = GoalQuery(frozenset([GoalStatus.ABORTED]))
+    first, cursor = await page(page_of("3", None, None, wanted))
+    assert first == [1, 3, 5]
+    assert await page(page_of("3", cursor, None, wanted)) == ([7], "")
+
+
+def read(query: str) -> Page:
+    """The page that a request with this query names."""
+    found = parse_qs(query[1:], strict_parsing=True)
+    one = {name: values[-1] for name, values in found.items()}
+    span = (one.get("since"), one.get("until"))
+    wanted = wanted_of(found.get("status", []), one.get("client"), *span, NOW)
+    return page_of(one.get("limit"), one.get("after"), one.get("parent"), wanted)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "?limit=5",
+        f"?limit=5&parent={1:032x}",
+        "?limit=5&status=active&status=ABORTED",
+        "?limit=5&client=robot%207+at+%26+%3Climit%3E",
+        "?limit=5&since=10m&until=2026-01-31T12:00:00%2B01:00",
+    ],
+)
+def test_the_next_page_is_of_the_same_goals(query: str) -> None:
+    cursor = f"7.{2:032x}"
+    page = read(query)
+    next_page = read(page.next_query(cursor))
+
+    assert next_page == page._replace(after=(7, bytes(15) + b"\x02"))
+    assert not re.search(r"[\s<>]", page.next_query(cursor))
+
+
+@pytest.mark.parametrize("time", ["0001-01-01", "1970-01-02T00:00:00Z", "9999-12-31"])
+def test_the_next_page_has_times_that_no_stamp_can_tell_too(time: str) -> None:
+    page = read(f"?limit=5&since={time}&until={time}")
+    wanted = read(page.next_query(f"7.{2:032x}")).wanted
+    for stamp in (1, 10**18):
+        info = replace(Listed(0).info, stamp=stamp)
+        assert wanted.has(info) == page.wanted.has(info)
+
+
+@pytest.mark.parametrize(
+    ("statuses", "since", "until", "text"),
+    [
+        (["lost"], None, None, "status is one of active, ended, ACCEPTED, EXECUTING, CANCELING"),
+        (["ABORTED", ""], None, None, "status is one of active"),
+        (["ABORTED,CANCELED"], None, None, "each in its own parameter"),
+        ([], "soon", None, "since: 'soon' is not a time"),
+        ([], "1m", "", "until: '' is not a time"),
+    ],
+)
+def test_a_choice_that_means_nothing_is_refused(
+    statuses: list[str], since: str | None, until: str | None, text: str
+) -> None:
+    with pytest.raises(Refused, match=text) as refused:
+        wanted_of(statuses, None, since, until, NOW)
+    assert refused.value.status == 400
 
 
 async def test_a_cursor_holds_when_its_goal_is_forgotten() -> None:

@@ -13,6 +13,7 @@ from openapi_spec_validator import validate
 from fibaction import Action
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import ActionInfo
+from fibaction_transports.web.rest.goal_list import wanted_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE
 from tests.support.fibonacci import FIBONACCI
@@ -181,6 +182,21 @@ def test_parameters_allow_what_the_server_accepts() -> None:
     assert re.fullmatch(goal_id, f"{1:032x}")
     assert all(re.fullmatch(after, one) for one in ("17", "2.17", "end"))
     assert not any(re.fullmatch(after, one) for one in ("", "x", "0.1"))
+
+
+def test_a_choice_of_goals_allows_what_the_server_accepts() -> None:
+    listing = described(FETCH.info)["paths"]["/actions/fetch/goals"]["get"]["parameters"]
+    schemas = {one["name"]: one["schema"] for one in listing}
+    words = schemas["status"]["items"]["enum"]
+    assert words[:3] == ["active", "ended", "ACCEPTED"]
+    for name in ("since", "until"):
+        date_time, other = schemas[name]["anyOf"]
+        assert date_time == {"format": "date-time"}
+        for text in ("10m", "1.5h", "1769860800000000000", "2026-01-31T12:00:00Z"):
+            since, until = (text, None) if name == "since" else (None, text)
+            assert getattr(wanted_of(words, "me", since, until, 10**18), name) is not None
+            assert bool(re.search(other["pattern"], text)) is not ("T" in text)
+        assert not any(re.search(other["pattern"], text) for text in ("", "10", "10w", "m"))
 
 
 def test_a_schema_of_itself_refers_to_itself() -> None:

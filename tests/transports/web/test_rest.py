@@ -45,6 +45,10 @@ ACTION = "/actions/fibonacci"
 GOALS = f"{ACTION}/goals"
 ID = "0123456789abcdef0123456789abcdef"
 EVENTS = "text/event-stream"
+WRONG_TIME = (
+    "since: 'yesterday' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m for ten minutes"
+    " ago, or nanoseconds since 1970"
+)
 BEGIN = [("accepted", ""), ("status", "")]
 
 
@@ -692,6 +696,35 @@ async def test_goals_are_listed_in_pages() -> None:
         assert len(stamps) == 3
         assert stamps == sorted(stamps)
         assert (await fetch(url, "GET", f"{GOALS}?limit=none")).status == 400
+
+
+async def test_goals_are_chosen_by_status_client_and_time_on_every_page() -> None:
+    async with served(new_server()) as url:
+        for _ in range(3):
+            await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 1})
+        stamps = [goal["stamp"] for goal in (await fetch(url, "GET", GOALS)).json]
+
+        async def found(query: str) -> list[str]:
+            """Return the stamps of all pages."""
+            listed: list[str] = []
+            while query:
+                page = await fetch(url, "GET", f"{GOALS}{query}")
+                assert page.status == 200, page.body
+                listed += [goal["stamp"] for goal in page.json]
+                link = re.fullmatch(r'<(\?limit=1&\S+)>; rel="next"', page.headers.get("link", ""))
+                query = link[1] if link else ""
+            return listed
+
+        ended = "?limit=1&status=SUCCEEDED&status=ABORTED"
+        assert await found(ended) == stamps
+        assert await found("?limit=1&status=active") == []
+        assert await found(f"{ended}&client=127.0.0.1") == stamps
+        assert await found(f"{ended}&client=a%20robot") == []
+        assert await found(f"{ended}&since=1h&until={stamps[1]}") == stamps[:2]
+        assert await found(f"{ended}&since=2026-01-31T12:00:00Z") == stamps
+        assert await found(f"{ended}&until=2026-01-31T12:00:00%2B01:00") == []
+        wrong = await fetch(url, "GET", f"{GOALS}?since=yesterday")
+        assert (wrong.status, wrong.json["detail"]) == (400, WRONG_TIME)
 
 
 async def test_a_child_has_its_parent_wherever_it_is_described() -> None:

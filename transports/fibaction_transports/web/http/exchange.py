@@ -14,7 +14,7 @@ from collections.abc import (
 )
 from contextlib import asynccontextmanager, contextmanager, suppress
 from typing import Any, TypeAlias
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qs
 
 import anyio
 from anyio import CancelScope
@@ -102,7 +102,7 @@ class Exchange:
         self.more_headers: list[tuple[str, str]] = []
         """Headers that the answer has beside its own."""
         query: str = scope.get("query_string", b"").decode("latin-1")
-        self._query = dict(parse_qsl(query, keep_blank_values=True))
+        self._query = parse_qs(query, keep_blank_values=True)
         self._receive = receive
         self._send = send
         self._write_timeout = write_timeout
@@ -113,8 +113,12 @@ class Exchange:
     # The request
 
     def parameter(self, name: str) -> str | None:
-        """Return a parameter after the `?`; None if it is not there."""
-        return self._query.get(name)
+        """Return a parameter after the `?`, the last one of several; None if it is not there."""
+        return self._query.get(name, [None])[-1]
+
+    def parameters(self, name: str) -> list[str]:
+        """Return all parameters of a name after the `?`."""
+        return self._query.get(name, [])
 
     def seconds(self, name: str, most: float) -> float | None:
         """Return a parameter that is a number of seconds; None if it is not there.

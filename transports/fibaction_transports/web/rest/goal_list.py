@@ -10,10 +10,11 @@ page, so it holds also when that goal is forgotten meanwhile.
 from __future__ import annotations
 
 import re
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from heapq import nsmallest
 from time import perf_counter
 from typing import NamedTuple
+from urllib.parse import urlencode
 
 import anyio
 import msgspec
@@ -21,10 +22,15 @@ import msgspec
 from fibaction.border.abc import StatusStream
 from fibaction.border.event_loop import SLICE
 from fibaction.border.http_access import Refused
+from fibaction.words.goal_query import ANY_GOAL, STATUSES, GoalQuery, time_of
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo, Parent
+from fibaction.words.statuses import GoalStatus
 
 LARGEST_PAGE = 10_000
 """Goals of the largest page."""
+
+LAST_TIME = 10**19 - 1
+"""The latest time that a stamp can tell."""
 
 _PAGE_CURSOR = re.compile(r"(\d{1,19})\.([0-9a-f]{32})", re.ASCII)
 
@@ -38,16 +44,66 @@ class Page(NamedTuple):
     """The stamp and the ID of the goal before the first one."""
     parent: GoalID | None = None
     """The goal whose children are listed; None for all goals."""
+    wanted: GoalQuery = ANY_GOAL
+    """The goals that are listed."""
 
     def has(self, info: GoalInfo) -> bool:
         """Return whether a goal is on this page or on one after it."""
         if self.parent is not None and (info.parent is None or info.parent.goal_id != self.parent):
             return False
-        return _place_of(info) > self.after
+        return _place_of(info) > self.after and self.wanted.has(info)
+
+    def next_query(self, cursor: str) -> str:
+        """Return the query of the next page, which begins after this cursor. A time that was told
+        as one before the request is told as it was then.
+        """
+        wanted = self.wanted
+        parameters: list[tuple[str, object]] = [("limit", self.limit), ("after", cursor)]
+        if self.parent is not None:
+            parameters.append(("parent", str(self.parent)))
+        parameters += [("status", status.name) for status in sorted(wanted.statuses)]
+        if wanted.client:
+            parameters.append(("client", wanted.client))
+        for name, time in (("since", wanted.since), ("until", wanted.until)):
+            if time is not None:
+                parameters.append((name, f"{min(max(time, 0), LAST_TIME):016}"))
+        return f"?{urlencode(parameters)}"
 
 
-def page_of(limit: str | None, after: str | None, parent: str | None = None) -> Page:
-    """Return the page that the parameters of a request name.
+def wanted_of(
+    words: Iterable[str], client: str | None, since: str | None, until: str | None, now: int
+) -> GoalQuery:
+    """Return the goals that the parameters of a request name: the words for their statuses, a part
+    of their client, and the span of their acceptance.
+
+    Raises:
+        Refused: One of them is wrong.
+    """
+    statuses: set[GoalStatus] = set()
+    for word in words:
+        if word not in STATUSES:
+            raise Refused(400, f"status is one of {', '.join(STATUSES)}, each in its own parameter")
+        statuses |= STATUSES[word]
+    times = (_time_of(name, text, now) for name, text in (("since", since), ("until", until)))
+    return GoalQuery(frozenset(statuses), client or "", *times)
+
+
+def _time_of(name: str, text: str | None, now: int) -> int | None:
+    if text is None:
+        return None
+    try:
+        return time_of(text, now, is_local=False)
+    except ValueError as exc:
+        raise Refused(400, f"{name}: {exc}") from None
+
+
+def page_of(
+    limit: str | None,
+    after: str | None,
+    parent: str | None = None,
+    wanted: GoalQuery = ANY_GOAL,
+) -> Page:
+    """Return the page that the parameters of a request name, of the goals that are wanted.
 
     Raises:
         Refused: One of them is wrong.
@@ -55,7 +111,7 @@ def page_of(limit: str | None, after: str | None, parent: str | None = None) -> 
     if limit is not None and not (limit.isascii() and limit.isdecimal() and int(limit[:9]) > 0):
         raise Refused(400, f"limit is a number of goals between 1 and {LARGEST_PAGE}")
     size = None if limit is None else min(int(limit[:9]), LARGEST_PAGE)
-    whole = Page(size)
+    whole = Page(size, wanted=wanted)
     if parent is not None:
         try:
             whole = whole._replace(parent=GoalID.parse(parent))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from functools import partial
 from hashlib import blake2b
+from time import time_ns
 
 import anyio
 import msgspec
@@ -34,7 +35,7 @@ from fibaction.words.meta import trace_meta
 from fibaction_transports.web.http.exchange import Exchange, bearer_of
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
-from fibaction_transports.web.rest.goal_list import listed, members_of, page_of
+from fibaction_transports.web.rest.goal_list import listed, members_of, page_of, wanted_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import Resource, Route, route_of
 
@@ -133,13 +134,14 @@ class RestInterface:
 
     async def _list_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
-        parent = exchange.parameter("parent")
-        page = page_of(exchange.parameter("limit"), exchange.parameter("after"), parent)
+        asked = exchange.parameter
+        words, client_text = exchange.parameters("status"), asked("client")
+        wanted = wanted_of(words, client_text, asked("since"), asked("until"), time_ns())
+        page = page_of(asked("limit"), asked("after"), asked("parent"), wanted)
         with await endpoint.status() as statuses:
             body, cursor = await listed(statuses, page, self._turn)
-        of_parent = "" if page.parent is None else f"&parent={page.parent}"
-        next_page = f'<?limit={page.limit}&after={cursor}{of_parent}>; rel="next"'
-        await exchange.answer(200, body, *([("Link", next_page)] if cursor else ()))
+        next_page = ("Link", f'<{page.next_query(cursor)}>; rel="next"')
+        await exchange.answer(200, body, *([next_page] if cursor else ()))
 
     async def _post_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         goal_id = GoalID.random()

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from fibaction.types.action import ActionInfo
+from fibaction.words.goal_query import STATUSES, TIME_TEXT
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
 from fibaction_transports.web.rest.openapi_schemas import SHARED, Names, example_of, moved
@@ -119,6 +120,30 @@ _PARENT = {
     "description": "Only goals that the executor of this goal has sent.",
     "schema": _ONE_ID,
 }
+_STATUSES = {
+    "name": "status",
+    "in": "query",
+    "description": "Only goals with this status; may be given several times.",
+    "schema": {"type": "array", "minItems": 1, "items": {"type": "string", "enum": [*STATUSES]}},
+}
+_CLIENT = {
+    "name": "client",
+    "in": "query",
+    "description": "Only goals whose client has this text in it.",
+    "schema": {"type": "string"},
+}
+_TIME = {"type": "string", "anyOf": [{"format": "date-time"}, {"pattern": TIME_TEXT}]}
+_SINCE, _UNTIL = (
+    {
+        "name": name,
+        "in": "query",
+        "description": f"Only goals that were accepted at this time or {when}: a time of ISO 8601,"
+        " a stamp, or `10m` for ten minutes ago.",
+        "schema": _TIME,
+    }
+    for name, when in (("since", "later"), ("until", "earlier"))
+)
+_CHOICE = (_STATUSES, _CLIENT, _SINCE, _UNTIL)
 _NEXT = {
     "Link": {
         "description": "The address of the next page, with rel=next; absent on the last one.",
@@ -135,7 +160,8 @@ _AFTER = {
 
 _DESCRIPTIONS = {
     "describe": "The action, with the JSON Schemas of its messages.",
-    "list": "The goals that the server remembers. With `limit` they come in pages.",
+    "list": "The goals that the server remembers, all or those that you choose. With `limit` they"
+    " come in pages.",
     "send": "The answer comes at once, or with `wait` at the end of the goal. If you accept"
     " `text/event-stream`, it is the events of the goal.",
     "put": "As for POST. If you send the same goal again under its ID, it still runs once.",
@@ -235,7 +261,8 @@ class _Described:
         goals = _answer("Goals.", {"type": "array", "items": _ref("Goal")}) | {"headers": _NEXT}
         return {
             "get": self._operation(
-                *("list", "List the goals.", {"200": goals}), _LIMIT, _AFTER_PAGE, _PARENT
+                *("list", "List the goals.", {"200": goals}),
+                *(_LIMIT, _AFTER_PAGE, _PARENT, *_CHOICE),
             ),
             "post": self._sending("send", "Send a goal.", {"201": self._sent()}, _WAIT),
             "delete": self._operation("cancel_all", "Cancel goals.", _CANCELED, _BEFORE),
