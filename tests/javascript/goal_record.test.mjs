@@ -54,3 +54,36 @@ test("a goal of the history keeps its times", () => {
   const goal = told({ status: "SUCCEEDED", beganAt: 2000n * MS, endedAt: 2500n * MS });
   assert.equal(GoalRecord.of(goal.kept(), INFO).seconds(), 1.5);
 });
+
+/** Return the description of an action whose schemas count how often they are read. */
+function counting(name = "count") {
+  const read = { times: 0 };
+  const schema = () => ({ type: "object", get properties() {
+    read.times += 1;
+    return { value: { type: "integer" } };
+  } });
+  return [{ name, goal: schema(), feedback: schema(), result: schema() }, read];
+}
+
+test("the schemas of an action are read once for all of its goals", () => {
+  const [info, read] = counting();
+  const first = new GoalRecord("count", "00", info);
+  const once = read.times;
+  assert.ok(once > 0);
+  for (let number = 1; number <= 50; number += 1) new GoalRecord("count", `${number}`, info);
+  assert.equal(read.times, once);
+  const second = GoalRecord.of(first.kept(), info);
+  for (const record of [first, second]) record.addFeedback({ value: 7 }, 1, 1);
+  assert.deepEqual(second.series.charts[0].lines[0].values, [7]);
+  assert.notEqual(first.series.charts[0].lines[0], second.series.charts[0].lines[0]);
+});
+
+test("an action that is described again as before keeps its description, another one does not", () => {
+  const store = new Store({ watch: () => () => {} }, { add() {} });
+  const described = (name, type) => ({ name, goal: { type }, feedback: { maximum: 2n ** 64n }, result: {} });
+  const [count, walk] = [described("count", "integer"), described("walk", "integer")];
+  store.takeActions([count, walk]);
+  store.takeActions([described("count", "integer"), described("walk", "string")]);
+  assert.equal(store.actions.get("count"), count);
+  assert.equal(store.actions.get("walk").goal.type, "string");
+});

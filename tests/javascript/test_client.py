@@ -29,6 +29,7 @@ CONSOLE = CLIENT.parent / "console"
 IN_NODE = [
     f"{name}.js"
     for name in (
+        "action_shape",
         "dom",
         "feedback_parts",
         "goal_record",

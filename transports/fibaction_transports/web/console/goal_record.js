@@ -1,7 +1,8 @@
 /** One goal as the console knows it: from its server, from this page, or from the history. */
 
-import { TextFeed, imagesOf, textPathOf } from "./feedback_parts.js";
-import { chartsOf, progressOf } from "./schema.js";
+import { shapeOf } from "./action_shape.js";
+import { TextFeed } from "./feedback_parts.js";
+import { progressReader } from "./schema.js";
 import { Series } from "./series.js";
 
 const MOST_KEPT_POINTS = 100;
@@ -44,10 +45,11 @@ export class GoalRecord {
     this.recent = [];
     this.handle = null;
     this.isPast = false;
-    this.text = new TextFeed(info ? textPathOf(info.feedback) : null);
-    this.mostLines = info && imagesOf(info.feedback).length ? MOST_LINES_WITH_BYTES : MOST_FEEDBACK_LINES;
-    this.series = new Series(info ? chartsOf(info.feedback) : []);
-    this.readProgress = info ? progressOf(info.feedback) : () => null;
+    const { text, charts, progress, images } = shapeOf(info);
+    this.text = new TextFeed(text);
+    this.mostLines = images.feedback.length ? MOST_LINES_WITH_BYTES : MOST_FEEDBACK_LINES;
+    this.series = new Series(charts);
+    this.readProgress = progressReader(progress);
   }
 
   get key() {

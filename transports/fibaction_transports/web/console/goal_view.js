@@ -1,5 +1,6 @@
 /** One goal: what was sent beside its result, its feedback as charts and text, and its cancel. */
 
+import { shapeOf } from "./action_shape.js";
 import { Chart } from "./chart.js";
 import { h, setText, show } from "./dom.js";
 import { GoalFamily } from "./goal_family.js";
@@ -52,7 +53,7 @@ export class GoalView {
     this.chartList.replaceChildren(...this.charts.map((chart) => chart.element));
     const places = { goal: this.goalImages, feedback: this.imageList, result: this.resultImages };
     this.images = Object.entries(places).map(([of, place]) => {
-      const images = new Images(record.info?.[of], of);
+      const images = new Images(shapeOf(record.info).images[of], of);
       place.replaceChildren(images.element);
       return [of, images];
     });

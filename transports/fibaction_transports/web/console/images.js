@@ -1,7 +1,7 @@
 /** Images of goals, feedback and results, drawn on canvases. */
 
 import { h, setText, show } from "./dom.js";
-import { imagesOf, mediaTypeOf, pixelsOf, valueAt } from "./feedback_parts.js";
+import { mediaTypeOf, pixelsOf, valueAt } from "./feedback_parts.js";
 
 const MOST_WIDTH = 1280;
 const SMALL = 128; // pixels that are shown as they are
@@ -59,8 +59,9 @@ class ImageView {
 
 /** The images of a goal, of its feedback or of its result. */
 export class Images {
-  constructor(schema, of) {
-    this.views = imagesOf(schema ?? {}).map((image) => new ImageView(image, of));
+  /** Make views of these images, as `imagesOf` the schema has found them. */
+  constructor(images, of) {
+    this.views = images.map((image) => new ImageView(image, of));
     this.element = h("div", { class: "images" }, ...this.views.map((view) => view.element));
   }
 

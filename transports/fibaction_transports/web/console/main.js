@@ -84,9 +84,6 @@ class Console {
     }
     const info = this.store.actions.get(action);
     if (!this.page || this.page.info !== info) {
-      if (this.page?.info && info && JSON.stringify(this.page.info) === JSON.stringify(info)) {
-        return; // described again after a reconnect: what was typed into the form stays
-      }
       this.page = new ActionPage(this.store, info);
       this.content.replaceChildren(this.page.element);
       document.title = info ? `${info.name} · fibaction console` : "fibaction console";

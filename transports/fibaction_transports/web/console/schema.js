@@ -308,13 +308,19 @@ export function chartsOf(root) {
   return [...charts.values()];
 }
 
-/** Return a function that finds the progress in feedback, from 0 to 1; null if it does not tell. */
-export function progressOf(root) {
+/** Return the names of the fields of feedback that tell the progress. */
+export function progressFieldsOf(root) {
   const fields = Object.keys(resolverOf(root)(root).properties ?? {});
-  const percent = fields.find((name) => PERCENT.includes(name));
-  const fraction = fields.find((name) => FRACTION.includes(name));
+  return {
+    percent: fields.find((name) => PERCENT.includes(name)),
+    fraction: fields.find((name) => FRACTION.includes(name)),
+    count: fields.includes("total") ? COUNTS.find((name) => fields.includes(name)) : undefined,
+  };
+}
+
+/** Return a function that finds the progress in feedback, from 0 to 1; null if it does not tell. */
+export function progressReader({ percent, fraction, count }) {
   let isOfHundred = Boolean(percent);
-  const count = fields.includes("total") && COUNTS.find((name) => fields.includes(name));
   return function read(feedback) {
     if (count && feedback?.total > 0 && Number.isFinite(Number(feedback[count] ?? NaN))) {
       return Math.min(Math.max(Number(feedback[count]) / Number(feedback.total), 0), 1);

@@ -26,6 +26,11 @@ function hexOf(bytes) {
   return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
+/** Return the earlier description of an action if it is equal: it has been read, and its page stays. */
+function sameOr(before, info) {
+  return before && stored(before) === stored(info) ? before : info;
+}
+
 export class Store {
   constructor(connection, history) {
     this.connection = connection;
@@ -80,7 +85,8 @@ export class Store {
   // Actions
 
   takeActions(infos) {
-    this.actions = new Map(infos.map((info) => [info.name, info]));
+    const before = this.actions;
+    this.actions = new Map(infos.map((info) => [info.name, sameOr(before.get(info.name), info)]));
     this.isDescribed = true;
     for (const [name, stop] of this.watches) {
       if (!this.actions.has(name)) {
