@@ -35,7 +35,7 @@ from fibaction.server.cancels import Cancels
 from fibaction.server.durability.goal_keeper import STORE_IS_LATE
 from fibaction.server.durability.keeper import Keeper, KeeperEvents
 from fibaction.server.durability.recovery import Recovery
-from fibaction.server.execution.executor import Executor
+from fibaction.server.execution.executor import Runner
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_logs import GoalLogs
@@ -59,7 +59,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
     def __init__(
         self,
         action: Action[GoalT, FeedbackT, ResultT],
-        executor: Executor[GoalT, FeedbackT, ResultT],
+        runner: Runner,
         settings: ActionServerSettings[GoalT],
         keeper: Keeper,
         dispatcher: Dispatcher[GoalT],
@@ -86,7 +86,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         )
         self._watch = Watch(action.name, settings.watchdog)
         self.runs = runs = Runs(
-            action, executor, registry, logs, keeper, dispatcher, self._watch, settings
+            action, runner, registry, logs, keeper, dispatcher, self._watch, settings
         )
         self.admission = Admission(
             action, registry, runs, logs, keeper, dispatcher, watchers, callbacks

@@ -41,6 +41,7 @@ from fibaction.server.functions.executor_check import (
     check_is_executor,
     check_is_served,
     executor_of,
+    runner_of,
 )
 from fibaction.server.parts import Parts
 from fibaction.server.registry.goal_record import Offer
@@ -97,7 +98,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             executor = executor_of(action)
         check_is_executor(executor)
         self.action = action
-        self._executor = executor
+        self._runner = runner_of(executor)
         check_settings("ActionServer", settings, ActionServerSettings.__struct_fields__)
         self._settings = ActionServerSettings(**settings)
         self._callbacks = GoalCallbacks(action.name, self._settings)
@@ -166,7 +167,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         keeper = self._make_keeper()
         self._parts = parts = Parts(
             self.action,
-            self._executor,
+            self._runner,
             self._settings,
             keeper,
             self._dispatcher,

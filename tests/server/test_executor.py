@@ -24,6 +24,7 @@ from fibaction.server.execution.executor import Execution, Executor
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.execution.watchdog import Watch
+from fibaction.server.functions.executor_check import runner_of
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
 from fibaction.words.statuses import GoalEvent, transition
@@ -69,7 +70,12 @@ class Bench:
         if self.form == "function":
             executor = as_function(cast("Any", executor))
         self.execution = Execution(
-            FIBONACCI, executor, handle, self.log, stall_timeout, Watch(FIBONACCI.name, 0)
+            FIBONACCI,
+            runner_of(executor),
+            handle,
+            self.log,
+            stall_timeout,
+            Watch(FIBONACCI.name, 0),
         )
         self.ending: Ending | None = None
 

@@ -25,6 +25,7 @@ from fibaction import (
     Return,
     action,
 )
+from fibaction.server.execution.executor import Execution
 from fibaction.server.functions import function_action
 from fibaction.testing import run_executor
 from tests.support.memory_store import MemoryStore
@@ -214,6 +215,25 @@ async def test_a_function_reports_feedback_and_returns_the_result() -> None:
     trial = await run_executor(drive, drive.executor, 3)
     assert trial.feedback == [1, 2, 3]
     assert trial.outcome == Outcome(GoalStatus.SUCCEEDED, "drove 3 m", "")
+
+
+async def test_an_executor_iterates_over_the_one_of_a_function() -> None:
+    async def twice(goal: GoalHandle[int]) -> AsyncIterator[int | str | Return[str]]:
+        yield 0
+        async for item in drive.executor(goal):
+            yield Return(f"{item.value} in all") if isinstance(item, Return) else item
+
+    trial = await run_executor(drive, twice, 3)
+    assert trial.feedback == [0, 1, 2, 3]
+    assert trial.outcome.result == "drove 3 m in all"
+
+
+async def test_a_server_runs_a_function_without_a_generator_around_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    executor = drive.executor
+    monkeypatch.setattr(Execution, "iterate", None)
+    assert (await run_executor(drive, executor, 3)).feedback == [1, 2, 3]
 
 
 async def test_the_arguments_are_the_fields_the_handle_and_the_report() -> None:

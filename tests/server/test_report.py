@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable
@@ -60,6 +61,22 @@ async def test_a_helper_reports_without_its_caller() -> None:
     async def count(goal: int, report: Report[int]) -> str:
         for number in range(goal):
             await helper(report, number)
+        return "done"
+
+    assert await feedback_of(count) == [0, 1, 2]
+
+
+async def test_what_a_report_returns_is_awaited_at_any_time_and_in_any_task() -> None:
+    @action("count")
+    async def count(goal: int, report: Report[int]) -> str:
+        async def wait_for(reported: Awaitable[None]) -> None:
+            assert inspect.isawaitable(reported)
+            await checkpoint()
+            await reported
+
+        async with anyio.create_task_group() as tasks:
+            for number in range(goal):
+                tasks.start_soon(wait_for, report(number))
         return "done"
 
     assert await feedback_of(count) == [0, 1, 2]

@@ -1,18 +1,21 @@
-"""Runs one executor, a user's async generator, from its first step to its end.
+"""Runs one executor of a user, a generator or a function, from its first step to its end.
 
 Theory of operation
 -------------------
 
-An `Execution` iterates over the user's generator. A value of the feedback's type is encoded and
-appended to the goal's log; a value of the result's type is kept as the result, and must be the last
-one. Each feedback is a cancellation point, but the pause that makes it one is skipped if no
-cancellation is pending, the log has room, and the executor has not yet used up its slice of time.
-This makes goals that never wait cheap.
+An executor has one of two forms, and a `Runner` runs those of one form: `Execution.iterate` async
+generators, and `FunctionAction.run` functions. A runner is short. It hands feedback and the result
+over to an `Execution`, and raises what the executor raises; all rules for an executor are here.
+
+A value of the feedback's type is encoded and appended to the goal's log; a value of the result's
+type is kept as the result, and must be the last one. Each feedback is a cancellation point, but the
+pause that makes it one is skipped if no cancellation is pending, the log has room, and the executor
+has not yet used up its slice of time. This makes goals that never wait cheap.
 
 A cancellation that arrives in the pause is thrown into the generator at its `yield`, so the
 executor sees it there as it would at any `await`. `interruption` makes it arrive once.
 
-The end of the generator becomes an `Ending`:
+The end of the executor becomes an `Ending`:
 
 - it returned after a result: RESULT;
 - it raised the cancellation, or `GoalCanceled`: CANCELED, with the partial result, if any;
@@ -21,7 +24,7 @@ The end of the generator becomes an `Ending`:
   the reason, and a traceback in the log `fibaction.server`.
 
 An executor that is killed and does not end is given up (`_given_up`): nothing awaits it any more.
-So that nothing closes its generator either, the event loop is not told of the generator (`_first`).
+So that nothing closes a generator either, the event loop is not told of it (`_first`).
 
 The registry turns an ending into a status of the goal. This module does not depend on the rules for
 statuses, on clients or on other goals.
@@ -44,11 +47,11 @@ from fibaction.server.execution.executor_ends import (
     Misuse,
     abandoned,
     cause_of,
+    error_end,
     failed,
     is_feedback_message,
     kind_of,
     no_result,
-    partial_end,
     tell_spared,
 )
 from fibaction.server.execution.executor_life import (
@@ -65,7 +68,6 @@ from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.current_goal import CurrentGoal, current_goal
-from fibaction.words.errors import GoalAborted, GoalCanceled
 from fibaction.words.returned import Return
 
 if TYPE_CHECKING:
@@ -82,6 +84,11 @@ return type is written as `AsyncIterator[Feedback | Result]`, or as an `AsyncGen
 marks a result that could be feedback."""
 
 
+Runner: TypeAlias = Callable[
+    ["Execution[Any, Any, Any]", GoalHandle[Any]], Coroutine[Any, Any, None]
+]
+"""A coroutine function that runs a user's executor once, for the goal of an `Execution`."""
+
 Fence: TypeAlias = Callable[["Execution[Any, Any, Any]"], bool]
 """A function that interrupts an executor, and returns True, if it may not take another step."""
 
@@ -96,10 +103,10 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         "_action",
         "_context",
         "_current",
-        "_executor",
         "_log",
         "_owner",
         "_result",
+        "_runner",
         "_scopes",
         "_stall_timeout",
         "_steps",
@@ -113,7 +120,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
     def __init__(
         self,
         action: Action[GoalT, FeedbackT, ResultT],
-        executor: Executor[GoalT, FeedbackT, ResultT],
+        runner: Runner,
         handle: GoalHandle[GoalT],
         log: FeedbackLog[GoalRecord],
         stall_timeout: float,
@@ -125,7 +132,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         self.goal = log.goal
         """The record of the goal that it runs now."""
         self._action = action
-        self._executor = executor
+        self._runner = runner
         self._log = log
         self._stall_timeout = stall_timeout
         self._watch = watch
@@ -193,11 +200,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             self._steps.fence = partial(self.fence, self)
         try:
             try:
-                items = self._start()
-                try:
-                    await self._consume(items)
-                finally:
-                    await items.aclose()
+                await self._runner(self, self.handle)
             except BaseException as exc:
                 ending = self._ended_by(exc)
             else:
@@ -231,58 +234,50 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             assert self._scopes is not None
             self._scopes.happen(ScopesEvent.INTERRUPT)  # the task itself may have been canceled
             return Ending(EndKind.CANCELED, self._result)
-        if isinstance(cause, GoalCanceled):
-            return partial_end(EndKind.CANCELED, cause, self._action, self.goal, self._result)
-        if isinstance(cause, GoalAborted):
-            return partial_end(EndKind.FAILED, cause, self._action, self.goal, self._result)
         if isinstance(cause, (KeyboardInterrupt, SystemExit)):
             raise exc
-        return failed(cause, self._action, self.goal, self._result)
+        return error_end(cause, self._action, self.goal, self._result)
 
-    def _start(self) -> AsyncGenerator[FeedbackT | ResultT, None]:
-        items: Any = self._executor(self.handle)
-        # Most are of the first type, which is checked faster than the abstract class.
-        if not isinstance(items, (AsyncGeneratorType, AsyncGenerator)):
-            if isinstance(items, Coroutine):
-                items.close()  # or Python warns that it was never awaited
-            raise Misuse(
-                f"it is not an async generator: it returned {kind_of(cast('object', items))}"
-            )
-        return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
-
-    async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
+    async def iterate(
+        self, goal: GoalHandle[GoalT], executor: Executor[GoalT, FeedbackT, ResultT]
+    ) -> None:
+        """Run an async generator function to its end: the `Runner` of generators."""
         feedback, result, steps = self._action.feedback, self._action.result, self._steps
+        items = _generator_of(executor(goal))
         step = _first(items)
-        while True:
-            try:
-                item: Any = await step
-            except StopAsyncIteration:
-                return
-            except BaseException:
-                del step  # it may reference the exception, which references this frame
-                raise
-            if self._result is not None:
-                raise Misuse(f"it yielded {kind_of(item)} after its result")
-            if isinstance(item, Return):
-                self._result = self._returned(cast("object", item.value))
-            elif feedback.holds(item) or (
-                not result.holds(item) and is_feedback_message(item, self._action)
-            ):
-                log = self._log
-                log.append(feedback.encode(item))
-                if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
-                    try:
-                        await self._pause()
-                    except get_cancelled_exc_class() as exc:
-                        # The cancellation arrives in this module, but belongs at the generator's
-                        # `yield`: it may be this goal's cancel, or a timeout that the generator
-                        # has set around that `yield`.
-                        step = items.athrow(exc)
-                        continue
-            else:
-                # The result is not a cancellation point, since the goal is done.
-                self._result = result.encode(item)
-            step = items.__anext__()
+        try:
+            while True:
+                try:
+                    item: Any = await step
+                except StopAsyncIteration:
+                    return
+                except BaseException:
+                    del step  # it may reference the exception, which references this frame
+                    raise
+                if self._result is not None:
+                    raise Misuse(f"it yielded {kind_of(item)} after its result")
+                if isinstance(item, Return):
+                    self.keep_result(cast("object", item.value))
+                elif feedback.holds(item) or (
+                    not result.holds(item) and is_feedback_message(item, self._action)
+                ):
+                    log = self._log
+                    log.append(feedback.encode(item))
+                    if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
+                        try:
+                            await self._pause()
+                        except get_cancelled_exc_class() as exc:
+                            # The cancellation arrives in this module, but belongs at the
+                            # generator's `yield`: it may be this goal's cancel, or a timeout that
+                            # the generator has set around that `yield`.
+                            step = items.athrow(exc)
+                            continue
+                else:
+                    # The result is not a cancellation point, since the goal is done.
+                    self._result = result.encode(item)
+                step = items.__anext__()
+        finally:
+            await items.aclose()
 
     async def _pause(self) -> None:
         assert self._scopes is not None
@@ -294,12 +289,6 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         if self._log.is_full:
             await self._log.wait_for_room(self._stall_timeout)
             await turns.pause(self._owner)  # very many may be woken at once
-
-    def _returned(self, value: object) -> bytes:
-        result = self._action.result
-        if not result.accepts(value):
-            raise Misuse(f"it returned {kind_of(value)}, which is not of the result's type")
-        return result.encode(value)
 
     # What executors report without a `yield`: see `RunningGoal`
 
@@ -318,6 +307,12 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             raise TypeError(f"{what} is not of its type: it is {kind_of(feedback)}")
         return codec.encode(feedback)
 
+    def keep_result(self, value: object) -> None:
+        result = self._action.result
+        if not result.accepts(value):
+            raise Misuse(f"it returned {kind_of(value)}, which is not of the result's type")
+        self._result = result.encode(value)
+
     def append(self, payload: bytes) -> bool:
         log, steps = self._log, self._steps
         log.append(payload)
@@ -329,6 +324,16 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
 
     def arrive(self) -> None:
         self._steps.arrive()
+
+
+def _generator_of(items: Any) -> AsyncGenerator[Any, None]:
+    """Return what an executor has returned, as the generator that it has to be."""
+    # Most are of the first type, which is checked faster than the abstract class.
+    if not isinstance(items, (AsyncGeneratorType, AsyncGenerator)):
+        if isinstance(items, Coroutine):
+            items.close()  # or Python warns that it was never awaited
+        raise Misuse(f"it is not an async generator: it returned {kind_of(cast('object', items))}")
+    return cast("AsyncGenerator[Any, None]", items)
 
 
 def _first(items: AsyncGenerator[T, None]) -> Awaitable[T]:

@@ -78,17 +78,28 @@ def kind_of(value: object) -> str:
     return f"an {name}" if name[0] in "AEIOUaeiou" else f"a {name}"
 
 
-def partial_end(
+def error_end(
+    cause: BaseException, action: Action[Any, Any, Any], goal: GoalRecord, result: bytes | None
+) -> Ending:
+    """Return the end of an executor that has raised an error, and log those that are unexpected.
+
+    `result` is what it has yielded as its result before; None if nothing.
+    """
+    if isinstance(cause, GoalCanceled):
+        return _partial_end(EndKind.CANCELED, cause, action, goal, result)
+    if isinstance(cause, GoalAborted):
+        return _partial_end(EndKind.FAILED, cause, action, goal, result)
+    return failed(cause, action, goal, result)
+
+
+def _partial_end(
     kind: EndKind,
     exc: GoalCanceled | GoalAborted,
     action: Action[Any, Any, Any],
     goal: GoalRecord,
     result: bytes | None,
 ) -> Ending:
-    """Return the end of an executor that has handed a partial result over with its error.
-
-    `result` is what it has yielded as its result before; None if nothing.
-    """
+    """Return the end of an executor that has handed a partial result over with its error."""
     codec = action.result
     if exc.result is None:
         return Ending(kind, result, exc.reason)

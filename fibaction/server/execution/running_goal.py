@@ -53,6 +53,14 @@ class RunningGoal(ABC):
         """
 
     @abstractmethod
+    def keep_result(self, value: object) -> None:
+        """Keep the result, which is of the goal as soon as the executor has ended.
+
+        Raises:
+            Misuse: It is not of the result's type.
+        """
+
+    @abstractmethod
     def append(self, payload: bytes) -> bool:
         """Append feedback to the goal's log, as a `yield` does; return whether to `pause` then."""
 

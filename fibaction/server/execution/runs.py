@@ -40,7 +40,7 @@ from anyio.abc import TaskGroup
 
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
-from fibaction.server.execution.executor import Execution, Executor, Fence
+from fibaction.server.execution.executor import Execution, Fence, Runner
 from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
 from fibaction.server.execution.executor_life import EXECUTOR_LIFE, ExecutorEvent, ExecutorPhase
 from fibaction.server.execution.goal_news import GoalNews, Run
@@ -76,7 +76,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def __init__(
         self,
         action: Action[GoalT, FeedbackT, ResultT],
-        executor: Executor[GoalT, FeedbackT, ResultT],
+        runner: Runner,
         registry: GoalRegistry,
         logs: GoalLogs,
         keeper: Keeper,
@@ -85,7 +85,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         settings: ActionServerSettings[GoalT],
     ) -> None:
         self._action = action
-        self._executor = executor
+        self._runner = runner
         self._registry = registry
         self._logs = logs
         self._keeper = keeper
@@ -134,7 +134,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         log = self._logs.open(goal, payload)
         handle = GoalHandle(goal, request, self.checkpoints, self._dispatcher, restored)
         execution = Execution(
-            self._action, self._executor, handle, log, self._stall_timeout, self._watch, context
+            self._action, self._runner, handle, log, self._stall_timeout, self._watch, context
         )
         execution.fence = self._fence
         self._runs[goal.goal_id] = Run(goal, log, execution)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import AsyncIterable
+from collections.abc import AsyncIterable, AsyncIterator, Callable
 from dis import get_instructions
 from functools import partial
 from itertools import pairwise
 from types import FunctionType
-from typing import Any
+from typing import Any, cast
 
-from fibaction.server.execution.executor import Executor
+from fibaction.server.execution.executor import Execution, Executor, Runner
 from fibaction.server.functions.function_action import FunctionAction
+from fibaction.server.goal_handle import GoalHandle
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 
 
@@ -29,6 +30,17 @@ def executor_of(
         f"{action!r} has no executor: write ActionServer(action, executor), or make an action of a"
         f" function with @action"
     )
+
+
+def runner_of(executor: Callable[[GoalHandle[Any]], AsyncIterator[Any]]) -> Runner:
+    """Return what runs an executor: the function that it is made of, or an iteration over its
+    generators.
+    """
+    function: Any = getattr(executor, "__self__", None)
+    # `isinstance` would leave its types unknown.
+    if issubclass(type(function), FunctionAction) and executor == function.executor:
+        return cast("Runner", function.run)
+    return partial(Execution[Any, Any, Any].iterate, executor=executor)
 
 
 def check_is_served(action: Any) -> None:

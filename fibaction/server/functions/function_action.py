@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar, cast
 from anyio import CapacityLimiter, to_thread
 from anyio.lowlevel import RunVar
 
+from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.functions.report import DONE, Report
 from fibaction.server.functions.signature import FunctionSignature
 from fibaction.server.goal_handle import GoalHandle
@@ -87,22 +88,27 @@ class FunctionAction(Action[GoalT, FeedbackT, ResultT], Generic[GoalT, FeedbackT
     async def executor(
         self, goal: GoalHandle[GoalT]
     ) -> AsyncGenerator[FeedbackT | ResultT | Return[ResultT], None]:
-        """Run the function for one goal: the executor of this action."""
+        """Run the function for one goal: the executor of this action.
+
+        A server calls `run` instead. As a generator, it is for executors that iterate over it.
+        """
         assert goal.running is not None
-        report = Report[FeedbackT](goal.running)
+        yield Return(await self._returned(goal.running, goal))
+
+    async def run(self, running: RunningGoal, goal: GoalHandle[GoalT]) -> None:
+        """Run the function for one goal, in a server: the `Runner` of this function."""
+        running.keep_result(await self._returned(running, goal))
+
+    async def _returned(self, running: RunningGoal, goal: GoalHandle[GoalT]) -> ResultT:
+        report: Report[FeedbackT] = Report(running)
         try:
             args, kwargs = self._signature.arguments(goal.request, goal, report)
             if self._is_async:
-                running = cast("Awaitable[ResultT]", self._function(*args, **kwargs))
-                result = await running
-            else:
-                function = partial(self._function, *args, **kwargs)
-                result = cast(
-                    "ResultT", await to_thread.run_sync(function, limiter=self._limiter())
-                )
+                return await cast("Awaitable[ResultT]", self._function(*args, **kwargs))
+            function = partial(self._function, *args, **kwargs)
+            return cast("ResultT", await to_thread.run_sync(function, limiter=self._limiter()))
         finally:
             report.close()
-        yield Return(result)
 
     def _limiter(self) -> CapacityLimiter:
         try:
