@@ -142,8 +142,14 @@ async def test_a_namespace_whose_nodes_serve_nothing_is_told_with_its_nodes(
             [f"a{n:02}/look" for n in range(11)],
             f"; there is {', '.join(f'/a{n:02}' for n in range(10))}, ...",
         ),
-        (["look"], ", nor in any other"),
-        ([], ", nor in any other"),
+        (["look", "go"], "; the actions here have no namespace, leave out -n: go, look"),
+        (
+            [f"a{n:02}" for n in range(11)],
+            "; the actions here have no namespace, leave out -n: "
+            + ", ".join(f"a{n:02}" for n in range(10))
+            + ", ...",
+        ),
+        ([], ", and no action is served here"),
         (["lab\x1b/look"], "; there is /lab\\x1b"),
     ],
 )

@@ -108,20 +108,26 @@ def no_namespace(namespace: Namespace, names: Iterable[str], nodes: Sequence[str
     """Return the error for a namespace without actions: with the nodes that it has all the same,
     or else with the most similar namespace.
     """
+    names = sorted(names)
     known = sorted(namespaces_of(names))
     text = f"there is no action in the namespace {namespace.path}"
     if nodes:
-        some = ", ".join(map(excerpt, nodes[:MOST_SUGGESTED]))
-        text += f" yet, only nodes that serve none: {some}"
-        text += ", ..." if len(nodes) > MOST_SUGGESTED else ""
+        text += f" yet, only nodes that serve none: {_some(nodes)}"
     elif near := nearest(namespace.path, known):
         text += f"; did you mean {excerpt(near)}?"
     elif known:
-        some = ", ".join(map(excerpt, known[:MOST_SUGGESTED]))
-        text += f"; there is {some}{', ...' if len(known) > MOST_SUGGESTED else ''}"
+        text += f"; there is {_some(known)}"
+    elif names:
+        text += f"; the actions here have no namespace, leave out -n: {_some(names)}"
     else:
-        text += ", nor in any other"
+        text += ", and no action is served here"
     return Failure(text, ExitCode.UNREACHABLE)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Return the first of these names, as one text."""
+    some = ", ".join(map(excerpt, names[:MOST_SUGGESTED]))
+    return some + (", ..." if len(names) > MOST_SUGGESTED else "")
 
 
 def namespaces_of(names: Iterable[str]) -> set[str]:
