@@ -10,6 +10,7 @@ from typing import Any
 
 from fibaction._runtime.plain_data import is_list, is_map, is_number
 from fibaction.schema.json_schema import JsonSchema, SchemaError
+from fibaction.schema.keywords import COMPARISONS
 
 MAX_FIELDS = 500
 """Fields of a template."""
@@ -17,6 +18,8 @@ MAX_LEVELS = 10
 """Levels of fields within fields; a type may contain itself."""
 MAX_LENGTH = 1000
 """Characters of a text in a template."""
+MOST_MULTIPLES = 10
+"""Multiples of a unit that are tried: 3 * 0.1 is none of 0.1 to a float, and 4 * 0.1 is one."""
 
 _EMPTY: dict[str, Any] = {"integer": 0, "number": 0.0, "string": "", "boolean": False, "null": None}
 FORMATS = {
@@ -122,14 +125,33 @@ def _number(part: dict[Any, Any], zero: float) -> Any:
     """Return zero, or the number within the limits that is next to it or easy to read."""
     least, above = part.get("minimum"), part.get("exclusiveMinimum")
     most, below = part.get("maximum"), part.get("exclusiveMaximum")
+    unit = part.get("multipleOf")
     if is_number(least) and least > 0:
-        return least
+        return least if unit is None else _multiple(unit, least, zero)
     if is_number(above) and above >= 0:
+        if unit is not None:
+            return _multiple(unit, above, zero, beyond=True)
         end: Any = most if is_number(most) else below
         has_room = not is_number(end) or above + 1 < end
         return above + 1 if has_room or isinstance(zero, int) else (above + end) / 2
     if is_number(most) and most < 0:
-        return most
+        return most if unit is None else -_multiple(unit, -most, zero)
     if is_number(below) and below <= 0:
-        return below - 1
+        return below - 1 if unit is None else -_multiple(unit, -below, zero, beyond=True)
     return zero
+
+
+def _multiple(unit: float, limit: float, zero: float, *, beyond: bool = False) -> float:
+    """Return the first multiple of a unit that is at least a limit, or `beyond` it, and that passes
+    the check, which is made with floats; or else the limit.
+    """
+    try:
+        first = int(limit // unit) + 1 if beyond else -int(-limit // unit)
+    except (OverflowError, ValueError):  # a limit without an end
+        return limit
+    for count in range(first, first + MOST_MULTIPLES):
+        number = count * unit
+        is_whole = not isinstance(zero, int) or number == int(number)
+        if is_whole and COMPARISONS["multipleOf"](number, unit):
+            return type(zero)(number)
+    return limit

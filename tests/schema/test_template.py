@@ -18,6 +18,25 @@ from tests.support.random_types import random_struct
 ACTIONS = Path(__file__).parent.parent / "action_files"
 
 
+UNITS: list[tuple[dict[str, Any], float]] = [
+    ({"type": "integer", "multipleOf": 4}, 0),
+    ({"type": "integer", "multipleOf": 4, "minimum": 4}, 4),
+    ({"type": "integer", "multipleOf": 4, "minimum": 5}, 8),
+    ({"type": "integer", "multipleOf": 4, "exclusiveMinimum": 0}, 4),
+    ({"type": "integer", "multipleOf": 4, "exclusiveMinimum": 4}, 8),
+    ({"type": "integer", "multipleOf": 4, "maximum": -5}, -8),
+    ({"type": "integer", "multipleOf": 4, "exclusiveMaximum": -4}, -8),
+    ({"type": "integer", "multipleOf": 1.5, "minimum": 4}, 6),
+    ({"type": "integer", "multipleOf": 8, "minimum": 2**60 + 1}, 2**60 + 8),
+    ({"type": "number", "multipleOf": 0.5, "exclusiveMinimum": 0, "maximum": 1}, 0.5),
+    ({"type": "number", "multipleOf": 0.1, "minimum": 0.25}, 0.4),
+    ({"type": "number", "multipleOf": 2, "exclusiveMinimum": math.inf}, math.inf),
+    ({"type": "integer", "multipleOf": 0.3, "minimum": 1}, 3),
+    ({"type": "integer", "multipleOf": 0.07, "minimum": 1}, 1),
+]
+"""Numbers with a unit, and the template of each. The last has no multiple near its limit."""
+
+
 @pytest.mark.parametrize(
     ("schema", "goal"),
     [
@@ -42,6 +61,7 @@ ACTIONS = Path(__file__).parent.parent / "action_files"
         ({"type": "integer", "exclusiveMinimum": 0, "maximum": 1}, 1),
         ({"type": "number", "exclusiveMinimum": 3}, 4),
         ({"type": "integer", "maximum": -2}, -2),
+        *UNITS,
         ({"type": "integer", "exclusiveMaximum": 0}, -1),
         ({"$ref": "#/$defs/A", "$defs": {"A": {"enum": ["on", "off"]}}}, "on"),
         ({"$ref": "#/$defs/A", "$defs": {"A": {"default": 5}}}, 5),

@@ -9,6 +9,7 @@ const MOST_LEVELS = 8;
 const MOST_SERIES = 24;
 const MOST_INDEXED = 6;
 const MOST_FILLED = 500;
+const MOST_MULTIPLES = 10; // that are tried: 3 * 0.1 is none of 0.1 to a float, and 4 * 0.1 is one
 const SAMPLES = {
   "date-time": "2026-01-31T12:00:00Z",
   date: "2026-01-31",
@@ -126,18 +127,38 @@ function itemsOf(schema, resolve, level) {
 }
 
 /** Return zero, or the number within the limits of a schema that is next to it or easy to read. */
-function numberOf({ minimum, maximum, exclusiveMinimum: above, exclusiveMaximum: below }, isInteger) {
+function numberOf(schema, isInteger) {
+  const { minimum, maximum, exclusiveMinimum: above, exclusiveMaximum: below, multipleOf: unit } = schema;
+  const multiple = (limit, isBeyond) => multipleOf(Number(unit), Number(limit), isInteger, isBeyond);
   if (minimum > 0) {
-    return minimum;
+    return unit === undefined ? minimum : multiple(minimum, false);
   }
   if (above >= 0) {
+    if (unit !== undefined) {
+      return multiple(above, true);
+    }
     const [least, end] = [Number(above), Number(maximum ?? below ?? Infinity)];
     return isInteger || least + 1 < end ? least + 1 : (least + end) / 2;
   }
   if (maximum < 0) {
-    return maximum;
+    return unit === undefined ? maximum : -multiple(-Number(maximum), false);
   }
-  return below <= 0 ? Number(below) - 1 : 0;
+  if (below <= 0) {
+    return unit === undefined ? Number(below) - 1 : -multiple(-Number(below), true);
+  }
+  return 0;
+}
+
+/** Return the first multiple of a unit at or beyond a limit that the server accepts; or else the limit. */
+function multipleOf(unit, limit, isInteger, isBeyond) {
+  const first = isBeyond ? Math.floor(limit / unit) + 1 : Math.ceil(limit / unit);
+  for (let count = first; count < first + MOST_MULTIPLES; count += 1) {
+    const number = count * unit;
+    if (Number.isInteger(number / unit) && (!isInteger || Number.isInteger(number))) {
+      return number;
+    }
+  }
+  return limit;
 }
 
 /** Return the least length that a schema asks for, as far as a form goes. */
