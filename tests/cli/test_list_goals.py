@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import signal
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import redirect_stderr
 from functools import partial
 
@@ -14,7 +14,18 @@ import anyio
 import pytest
 from rich.console import Console
 
-from fibaction import ActionClient, ConnectionLost, GoalID, GoalInfo, GoalStatus, connect, serve
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    ConnectionLost,
+    GoalHandle,
+    GoalID,
+    GoalInfo,
+    GoalStatus,
+    connect,
+    serve,
+)
 from fibaction.cli.arguments.goal_lookup import GoalChoice
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.output.goal_table import GoalRow, picture
@@ -142,11 +153,12 @@ def test_goals_lists_those_of_a_span_of_time_and_of_several_actions(here: Run, u
     early = detached(here, url, "fibonacci", "order: 1")
     late = detached(here, url, "arm/pick", "object_name: cup")
     both = ("goals", "fibonacci", "arm/pick")
-    stamps = {goal["goal_id"]: goal["stamp"] for goal in here(*both, "--json", url=url).json}
+    listed = here(*both, "--limit", "0", "--json", url=url).json
+    stamps = {goal["goal_id"]: goal["stamp"] for goal in listed}
 
     def found(*options: str) -> list[str]:
-        listed = here(*both, *options, "--json", url=url).json
-        return [goal["goal_id"] for goal in listed if goal["goal_id"] in (early, late)]
+        chosen = here(*both, *options, "--limit", "0", "--json", url=url).json
+        return [goal["goal_id"] for goal in chosen if goal["goal_id"] in (early, late)]
 
     assert found() == [early, late]
     assert found("--since", str(stamps[early] + 1)) == [late]
@@ -161,7 +173,9 @@ def test_goals_lists_those_of_a_span_of_time_and_of_several_actions(here: Run, u
 
 def test_goals_as_csv_has_a_heading_and_a_line_for_each(here: Run, url: str) -> None:
     goal_id = detached(here, url, "fibonacci", "order: 5")
-    heading, *goals = csv.reader(here("goals", "fibonacci", "--csv", url=url).lines)
+    here("attach", goal_id, url=url)  # waits for the end
+    listed = here("goals", "fibonacci", "--csv", "--limit", "0", url=url).lines
+    heading, *goals = csv.reader(listed)
     (goal,) = (goal for goal in goals if goal[1] == goal_id)
     cells = dict(zip(heading, goal, strict=True))
 
@@ -299,6 +313,16 @@ async def test_without_goals_there_is_a_remark(capsys: pytest.CaptureFixture[str
     assert err == "There are no goals.\nThere are no goals of /one.\n"
 
 
+async def end_at_once(_: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    yield "done"
+
+
+def remembering() -> ActionServer[int, int, str]:
+    """A server that remembers its goals for longer than any test takes."""
+    action = Action("one", goal=int, feedback=int, result=str)
+    return ActionServer(action, end_at_once, result_timeout=3600)
+
+
 @pytest.mark.asyncio
 @pytest.mark.parametrize(("goals", "text"), [(1, "1 goal"), (2, "2 goals")])
 async def test_a_list_for_programs_tells_of_results_that_it_does_not_have(
@@ -308,7 +332,7 @@ async def test_a_list_for_programs_tells_of_results_that_it_does_not_have(
         return rows
 
     monkeypatch.setattr(Outcomes, "of", give_none)
-    server, url = counter("one", ["done"]), "inproc://goals"
+    server, url = remembering(), "inproc://goals"
     async with serve(server, url), connect(url, server.action) as client:
         for number in range(goals):
             await client.call(number)
@@ -323,7 +347,7 @@ async def test_a_list_for_programs_tells_of_results_that_it_does_not_have(
 async def test_a_list_for_programs_has_the_results_of_more_goals_than_a_screen(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    server, url = counter("one", ["done"]), "inproc://goals"
+    server, url = remembering(), "inproc://goals"
     async with serve(server, url), connect(url, server.action) as client:
         for number in range(MOST_ENDS + 1):
             await client.call(number)

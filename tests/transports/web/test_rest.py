@@ -699,9 +699,10 @@ async def test_goals_are_listed_in_pages() -> None:
 
 
 async def test_goals_are_chosen_by_status_client_and_time_on_every_page() -> None:
-    async with served(new_server()) as url:
+    server = ActionServer(FIBONACCI, fibonacci, result_timeout=3600)
+    async with served(server) as url:
         for _ in range(3):
-            await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 1})
+            await fetch(url, "POST", f"{GOALS}?wait=60", {"order": 1})
         stamps = [goal["stamp"] for goal in (await fetch(url, "GET", GOALS)).json]
 
         async def found(query: str) -> list[str]:
