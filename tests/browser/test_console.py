@@ -258,6 +258,72 @@ def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
     assert goal(page).locator("canvas").first.evaluate(some)
 
 
+def test_a_chart_is_zoomed_by_pointer_wheel_and_keys(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "arm/drive")
+    page.get_by_label("gear").select_option("fast")
+    send(page)
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    chart = goal(page).get_by_role("img", name="Chart of battery")
+    figure = page.locator(".chart").filter(has=page.get_by_role("img", name="Chart of battery"))
+    whole = figure.get_by_role("button", name="Show all")
+    told, part = page.locator("#announcer"), re.compile(r"Chart of battery: [\d.]+ s to [\d.]+ s")
+    expect(whole).to_have_count(0)
+
+    chart.scroll_into_view_if_needed()
+    box = chart.bounding_box()
+    assert box is not None
+    middle = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + box["width"] * 0.4, middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] * 0.7, middle, steps=3)
+    page.mouse.up()
+    expect(told).to_have_text(part)
+    expect(whole).to_be_visible()
+    chart.dblclick()
+    expect(told).to_have_text("Chart of battery: all")
+    expect(whole).to_have_count(0)
+
+    page.keyboard.down("Control")
+    page.mouse.wheel(0, -100)
+    expect(told).to_have_text(part)
+    page.keyboard.up("Control")
+    whole.click()
+    expect(chart).to_be_focused()
+    expect(told).to_have_text("Chart of battery: all")
+
+    for key, shown in {
+        "+": part,
+        "ArrowLeft": re.compile(": 0[. ]"),
+        "-": "all",
+        "=": part,
+    }.items():
+        chart.press(key)
+        expect(told).to_contain_text(shown)
+    chart.press("Escape")
+    expect(told).to_have_text("Chart of battery: all")
+    expect(goal(page)).to_have_count(1)
+    chart.press("Escape")
+    expect(goal(page)).to_have_count(0)
+
+
+def test_the_charts_of_a_goal_that_has_ended_follow_the_theme(
+    page: Page, robot: RobotProcess
+) -> None:
+    page.emulate_media(color_scheme="light")
+    open_action(page, robot, "break")
+    send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✕ aborted")
+    canvas = goal(page).locator("canvas").first
+    for change in (
+        lambda: page.emulate_media(color_scheme="dark"),
+        lambda: page.get_by_role("button", name="Theme").click(),
+    ):
+        before = canvas.evaluate("canvas => canvas.toDataURL()")
+        change()
+        is_new = "([canvas, before]) => canvas.toDataURL() !== before"
+        page.wait_for_function(is_new, arg=[canvas.element_handle(), before])
+
+
 def png(color: tuple[int, int, int], size: int) -> bytes:
     """Return a picture of one color."""
     rows = (b"\0" + bytes(color) * size) * size

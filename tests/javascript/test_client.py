@@ -38,6 +38,7 @@ IN_NODE = [
         "series",
         "store",
         "values",
+        "zoom",
     )
 ]
 """The modules of the console that are tested without a browser."""

@@ -1,6 +1,7 @@
 /** A chart of numbers on a canvas, with its legend as text. */
 
-import { h, setText } from "./dom.js";
+import { announce, h, setText, show } from "./dom.js";
+import { Zoom, listen } from "./zoom.js";
 
 const HEIGHT = 150;
 const MARGIN = { left: 52, right: 10, top: 8, bottom: 22 };
@@ -33,7 +34,9 @@ export function shortNumber(value) {
 export class Chart {
   constructor(chart) {
     this.chart = chart;
-    this.canvas = h("canvas", { role: "img", "aria-label": `Chart of ${chart.title}` });
+    this.canvas = h("canvas", { role: "img", tabindex: 0, "aria-label": `Chart of ${chart.title}`, "aria-keyshortcuts": "+ - ArrowLeft ArrowRight 0" });
+    this.zoom = new Zoom();
+    this.whole = h("button", { type: "button", class: "quiet", hidden: true, onclick: () => this.showWhole() }, "Show all");
     this.values = chart.lines.map(() => h("b"));
     const names = chart.lines.map((line, index) =>
       h("span", { class: `key line-${index % 6}` }, `${shortName(line, chart)} `, this.values[index]),
@@ -44,8 +47,10 @@ export class Chart {
       { class: "chart" },
       h("figcaption", {}, h("strong", {}, title), " ", ...names),
       this.canvas,
+      this.whole,
     );
-    this.pointer = null;
+    this.pointer = this.drag = this.area = null;
+    listen(this.canvas, this.zoom, { axis: () => this.axis(), ondrag: (drag) => this.select(drag), onzoom: () => this.tellZoom() });
     this.canvas.addEventListener("pointermove", (event) => this.point(event.offsetX));
     this.canvas.addEventListener("pointerleave", () => this.point(null));
   }
@@ -53,6 +58,35 @@ export class Chart {
   point(x) {
     this.pointer = x;
     this.draw();
+  }
+
+  /** Return what a zoom needs to know of the axis of time; null if nothing is drawn. */
+  axis() {
+    const { area } = this;
+    return area && { extent: area.extent, valueAt: (x) => area.low + (x - MARGIN.left) / area.scaleX };
+  }
+
+  select(drag) {
+    this.drag = drag;
+    this.draw();
+  }
+
+  /** Draw the part of the zoom, and tell it to a screen reader. */
+  tellZoom() {
+    const part = this.zoom.part?.map((value) => shortNumber(value) + this.unit).join(" to ");
+    announce(`Chart of ${this.chart.title}: ${part ?? "all"}`);
+    this.draw();
+  }
+
+  showWhole() {
+    this.zoom.reset();
+    this.canvas.focus();
+    this.tellZoom();
+  }
+
+  /** The unit of the axis of time; a curve has indexes. */
+  get unit() {
+    return this.chart.isCurve ? "" : " s";
   }
 
   /** Draw what there is now. */
@@ -70,14 +104,31 @@ export class Chart {
     pen.setTransform(scale, 0, 0, scale, 0, 0);
     pen.clearRect(0, 0, width, HEIGHT);
     const style = getComputedStyle(this.canvas);
-    const area = areaOf(this.chart.lines, width);
+    const area = areaOf(this.chart.lines, width, this.zoom);
+    this.area = area;
+    show(this.whole, Boolean(this.zoom.part));
     if (area) {
-      drawAxes(pen, area, style, width, this.chart.isCurve ? "" : " s");
+      drawAxes(pen, area, style, width, this.unit);
+      pen.save();
+      pen.beginPath();
+      pen.rect(MARGIN.left - 2, 0, width - MARGIN.left - MARGIN.right + 4, HEIGHT - MARGIN.bottom + 3);
+      pen.clip();
       this.chart.lines.forEach((line, index) => {
         drawLine(pen, line, area, style.getPropertyValue(`--line-${index % 6}`));
       });
+      this.drawDrag(pen, style);
+      pen.restore();
     }
     this.tell(area);
+  }
+
+  drawDrag(pen, style) {
+    if (this.drag) {
+      const [from, to] = this.drag;
+      pen.globalAlpha = 0.25;
+      pen.fillStyle = style.getPropertyValue("--accent");
+      pen.fillRect(from, 0, to - from, HEIGHT);
+    }
   }
 
   /** Write the newest values into the legend, or those at the pointer. */
@@ -98,17 +149,26 @@ function shortName(line, chart) {
   return line.name.startsWith(`${chart.title}.`) ? line.name.slice(chart.title.length + 1) : line.name;
 }
 
+/** Return the indexes of the points of a line between two times, with one more at each end. */
+function visibleOf(times, low, high) {
+  const [first, after] = [times.findIndex((time) => time >= low), times.findIndex((time) => time > high)];
+  return [Math.max((first < 0 ? times.length : first) - 1, 0), after < 0 ? times.length : after + 1];
+}
+
 /** Return the scales of a chart; null if it is empty. */
-function areaOf(lines, width) {
-  let [low, high, bottom, top] = [Infinity, -Infinity, Infinity, -Infinity];
-  for (const { times, values } of lines) {
-    if (times.length) {
-      low = Math.min(low, times[0]);
-      high = Math.max(high, times[times.length - 1]);
-      for (const value of values) {
-        bottom = value < bottom ? value : bottom;
-        top = value > top ? value : top;
-      }
+function areaOf(lines, width, zoom) {
+  const filled = lines.filter(({ times }) => times.length);
+  const extent = [
+    Math.min(...filled.map(({ times }) => times[0])),
+    Math.max(...filled.map(({ times }) => times[times.length - 1])),
+  ];
+  let [low, high] = zoom.of(extent);
+  let [bottom, top] = [Infinity, -Infinity];
+  for (const { times, values } of filled) {
+    const [first, end] = visibleOf(times, low, high);
+    for (let index = first; index < end && index < values.length; index += 1) {
+      bottom = values[index] < bottom ? values[index] : bottom;
+      top = values[index] > top ? values[index] : top;
     }
   }
   if (!(high >= low && top >= bottom)) {
@@ -119,7 +179,7 @@ function areaOf(lines, width) {
   high = high === low ? low + 1 : high;
   const scaleX = (width - MARGIN.left - MARGIN.right) / (high - low);
   const scaleY = (HEIGHT - MARGIN.top - MARGIN.bottom) / (top - bottom);
-  return { low, high, bottom, top, scaleX, scaleY };
+  return { extent, low, high, bottom, top, scaleX, scaleY };
 }
 
 function drawAxes(pen, area, style, width, unit) {

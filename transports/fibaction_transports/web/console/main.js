@@ -20,6 +20,7 @@ const KEYS = [
   ["Ctrl Enter", "Send the goal of the form"],
   ["j, k", "Next, previous goal"],
   ["c", "Cancel the goal that is shown"],
+  ["+, −, ←, →, 0", "At a chart: zoom in, zoom out, move, show all"],
   ["Esc", "Close the goal"],
   ["?", "Show these keys"],
 ];
@@ -28,7 +29,9 @@ class Console {
   constructor() {
     this.content = document.getElementById("content");
     this.status = document.getElementById("connection");
-    setUpTheme(document.getElementById("theme"));
+    const redraw = () => this.store.change();
+    setUpTheme(document.getElementById("theme"), redraw);
+    window.addEventListener("resize", redraw);
     document.getElementById("help").addEventListener("click", () => showKeys(KEYS));
     document.querySelector(".skip").addEventListener("click", (event) => {
       event.preventDefault();

@@ -5,8 +5,8 @@ import { setText } from "./dom.js";
 const NAME = "fibaction:theme";
 const THEMES = ["system", "light", "dark"];
 
-/** Let a button change the colours; the browser remembers them. */
-export function setUpTheme(button) {
+/** Let a button change the colours; the browser remembers them. Canvases are to be drawn again. */
+export function setUpTheme(button, onchange) {
   let theme = "system";
   try {
     theme = localStorage.getItem(NAME) ?? theme;
@@ -20,6 +20,7 @@ export function setUpTheme(button) {
     button.setAttribute("aria-label", `Theme: ${theme}`);
   };
   use(theme);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", onchange);
   button.addEventListener("click", () => {
     use(THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length]);
     try {
@@ -27,5 +28,6 @@ export function setUpTheme(button) {
     } catch {
       // It lasts as long as the page.
     }
+    onchange();
   });
 }
