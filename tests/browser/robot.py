@@ -28,6 +28,7 @@ from fibaction import (
     Schedule,
     serve,
 )
+from tests.browser.drone import FLY, fly
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 
@@ -279,6 +280,7 @@ def servers() -> list[ActionServer[Any, Any, Any]]:
         ActionServer(LOOK, look),
         ActionServer(COMPLETE, complete),
         ActionServer(ODD, be_odd),
+        ActionServer(FLY, fly),
         ActionServer(STUBBORN, wait, on_cancel=keep_on),
     ]
 

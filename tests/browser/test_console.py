@@ -249,7 +249,7 @@ def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
     send(page)
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
     titles = goal(page).locator("figcaption strong").all_inner_texts()
-    assert titles == ["position (m)", "battery (%)", "progress"]
+    assert titles == ["From above (m)", "position (m)", "battery (%)", "progress"]
     expect(goal(page).get_by_label("Latest feedback")).to_contain_text('"battery": 60')
     goal(page).get_by_text("Messages", exact=True).click()
     expect(goal(page).get_by_label("Feedback messages")).to_contain_text("battery")
@@ -322,6 +322,34 @@ def test_the_charts_of_a_goal_that_has_ended_follow_the_theme(
         change()
         is_new = "([canvas, before]) => canvas.toDataURL() !== before"
         page.wait_for_function(is_new, arg=[canvas.element_handle(), before])
+
+
+def test_the_places_of_a_goal_are_drawn_from_above(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "arm/drive")
+    page.get_by_label("gear").select_option("fast")
+    send(page)
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    place = goal(page).get_by_role("img", name="From above (m): position 2, 1; goal target 2, 1")
+    expect(place).to_be_visible()
+    some = "canvas => canvas.getContext('2d').getImageData(60, 12, 200, 200).data.some(Boolean)"
+    assert place.evaluate(some)
+    page.reload()
+    expect(place).to_be_visible()
+
+
+def test_places_on_the_earth_are_drawn_on_a_map(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "fly")
+    send(page)
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    name = "Map: position 48.138940, 11.580080; goal route 2 points"
+    expect(goal(page).get_by_role("img", name=name)).to_be_visible()
+
+
+def test_goals_without_places_have_no_view_from_above(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    send(page, order="4")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    expect(goal(page).locator(".plane")).to_have_count(0)
 
 
 def png(color: tuple[int, int, int], size: int) -> bytes:
@@ -700,7 +728,9 @@ def test_a_parent_that_is_not_known_here_is_no_link_and_a_step_is_text(
     expect(family.get_by_role("list")).to_have_count(0)
 
 
-@pytest.mark.parametrize("name", ["", "fibonacci", "arm/drive", "mission", "look", "complete"])
+@pytest.mark.parametrize(
+    "name", ["", "fibonacci", "arm/drive", "mission", "look", "complete", "fly"]
+)
 def test_axe_finds_no_violation(page: Page, robot: RobotProcess, name: str) -> None:
     # Without transitions, in the middle of which a colour has no contrast yet.
     page.emulate_media(color_scheme="light", reduced_motion="reduce")

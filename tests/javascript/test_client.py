@@ -30,10 +30,13 @@ IN_NODE = [
     f"{name}.js"
     for name in (
         "action_shape",
+        "chart",
         "dom",
         "feedback_parts",
         "goal_record",
         "goal_text",
+        "places",
+        "plane",
         "schema",
         "series",
         "store",

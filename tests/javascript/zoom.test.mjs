@@ -2,6 +2,7 @@
 
 import assert from "node:assert/strict";
 import test from "node:test";
+import { labelled, ticksOf } from "./chart.js";
 import { Zoom } from "./zoom.js";
 
 const ALL = [0, 100];
@@ -53,4 +54,12 @@ test("a part stays where it is while the axis grows, and one that is gone is the
   const zoom = zoomed(["select", 20, 40, ALL]);
   assert.deepEqual(zoom.of([0, 500]), [20, 40]);
   assert.deepEqual(zoom.of([0, 10]), [0, 10]);
+});
+
+test("ticks have as many digits as tell them apart", () => {
+  const texts = (low, high) => labelled(ticksOf(low, high)).map(([, text]) => text);
+  assert.deepEqual(texts(0, 40), ["0", "10", "20", "30", "40"]);
+  assert.deepEqual(texts(1234.5, 1234.6), ["1234.50", "1234.55", "1234.60"]);
+  assert.deepEqual(texts(0, 4e7)[1], "1.00e+7");
+  assert.deepEqual(labelled([3]).map(([, text]) => text), ["3"]);
 });

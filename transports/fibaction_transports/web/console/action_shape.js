@@ -1,10 +1,11 @@
 /** What the schemas of an action say about how its goals are shown, read once for each action. */
 
 import { imagesOf, textPathOf } from "./feedback_parts.js";
+import { placesOf } from "./places.js";
 import { chartsOf, progressFieldsOf } from "./schema.js";
 
 const PARTS = ["goal", "feedback", "result"];
-const NOTHING = { text: null, charts: [], progress: {}, images: { goal: [], feedback: [], result: [] } };
+const NOTHING = { text: null, charts: [], progress: {}, ...inParts(() => []) };
 
 const shapes = new WeakMap();
 
@@ -25,6 +26,12 @@ function read({ goal, feedback, result }) {
     text: textPathOf(feedback),
     charts: chartsOf(feedback),
     progress: progressFieldsOf(feedback),
-    images: Object.fromEntries(PARTS.map((part) => [part, imagesOf(schemas[part])])),
+    ...inParts((part, find) => find(schemas[part])),
   };
+}
+
+/** Return what is found in each part of an action: its images, and its places. */
+function inParts(of) {
+  const all = (find) => Object.fromEntries(PARTS.map((part) => [part, of(part, find)]));
+  return { images: all(imagesOf), places: all(placesOf) };
 }

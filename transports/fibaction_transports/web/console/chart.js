@@ -30,6 +30,14 @@ export function shortNumber(value) {
   return String(Number(value.toPrecision(4)));
 }
 
+/** Return ticks, each with its text: with as many digits as tell them apart. */
+export function labelled(ticks) {
+  const step = ticks.length > 1 ? ticks[1] - ticks[0] : 0;
+  const digits = Math.max(-Math.floor(Math.log10(step) + 1e-9), 0);
+  const isPlain = step > 1e-9 && ticks.every((tick) => Math.abs(tick) < 1e6);
+  return ticks.map((tick) => [tick, isPlain ? tick.toFixed(digits) : shortNumber(tick)]);
+}
+
 /** One chart of a goal. */
 export class Chart {
   constructor(chart) {
@@ -189,19 +197,19 @@ function drawAxes(pen, area, style, width, unit) {
   pen.lineWidth = 1;
   pen.textAlign = "right";
   pen.textBaseline = "middle";
-  for (const tick of ticksOf(area.bottom, area.top)) {
+  for (const [tick, text] of labelled(ticksOf(area.bottom, area.top))) {
     const y = Math.round(HEIGHT - MARGIN.bottom - (tick - area.bottom) * area.scaleY) + 0.5;
     pen.beginPath();
     pen.moveTo(MARGIN.left, y);
     pen.lineTo(width - MARGIN.right, y);
     pen.stroke();
-    pen.fillText(shortNumber(tick), MARGIN.left - 6, y);
+    pen.fillText(text, MARGIN.left - 6, y);
   }
   pen.textAlign = "center";
   pen.textBaseline = "alphabetic";
-  for (const tick of ticksOf(area.low, area.high, Math.max(3, width / 90))) {
+  for (const [tick, text] of labelled(ticksOf(area.low, area.high, Math.max(3, width / 90)))) {
     const x = MARGIN.left + (tick - area.low) * area.scaleX;
-    pen.fillText(`${shortNumber(tick)}${unit}`, Math.min(x, width - 16), HEIGHT - 6);
+    pen.fillText(`${text}${unit}`, Math.min(x, width - 16), HEIGHT - 6);
   }
 }
 

@@ -2,6 +2,7 @@
 
 import { shapeOf } from "./action_shape.js";
 import { TextFeed } from "./feedback_parts.js";
+import { Trail } from "./places.js";
 import { progressReader } from "./schema.js";
 import { Series } from "./series.js";
 
@@ -45,10 +46,12 @@ export class GoalRecord {
     this.recent = [];
     this.handle = null;
     this.isPast = false;
-    const { text, charts, progress, images } = shapeOf(info);
+    this.undescribed = null;
+    const { text, charts, progress, images, places } = shapeOf(info);
     this.text = new TextFeed(text);
     this.mostLines = images.feedback.length ? MOST_LINES_WITH_BYTES : MOST_FEEDBACK_LINES;
     this.series = new Series(charts);
+    this.trails = places.feedback.filter((place) => !place.isPath).map((place) => new Trail(place));
     this.readProgress = progressReader(progress);
   }
 
@@ -98,6 +101,7 @@ export class GoalRecord {
     }
     this.text.add(feedback, number, attempt);
     this.series.add(feedback, (now - this.sentAt) / 1000);
+    this.trails.forEach((trail) => trail.add(feedback));
   }
 
   /** Keep less of a goal that has ended, and that is not shown. */
@@ -106,6 +110,7 @@ export class GoalRecord {
       this.recent = this.recent.slice(-MOST_KEPT_LINES);
       this.text.restore(this.text.kept());
       this.series.restore(this.series.kept(MOST_KEPT_POINTS));
+      this.trails.forEach((trail) => trail.restore(trail.kept(MOST_KEPT_POINTS)));
     }
   }
 
@@ -119,16 +124,21 @@ export class GoalRecord {
     const { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason } =
       this;
     const { parent, feedback, feedbackCount, feedbackDropped } = this;
-    const points = this.series.kept(MOST_KEPT_POINTS);
+    const drawn = this.undescribed ?? {
+      points: this.series.kept(MOST_KEPT_POINTS),
+      trails: this.trails.map((trail) => trail.kept(MOST_KEPT_POINTS)),
+    };
     return { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason,
-      parent, feedback, feedbackCount, feedbackDropped, points, text: this.text.kept() };
+      parent, feedback, feedbackCount, feedbackDropped, ...drawn, text: this.text.kept() };
   }
 
   /** Return the record of a goal in the history. */
-  static of({ points, text, ...kept }, info) {
+  static of({ points, trails, text, ...kept }, info) {
     const record = new GoalRecord(kept.action, kept.id, info);
     Object.assign(record, kept, { isPast: true });
+    record.undescribed = info ? null : { points, trails }; // for the time when there is a schema
     record.series.restore(points ?? []);
+    record.trails.forEach((trail, index) => trail.restore(trails?.[index] ?? []));
     record.text.restore(text);
     return record;
   }

@@ -6,6 +6,7 @@ import { h, setText, show } from "./dom.js";
 import { GoalFamily } from "./goal_family.js";
 import { Images } from "./images.js";
 import { counted, durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
+import { Planes } from "./plane.js";
 import { textOf } from "./values.js";
 
 const A_LINE = 24;
@@ -26,12 +27,13 @@ export class GoalView {
     this.log = h("details", { ontoggle: redraw }, h("summary", {}, "Messages"), this.lines);
     this.feedbackTitle = h("h3", {}, "Feedback");
     this.chartList = h("div", { class: "charts" });
+    this.planeList = h("div", {});
     this.imageList = h("div", {});
     this.goalImages = h("div", {});
     this.resultImages = h("div", {});
     this.cancel = h("button", { type: "button", class: "danger", onclick: () => oncancel(this.record) }, "Cancel goal");
     this.again = h("button", { type: "button", onclick: () => onagain(this.record) }, "Use as new goal");
-    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.chartList, this.text, this.imageList, this.latest, this.log);
+    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.planeList, this.chartList, this.text, this.imageList, this.latest, this.log);
     this.element = h(
       "section",
       { class: "card goal", "aria-label": "Goal" },
@@ -51,9 +53,12 @@ export class GoalView {
     this.series = record.series;
     this.charts = record.series.charts.map((chart) => new Chart(chart));
     this.chartList.replaceChildren(...this.charts.map((chart) => chart.element));
+    const shape = shapeOf(record.info);
+    this.planes = new Planes(shape.places);
+    this.planeList.replaceChildren(this.planes.element);
     const places = { goal: this.goalImages, feedback: this.imageList, result: this.resultImages };
     this.images = Object.entries(places).map(([of, place]) => {
-      const images = new Images(shapeOf(record.info).images[of], of);
+      const images = new Images(shape.images[of], of);
       place.replaceChildren(images.element);
       return [of, images];
     });
@@ -104,6 +109,7 @@ export class GoalView {
       const lines = record.lines.map(([time, value]) => `${((time - record.sentAt) / 1000).toFixed(3)} s  ${textOf(value).replace(/\s+/g, " ")}`);
       setText(this.lines, lines.reverse().join("\n"));
     }
+    this.planes.update(record);
     for (const chart of this.charts) {
       show(chart.element, chart.chart.lines.some((line) => line.times.length));
       chart.draw();

@@ -34,7 +34,7 @@ export class History {
   add(record) {
     let text = stored(record.kept());
     if (text.length > MOST_LETTERS_OF_ONE) {
-      text = stored({ ...record.kept(), goal: undefined, feedback: undefined, result: undefined, points: [] });
+      text = stored({ ...record.kept(), goal: undefined, feedback: undefined, result: undefined, points: [], trails: [] });
     }
     this.texts.delete(record.key);
     this.texts.set(record.key, text);

@@ -1,0 +1,211 @@
+/** The places of a goal from above: where it is to go, where it was, and the paths, to scale. */
+
+import { labelled, shortNumber, ticksOf } from "./chart.js";
+import { arrange, h, setText, show } from "./dom.js";
+import { valueAt } from "./feedback_parts.js";
+import { counted } from "./goal_text.js";
+
+const HEIGHT = 280;
+const MARGIN = { left: 58, right: 14, top: 12, bottom: 24 };
+const PARTS = ["feedback", "goal", "result"];
+const LEAST = { plane: 1, map: 2e-4 }; // what is shown of the axes at least
+const METERS = 111_320; // of one degree of latitude
+const ARROW = 15;
+
+/** One place in the plane, as it is now. */
+class Layer {
+  constructor(part, place, index) {
+    this.part = part;
+    this.place = place;
+    this.name = [part === "feedback" ? "" : part, place.name].filter(Boolean).join(" ") || "position";
+    this.color = `--line-${index % 6}`;
+    this.value = h("b");
+    this.key = h("span", { class: `key line-${index % 6}` }, `${this.name} `, this.value);
+  }
+
+  /** Take the points of a goal, and those of its trail. */
+  take(record) {
+    const { place } = this;
+    const trail = this.part === "feedback" ? record.trails.find((one) => one.place === place) : null;
+    const message = record[this.part];
+    this.frame = (place.frame && valueAt(message, place.frame)) || "";
+    const latest = trail?.latest;
+    this.points = trail ? [...trail.points, ...(latest ? [latest] : [])] : place.pointsOf(message);
+  }
+
+  /** Tell what is drawn, or that it is not since it is in another frame. */
+  tell(frame) {
+    const { points, place } = this;
+    show(this.key, points.length > 0);
+    this.isDrawn = !this.frame || this.frame === frame;
+    const [x, y, heading] = points[points.length - 1] ?? [];
+    const turned = heading === undefined ? "" : `, ${Math.round((heading * 180) / Math.PI)}°`;
+    const at = place.axes === "map" ? `${y?.toFixed(6)}, ${x?.toFixed(6)}` : `${shortNumber(x)}, ${shortNumber(y)}`;
+    const told = place.isPath ? counted(points.length, "point") : at + turned;
+    setText(this.value, this.isDrawn ? told : `${told}, not drawn: in the frame ${this.frame}`);
+  }
+}
+
+/** The layers of the same axes and unit. */
+class Plane {
+  constructor(axes, unit) {
+    this.axes = axes;
+    this.layers = [];
+    const title = axes === "map" ? "Map" : "From above";
+    this.title = unit ? `${title} (${unit})` : title;
+    this.canvas = h("canvas", { role: "img" });
+    this.frame = h("span", {});
+    this.keys = h("span", { class: "keys-of-plane" });
+    const caption = h("figcaption", {}, h("strong", {}, this.title), this.frame, this.keys);
+    this.element = h("figure", { class: "chart plane", hidden: true }, caption, this.canvas);
+  }
+
+  update(record) {
+    this.layers.forEach((layer) => layer.take(record));
+    const frame = this.layers.find((layer) => layer.frame)?.frame ?? "";
+    this.layers.forEach((layer) => layer.tell(frame));
+    setText(this.frame, frame ? `frame ${frame}` : "");
+    arrange(this.keys, this.layers.map((layer) => layer.key));
+    const drawn = this.layers.filter((layer) => layer.isDrawn && layer.points.length);
+    show(this.element, drawn.reduce((sum, layer) => sum + layer.points.length, 0) > 1);
+    const names = drawn.map((layer) => `${layer.name} ${layer.value.textContent}`).join("; ");
+    this.canvas.setAttribute("aria-label", `${this.title}: ${names}`);
+    this.draw(drawn);
+  }
+
+  draw(layers) {
+    const width = this.canvas.clientWidth;
+    if (!width || this.element.hidden) {
+      return;
+    }
+    const scale = window.devicePixelRatio || 1;
+    this.canvas.width = Math.round(width * scale);
+    this.canvas.height = Math.round(HEIGHT * scale);
+    const pen = this.canvas.getContext("2d");
+    pen.setTransform(scale, 0, 0, scale, 0, 0);
+    const style = getComputedStyle(this.canvas);
+    const area = areaOf(layers.flatMap((layer) => layer.points), width, this.axes);
+    drawGrid(pen, area, style, width);
+    if (this.axes === "map") {
+      drawScale(pen, area, style, width);
+    }
+    for (const layer of layers) {
+      drawLayer(pen, layer, area, style.getPropertyValue(layer.color));
+    }
+  }
+}
+
+/** All planes of one goal. */
+export class Planes {
+  /** Make planes for the places of its goal, feedback and result. */
+  constructor(places) {
+    const planes = new Map();
+    let index = 0;
+    for (const part of PARTS) {
+      for (const place of places[part]) {
+        const key = `${place.axes} ${place.unit}`;
+        const plane = planes.get(key) ?? new Plane(place.axes, place.unit);
+        plane.layers.push(new Layer(part, place, index));
+        planes.set(key, plane);
+        index += 1;
+      }
+    }
+    this.planes = [...planes.values()];
+    this.element = h("div", { class: "charts" }, ...this.planes.map((plane) => plane.element));
+  }
+
+  update(record) {
+    this.planes.forEach((plane) => plane.update(record));
+  }
+}
+
+/**
+ * Return the scales, which are the same in both directions: all points are inside. A degree of
+ * longitude is shorter than one of latitude.
+ */
+export function areaOf(points, width, axes) {
+  const bounds = [0, 1].map((axis) => [
+    points.reduce((least, point) => Math.min(least, point[axis]), Infinity),
+    points.reduce((most, point) => Math.max(most, point[axis]), -Infinity),
+  ]);
+  const [middleX, middleY] = bounds.map(([low, high]) => (low + high) / 2);
+  const squeeze = axes === "map" ? Math.max(Math.cos((middleY * Math.PI) / 180), 0.01) : 1;
+  const room = [width - MARGIN.left - MARGIN.right, HEIGHT - MARGIN.top - MARGIN.bottom];
+  const [sizeX, sizeY] = bounds.map(([low, high]) => high - low);
+  const scaleY = 0.9 * Math.min(room[0] / Math.max(sizeX * squeeze, LEAST[axes]), room[1] / Math.max(sizeY, LEAST[axes]));
+  const scaleX = scaleY * squeeze;
+  const at = (x, y) => [MARGIN.left + room[0] / 2 + (x - middleX) * scaleX, MARGIN.top + room[1] / 2 - (y - middleY) * scaleY];
+  const [halfX, halfY] = [room[0] / scaleX / 2, room[1] / scaleY / 2];
+  return { at, scaleX, scaleY, low: [middleX - halfX, middleY - halfY], high: [middleX + halfX, middleY + halfY] };
+}
+
+function drawGrid(pen, area, style, width) {
+  pen.font = "11px system-ui, sans-serif";
+  pen.fillStyle = style.getPropertyValue("--faint");
+  pen.strokeStyle = style.getPropertyValue("--grid");
+  const line = (from, to) => {
+    pen.beginPath();
+    pen.moveTo(...from);
+    pen.lineTo(...to);
+    pen.stroke();
+  };
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  for (const [tick, text] of labelled(ticksOf(area.low[1], area.high[1]))) {
+    const [, y] = area.at(0, tick);
+    line([MARGIN.left, y], [width - MARGIN.right, y]);
+    pen.fillText(text, MARGIN.left - 6, y);
+  }
+  pen.textAlign = "center";
+  pen.textBaseline = "alphabetic";
+  for (const [tick, text] of labelled(ticksOf(area.low[0], area.high[0], Math.max(2, width / 110)))) {
+    const [x] = area.at(tick, 0);
+    line([x, MARGIN.top], [x, HEIGHT - MARGIN.bottom]);
+    pen.fillText(text, Math.min(x, width - 20), HEIGHT - 8);
+  }
+}
+
+/** Draw a bar that is a round number of meters long. */
+function drawScale(pen, { scaleY }, style, width) {
+  const perMeter = scaleY / METERS;
+  const power = 10 ** Math.floor(Math.log10(width / 4 / perMeter));
+  const meters = power * [5, 2, 1].find((factor) => factor * power * perMeter <= width / 4);
+  const [right, y] = [width - MARGIN.right - 8, MARGIN.top + 14];
+  pen.fillStyle = style.getPropertyValue("--text");
+  pen.fillRect(right - meters * perMeter, y, meters * perMeter, 2);
+  pen.textAlign = "right";
+  pen.fillText(meters >= 1000 ? `${meters / 1000} km` : `${shortNumber(meters)} m`, right, y - 4);
+}
+
+function drawLayer(pen, { points, place, part }, { at }, color) {
+  const pixels = points.map(([x, y]) => at(x, y));
+  pen.strokeStyle = pen.fillStyle = color;
+  pen.lineWidth = 1.8;
+  pen.lineJoin = "round";
+  pen.setLineDash(part === "goal" ? [6, 4] : []);
+  pen.beginPath();
+  pixels.forEach((pixel) => pen.lineTo(...pixel));
+  pen.stroke();
+  pen.setLineDash([]);
+  const marked = place.isPath && points.length > 50 ? points.slice(-1) : place.isPath ? points : points.slice(-1);
+  for (const [x, y, heading] of marked) {
+    drawMarker(pen, at(x, y), place.isPath ? undefined : heading, part === "goal");
+  }
+}
+
+/** Draw a place: filled where it is, a ring where it is to be; with an arrow if it has a heading. */
+function drawMarker(pen, [x, y], heading, isRing) {
+  pen.beginPath();
+  pen.arc(x, y, isRing ? 6 : 4.5, 0, 2 * Math.PI);
+  if (isRing) {
+    pen.stroke();
+  } else {
+    pen.fill();
+  }
+  if (heading !== undefined) {
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.lineTo(x + ARROW * Math.cos(heading), y - ARROW * Math.sin(heading));
+    pen.stroke();
+  }
+}
