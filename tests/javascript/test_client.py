@@ -33,6 +33,7 @@ IN_NODE = [
         "chart",
         "dom",
         "feedback_parts",
+        "field_parts",
         "goal_record",
         "goal_text",
         "places",
@@ -40,6 +41,7 @@ IN_NODE = [
         "schema",
         "series",
         "store",
+        "time_field",
         "values",
         "zoom",
     )

@@ -3,7 +3,9 @@
 import { bytesField } from "./bytes_field.js";
 import { h, show } from "./dom.js";
 import { FieldError, labelled } from "./field_parts.js";
-import { defaultOf, fits, fixedOf, isLeftOut, kindOf, resolverOf, variantName, withBytes } from "./schema.js";
+import { pairsField } from "./pairs_field.js";
+import { defaultOf, fits, fixedOf, hasOtherKeys, isLeftOut, kindOf, resolverOf, variantName, withBytes } from "./schema.js";
+import { isPicked, timeField } from "./time_field.js";
 import { parsed, textOf } from "./values.js";
 
 const MOST_LEVELS = 6;
@@ -24,10 +26,12 @@ export function fieldFor(given, name, value, resolve, level = 0, mayBeLeftOut = 
     nullable: nullableField,
     object: objectField,
     json: jsonField,
+    pairs: pairsField,
+    string: isPicked(inner ?? schema) ? timeField : inputField,
     variants: variantsField,
   };
   const make = makers[kind] ?? inputField;
-  return make({ schema: inner ?? schema, kind, choices, name, value, resolve, level, mayBeLeftOut });
+  return make({ schema: inner ?? schema, kind, choices, name, value, resolve, level, mayBeLeftOut, fieldFor });
 }
 
 function inputField({ schema, kind, name, value }) {
@@ -151,13 +155,23 @@ function objectField({ schema, name, value, resolve, level }) {
     const start = value?.[part] ?? (mayBeLeftOut ? undefined : defaultOf(one, resolve));
     return [part, fieldFor(one, part, start, resolve, level + 1, mayBeLeftOut)];
   });
-  const elements = fields.map(([, field]) => field.element);
+  const others = (one) => Object.fromEntries(Object.entries(one ?? {}).filter(([part]) => !Object.hasOwn(schema.properties, part)));
+  const more = hasOtherKeys(schema)
+    ? pairsField({ schema, name: name ? `more of ${name}` : "more", value: others(value), resolve, level, fieldFor })
+    : null;
+  const elements = [...fields.map(([, field]) => field.element), more?.element];
   const legend = name ? h("legend", {}, name) : null;
   const element = legend ? h("fieldset", {}, legend, ...elements) : h("div", { class: "fields" }, ...elements);
   return {
     element,
-    read: () => Object.fromEntries(fields.map(([part, field]) => [part, field.read()]).filter(([, one]) => one !== undefined)),
-    set: (one) => fields.forEach(([part, field]) => (part in (one ?? {}) || isLeftOut(schema, part, resolve)) && field.set(one?.[part])),
+    read: () => ({
+      ...more?.read(),
+      ...Object.fromEntries(fields.map(([part, field]) => [part, field.read()]).filter(([, one]) => one !== undefined)),
+    }),
+    set: (one) => {
+      fields.forEach(([part, field]) => (part in (one ?? {}) || isLeftOut(schema, part, resolve)) && field.set(one?.[part]));
+      more?.set(others(one));
+    },
   };
 }
 

@@ -52,7 +52,7 @@ function decoded(name) {
 
 /**
  * Return the kind of field that a schema needs: object, array, boolean, integer, number, string,
- * bytes, choice, const, nullable (with the schema `inner`), variants (with the `choices`, at least
+ * bytes, choice, const, pairs (an object of any keys), nullable (with the schema `inner`), variants (with the `choices`, at least
  * one of which has fields), or json for everything else.
  */
 export function kindOf(schema, resolve) {
@@ -75,6 +75,9 @@ export function kindOf(schema, resolve) {
   if (schema.type === "object" && schema.properties) {
     return { kind: "object" };
   }
+  if (schema.type === "object" && hasOtherKeys(schema)) {
+    return { kind: "pairs" };
+  }
   if (schema.type === "array" && schema.items && schema.items !== false) {
     return { kind: "array" };
   }
@@ -83,6 +86,11 @@ export function kindOf(schema, resolve) {
   }
   const simple = ["boolean", "integer", "number", "string"];
   return { kind: simple.includes(schema.type) ? schema.type : "json" };
+}
+
+/** Return whether the author of a schema says that an object has keys beside those with names. */
+export function hasOtherKeys({ additionalProperties: others }) {
+  return others === true || (typeof others === "object" && others !== null);
 }
 
 /**
