@@ -45,15 +45,23 @@ LEAVE_TIMEOUT = 5.0
 """Seconds to wait for the answer to the cancel of a goal that its client leaves: longer than an
 answer takes, and as long as it takes to detect a dead peer."""
 
+MOST_UNANSWERED = 4.0
+"""Seconds of `LEAVE_TIMEOUT` that may be over before the cancel, if the server has not answered the
+goal either: it may be dead since then."""
+
 STATUS_TIMEOUT = 1.0
 """Seconds to wait for the status of a goal that has timed out; the cancel comes afterwards."""
 
 logger = clean_logger("fibaction.client")
 
 
-async def cancel_left(endpoint: Endpoint, goal_id: GoalID) -> None:
-    """Cancel a goal that its client leaves, wait for the answer, and log if the goal runs on."""
-    with anyio.move_on_after(LEAVE_TIMEOUT, shield=True) as timeout:
+async def cancel_left(endpoint: Endpoint, goal_id: GoalID, *, unanswered: float = 0.0) -> None:
+    """Cancel a goal that its client leaves, wait for the answer, and log if the goal runs on.
+
+    `unanswered` are the seconds for which the server has not answered the goal.
+    """
+    seconds = LEAVE_TIMEOUT - min(unanswered, MOST_UNANSWERED)
+    with anyio.move_on_after(seconds, shield=True) as timeout:
         try:
             answer = await endpoint.cancel_goals(goal_id)
             if not answer.accepted and answer.reason:
@@ -179,11 +187,11 @@ class Attempts:
             stream.close()
         return stream
 
-    async def give_up(self) -> None:
-        """Cancel the goal, if it may run and was not canceled here before."""
+    async def give_up(self, *, unanswered: float = 0.0) -> None:
+        """Cancel the goal, if it may run and was not canceled here before: see `cancel_left`."""
         if self._may_run and not self.is_given_up:
             self.is_given_up = True
-            await cancel_left(self._endpoint, self._goal_id)
+            await cancel_left(self._endpoint, self._goal_id, unanswered=unanswered)
 
     # Attempts
 
@@ -205,11 +213,12 @@ class Attempts:
 
     async def _send(self, request: GoalRequest) -> GoalStream:
         before, self._may_run = self._may_run, True
+        start = current_time()
         try:
             offered = self._endpoint.offer_goal(request)
             return offered if isinstance(offered, GoalStream) else await offered
         except get_cancelled_exc_class():
-            await self.give_up()
+            await self.give_up(unanswered=current_time() - start)
             raise
         except ConnectionLost:
             raise

@@ -235,6 +235,31 @@ async def test_the_answer_to_the_cancel_is_waited_for_some_seconds(
     assert ("its server does not answer the cancel" in caplog.text) is (cancel is HANG)
 
 
+@pytest.mark.parametrize(("timeout", "seconds"), [(1, 5), (4, 5), (6, 7)])
+async def test_a_server_that_answers_not_even_the_goal_has_less_time_for_the_cancel(
+    timeout: float, seconds: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[HANG], cancels=[HANG])
+        error = await timed_out(endpoint.client.call(Goal(9), timeout=timeout))
+        assert watch.shows(seconds)
+    assert endpoint.calls == ["send", "cancel"]
+    assert error.status is GoalStatus.UNKNOWN
+    assert "its server does not answer the cancel" in caplog.text
+
+
+async def test_only_the_last_attempt_counts_as_not_answered() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        lost = ConnectionLost("the line broke")
+        endpoint = Scripted(server, sends=[lost, HANG], cancels=[HANG])
+        retry = Retry(attempts=2, delay=3)
+        await timed_out(endpoint.client.call(Goal(9), timeout=4, retry=retry))
+        assert 6.4 < current_time() - watch.begun < 8.1
+    assert endpoint.calls == ["send", "send", "cancel"]
+
+
 async def test_a_cancellation_of_the_caller_does_not_cut_the_cancel_short() -> None:
     watch = Watch()
     async with ActionServer(FIBONACCI, slow) as server:
