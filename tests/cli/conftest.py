@@ -20,6 +20,7 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from typing import Any, NamedTuple, TypeAlias
@@ -85,15 +86,13 @@ class Robot(NamedTuple):
     unix: str
 
 
-@pytest.fixture(scope="module")
-def start_robot(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Generator[Callable[[], Robot], None, None]:
-    """Starts a server process of one's own, for tests that stop or kill it."""
+@contextmanager
+def robots(folders: pytest.TempPathFactory) -> Generator[Callable[[], Robot], None, None]:
+    """Start server processes, which are stopped at the end."""
     started: list[subprocess.Popen[str]] = []
 
     def start() -> Robot:
-        socket = tmp_path_factory.mktemp("robot") / "socket"
+        socket = folders.mktemp("robot") / "socket"
         process = subprocess.Popen(
             [sys.executable, "-m", "tests.cli.robot", "tcp://127.0.0.1:0", f"unix://{socket}"],
             cwd=ROOT,
@@ -112,9 +111,21 @@ def start_robot(
 
 
 @pytest.fixture(scope="module")
-def robot(start_robot: Callable[[], Robot]) -> Robot:
-    """A server process that all tests of a module share: leave it as it was."""
-    return start_robot()
+def start_robot(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Generator[Callable[[], Robot], None, None]:
+    """Starts a server process of one's own, for tests that stop or kill it."""
+    with robots(tmp_path_factory) as start:
+        yield start
+
+
+@pytest.fixture(scope="package")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Generator[Robot, None, None]:
+    """A server process that all tests of this folder share: leave it as it was, but for goals that
+    have ended.
+    """
+    with robots(tmp_path_factory) as start:
+        yield start()
 
 
 @pytest.fixture

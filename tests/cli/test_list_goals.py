@@ -45,6 +45,12 @@ from tests.support.virtual_time import in_virtual_time
 ID = GoalID(b"\x01" * 16)
 
 
+@pytest.fixture(scope="module")
+def robot(start_robot: Callable[[], Robot]) -> Robot:
+    """A server process without goals of other files."""
+    return start_robot()
+
+
 def test_goals_lists_those_of_all_actions_or_of_one(here: Run, url: str) -> None:
     running = detached(here, url, "wait", "{seconds: 60, steps: 600}")
     over = detached(here, url, "fibonacci", "order: 5")

@@ -24,6 +24,12 @@ NEEDS_TERMINAL = (
 )
 
 
+@pytest.fixture(scope="module")
+def robot(start_robot: Callable[[], Robot]) -> Robot:
+    """A server process without goals of other files."""
+    return start_robot()
+
+
 @pytest.mark.parametrize("columns", [80, 160])
 def test_goals_can_be_watched_followed_and_canceled(
     terminal: Open, here: Run, tcp: str, columns: int
