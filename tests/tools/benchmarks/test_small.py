@@ -56,7 +56,7 @@ SMALL: Mapping[str, tuple[list[str], Mapping[str, object], list[str]]] = {
     ),
 }
 """For each program its arguments, smaller amounts of work, and the beginnings of its rows."""
-FEW_WAYS = ("inproc", "tasks", "tcp", "http", "sockets")
+FEW_WAYS = ("tasks", "tcp")
 """Ways for the whole of `make bench`; `test_ways.py` has each of the others by itself."""
 
 
