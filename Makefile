@@ -45,7 +45,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi test-ros test-wheel test-pythons test-lowest release lock audit ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit programs promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi test-ros test-wheel test-pythons test-lowest release lock audit ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -62,9 +62,10 @@ QUICK := tests/server tests/wire tests/interfaces tests/words tests/types tests/
     tests/test_contributing.py tests/test_init.py tests/test_project.py tests/test_structure.py \
     tests/test_style.py tests/test_answers.py
 
-# The unit tests wait half of the time, so the other checks run beside them.
+# The unit tests wait half of the time, so the other checks run beside them: first those that need a
+# processor, then the tests of programs, which wait for most of the time.
 test: lint $(VENV)/.docs $(JAVASCRIPT)/.installed chromium promtool  ## Run all checks, but those with ROS 2 or other versions
-	@$(stages) "unit" "imports, types, docs"
+	@$(stages) "unit" "imports, types, docs, programs"
 
 # One after the other: tests with ROS 2 wait for real time, and fail beside others on a busy machine.
 elsewhere:  ## Run the tests with ROS 2, with the wheel, the other Pythons and the lowest versions
@@ -89,7 +90,16 @@ imports: $(VENV)/.tools  ## Check that imports point one way
 	$(BIN)/lint-imports
 
 unit: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium promtool  ## Run the tests, each unit covered by its own
-	$(no_other_ros) $(BIN)/python -m pytest -p tests.tools.own_coverage -n auto --dist worksteal --durations=25
+	$(no_other_ros) $(BIN)/python -m pytest -p tests.tools.own_coverage -n auto --dist worksteal --durations=25 \
+	    $(addprefix --ignore=,$(PROGRAMS))
+
+# One after the other: they start processes, and wait for what these do in real time. None of them
+# covers a unit.
+PROGRAMS := tests/browser tests/fleet tests/kills tests/lossy tests/soak tests/support/test_walks.py \
+    tests/test_examples.py tests/test_stories.py
+
+programs: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium  ## Run the tests of whole programs: examples, walks, fleets, pages in a browser
+	$(no_other_ros) $(BIN)/python -m pytest -q --durations=10 $(PROGRAMS)
 
 # The checker of metrics. As a package it would start a service, so it is unpacked only.
 promtool: $(VENV)/.tools  ## Get the checker of metrics that tests use

@@ -84,5 +84,5 @@ def test_each_night_the_newest_are_tried_and_the_locked_ones_are_audited() -> No
     nightly = jobs("nightly.yml")
 
     assert "env" not in nightly["newest"]
-    assert nightly["newest"]["steps"][-1] == {"run": "make lint types imports unit"}
+    assert nightly["newest"]["steps"][-1] == {"run": "make lint types imports unit programs"}
     assert nightly["audit"]["steps"][-1] == {"run": "make audit"}
