@@ -121,7 +121,7 @@ def leaves_places_to_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
         (stores_whatever_comes, 1002),
         (never_fences_itself, 1006),
         (joins_again_at_once, 1088),
-        (says_too_early_that_a_checkpoint_is_kept, 1001),
+        (says_too_early_that_a_checkpoint_is_kept, 1010),
         (takes_goals_of_workers_that_live, 1003),
         (leaves_the_goals_of_the_lost, 1001),
         (gives_a_place_too_many, 1002),
