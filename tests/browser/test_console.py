@@ -9,11 +9,15 @@ import time
 import zlib
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 
+import msgspec
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, FilePayload, Locator, Page, expect
 
+from fibaction.observe.recordings.recording_file import Record
+from tests.browser.robot import DRIVE
 from tests.browser.served import BridgeProcess, RobotProcess
 
 ID = re.compile("[0-9a-f]{8}")
@@ -753,6 +757,84 @@ def test_enter_opens_the_only_match(page: Page, robot: RobotProcess) -> None:
     actions.fill("drive")
     actions.press("Enter")
     expect(page.get_by_role("heading", name="arm/drive")).to_be_visible()
+
+
+# Recordings
+
+
+def recording(folder: Path) -> Path:
+    """Write the recording of two goals, the first of which has driven for three seconds."""
+    begin = 1_790_000_000_000_000_000
+    ids, second = ["ab" * 16, "cd" * 16], 1_000_000_000
+    way = [
+        Record(
+            begin + step * second,
+            "feedback",
+            "arm/drive",
+            ids[0],
+            number=step,
+            data={"position": {"x": step, "y": 2 * step}, "battery": 90 - step, "progress": 0.3},
+        )
+        for step in (1, 2, 3)
+    ]
+    goal = {"target": {"x": 3, "y": 6}}
+    end = begin + 4 * second
+    records = [
+        Record(begin, "server", "arm/drive", info=DRIVE.info),
+        Record(begin, "accepted", "arm/drive", ids[0], client="ann", data=goal),
+        Record(begin, "status", "arm/drive", ids[0], "EXECUTING"),
+        *way,
+        Record(end, "end", "arm/drive", ids[0], "SUCCEEDED", data={"distance": 6.7, "stops": []}),
+        Record(end, "rejected", "arm/drive", ids[1], reason="too far", data=goal),
+    ]
+    file = folder / "today.jsonl"
+    file.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
+    return file
+
+
+def test_a_recording_is_shown_in_place_of_the_server(
+    page: Page, robot: RobotProcess, tmp_path: Path
+) -> None:
+    page.goto(robot.url)
+    expect(page.locator("#connection")).to_have_text("connected")
+    with page.expect_file_chooser() as choosing:
+        page.get_by_role("button", name="Open").click()
+    choosing.value.set_files(recording(tmp_path))
+    expect(page.locator("#connection")).to_have_text("recording today.jsonl")
+    rejected = row(page, "cdcdcdcd")
+    expect(rejected).to_contain_text("rejected")
+    expect(rejected).to_contain_text("too far")
+    page.get_by_role("link", name="abababab", exact=True).click()
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    expect(goal(page).locator(".facts")).to_contain_text(re.compile("by ann · 4.0 s"))
+    expect(goal(page)).to_contain_text("Feedback: 3 messages")
+    expect(goal(page).get_by_label("Result", exact=True)).to_contain_text('"distance": 6.7')
+    place = goal(page).get_by_role("img", name="From above (m): position 3, 6; goal target 3, 6")
+    expect(place).to_be_visible()
+    goal(page).get_by_text("Messages", exact=True).click()
+    lines = goal(page).get_by_label("Feedback messages")
+    expect(lines).to_contain_text(re.compile(r"3\.000 s.*2\.000 s.*1\.000 s", re.DOTALL))
+    for name in ("Send goal", "Use as new goal", "Cancel goal", "Clear history"):
+        expect(page.get_by_role("button", name=name)).to_have_count(0)
+    for theme in ("light", "dark"):
+        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator("#connection")).to_have_text("connected")
+    expect(page.get_by_role("link", name="fibonacci")).to_be_visible()
+
+
+def test_a_file_that_is_not_a_recording_says_so(
+    page: Page, robot: RobotProcess, tmp_path: Path
+) -> None:
+    file = tmp_path / "notes.jsonl"
+    file.write_text('{"text": 1}\nnot JSON')
+    page.goto(robot.url)
+    with page.expect_file_chooser() as choosing:
+        page.get_by_role("button", name="Open").click()
+    choosing.value.set_files(file)
+    expect(page.locator("#connection")).to_have_text("notes.jsonl is not a recording, or is empty")
 
 
 # Parents and children

@@ -92,6 +92,8 @@ test("a trail has the way in bounded memory, and not where nothing moves", () =>
   assert.deepEqual(trail.points, [[1, 0], [2, 0]]);
   for (let x = 3; x <= 50_000; x += 1) trail.add({ x, y: 0 });
   assert.ok(trail.points.length <= 2000);
+  const gaps = trail.points.slice(1).map(([x], index) => x - trail.points[index][0]);
+  assert.ok(Math.max(...gaps) <= 2 * Math.min(...gaps));
   assert.deepEqual([trail.points[0], trail.latest], [[1, 0], [50_000, 0]]);
   const kept = trail.kept(100);
   assert.ok(kept.length <= 102);

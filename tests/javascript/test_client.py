@@ -38,6 +38,7 @@ IN_NODE = [
         "goal_text",
         "places",
         "plane",
+        "recording",
         "schema",
         "series",
         "store",

@@ -22,7 +22,7 @@ export class ActionPage {
       withAction: !info,
       oncancel: (record) => this.cancel(record),
       oncancelAll: () => this.cancelAll(),
-      onforget: () => this.forget(),
+      onforget: store.isRecording ? null : () => this.forget(),
     });
     for (const input of [this.list.search, this.list.filter]) {
       input.addEventListener("input", () => store.change());
@@ -30,7 +30,7 @@ export class ActionPage {
     this.missing = h("p", { class: "error", role: "status", hidden: true });
     this.error = h("p", { class: "error", role: "alert", hidden: true });
     this.place = h("div", { class: "goal-place" });
-    this.form = info ? new GoalForm(info, (goal) => this.send(goal)) : null;
+    this.form = info && !store.isRecording ? new GoalForm(info, (goal) => this.send(goal)) : null;
     const title = h("h1", {}, info ? info.name : "All actions");
     const type = info?.type_name ?? info?.typeName;
     const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null);
@@ -50,7 +50,7 @@ export class ActionPage {
       this.view = new GoalView(record, {
         store: this.store,
         oncancel: (one) => this.cancel(one),
-        onagain: (one) => this.useAgain(one),
+        onagain: this.store.isRecording ? null : (one) => this.useAgain(one),
       });
       this.place.replaceChildren(this.view.element);
     }

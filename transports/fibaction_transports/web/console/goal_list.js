@@ -71,6 +71,7 @@ export class GoalList {
   /** Make a table of the goals of one action, or of all if `withAction`. */
   constructor({ withAction, oncancel, oncancelAll, onforget }) {
     this.options = { withAction, oncancel };
+    this.mayForget = Boolean(onforget);
     this.rows = new Map();
     this.search = h("input", { type: "search", placeholder: "Search goals", "aria-label": "Search goals", onkeydown: (event) => event.key === "Enter" && this.open() });
     const names = Object.keys(FILTERS).map((name) => h("option", {}, name));
@@ -115,7 +116,7 @@ export class GoalList {
     arrange(this.body, elements);
     const active = goals.filter((goal) => goal.isActive).length;
     show(this.cancelAll, active > 1);
-    show(this.forget, goals.length > active);
+    show(this.forget, this.mayForget && goals.length > active);
     setText(this.note, noteOf(goals.length, found.length, visible.length));
   }
 

@@ -46,6 +46,7 @@ export class GoalRecord {
     this.recent = [];
     this.handle = null;
     this.isPast = false;
+    this.isThin = false;
     this.undescribed = null;
     const { text, charts, progress, images, places } = shapeOf(info);
     this.text = new TextFeed(text);
@@ -92,6 +93,7 @@ export class GoalRecord {
 
   /** Take one feedback message, whose number counts in an attempt. */
   addFeedback(feedback, number, attempt, now = Date.now()) {
+    this.isThin = false;
     this.feedback = feedback;
     this.feedbackCount = number;
     this.progress = this.readProgress(feedback) ?? this.progress;
@@ -106,7 +108,8 @@ export class GoalRecord {
 
   /** Keep less of a goal that has ended, and that is not shown. */
   thin() {
-    if (!this.isActive && this.recent.length > MOST_KEPT_LINES) {
+    if (!this.isActive && !this.isThin) {
+      this.isThin = true;
       this.recent = this.recent.slice(-MOST_KEPT_LINES);
       this.text.restore(this.text.kept());
       this.series.restore(this.series.kept(MOST_KEPT_POINTS));

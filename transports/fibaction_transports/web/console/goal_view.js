@@ -13,6 +13,7 @@ const A_LINE = 24;
 
 export class GoalView {
   constructor(record, { store, oncancel, onagain }) {
+    this.mayUseAgain = Boolean(onagain);
     this.family = new GoalFamily(store);
     this.badge = h("span", { class: "badge" });
     this.facts = h("p", { class: "facts" });
@@ -80,7 +81,7 @@ export class GoalView {
     setText(this.goal, record.goal === undefined ? "not known" : textOf(record.goal));
     setText(this.result, resultOf(record));
     show(this.cancel, record.isActive && record.status !== "CANCELING");
-    show(this.again, record.goal !== undefined);
+    show(this.again, this.mayUseAgain && record.goal !== undefined);
     this.images.forEach(([of, images]) => images.show(record[of]));
     this.updateFeedback(record);
   }

@@ -1,13 +1,14 @@
 /** The console: connects to the server that the page came from, and shows what the address says. */
 
-import { Connection } from "../fibaction.js";
+import { Connection, decode } from "../fibaction.js";
 import { ActionList } from "./action_list.js";
 import { ActionPage } from "./action_page.js";
 import { keepToken, serverAddress, shownIn, takeToken } from "./address.js";
 import { askToken, showKeys } from "./dialogs.js";
-import { setText } from "./dom.js";
+import { h, setText } from "./dom.js";
 import { linkTo } from "./goal_text.js";
 import { History } from "./history.js";
+import { RecordedStore } from "./recording.js";
 import { Store } from "./store.js";
 import { setUpTheme } from "./theme.js";
 
@@ -33,6 +34,12 @@ class Console {
     setUpTheme(document.getElementById("theme"), redraw);
     window.addEventListener("resize", redraw);
     document.getElementById("help").addEventListener("click", () => showKeys(KEYS));
+    document.getElementById("open").addEventListener("click", () => this.chooseRecording());
+    window.addEventListener("dragover", (event) => event.preventDefault());
+    window.addEventListener("drop", (event) => {
+      event.preventDefault();
+      this.openRecording(event.dataTransfer.files[0]);
+    });
     document.querySelector(".skip").addEventListener("click", (event) => {
       event.preventDefault();
       this.content.focus();
@@ -48,7 +55,16 @@ class Console {
   connect(token) {
     const address = serverAddress();
     this.connection = new Connection(address, { token, onstate: (state) => this.takeState(state) });
-    this.store = new Store(this.connection, new History(address));
+    this.use(new Store(this.connection, new History(address)));
+  }
+
+  /** Show what a store has from now on. */
+  use(store) {
+    if (this.store) {
+      this.store.onchange = () => {};
+    }
+    this.page = null;
+    this.store = store;
     this.store.onchange = () => this.update();
     this.actions = new ActionList(this.store);
     document.getElementById("actions").replaceChildren(...this.actions.elements);
@@ -56,7 +72,31 @@ class Console {
     this.store.change();
   }
 
+  /** Let a person choose the file of a recording; or close the one that is shown. */
+  chooseRecording() {
+    if (this.store.isRecording) {
+      window.location.reload();
+      return;
+    }
+    const input = h("input", { type: "file", accept: ".jsonl", onchange: () => this.openRecording(input.files[0]) });
+    input.click();
+  }
+
+  /** Show a recording in place of the server. */
+  openRecording(file) {
+    if (file) {
+      this.store.state = "closed"; // it asks no more
+      this.connection.close();
+      window.location.hash = "#/";
+      setText(document.getElementById("open"), "Close");
+      this.use(new RecordedStore(file, file.name, decode));
+    }
+  }
+
   takeState(state) {
+    if (this.store.isRecording) {
+      return;
+    }
     this.store.takeState(state);
     if (state === "closed") {
       this.connection.ready.catch((error) => this.takeEnd(error));
@@ -73,7 +113,6 @@ class Console {
     this.store.onchange = () => {};
     const token = await askToken(error.message);
     keepToken(token);
-    this.page = null;
     this.connect(token);
   }
 
