@@ -38,6 +38,30 @@ export function labelled(ticks) {
   return ticks.map((tick) => [tick, isPlain ? tick.toFixed(digits) : shortNumber(tick)]);
 }
 
+/** Clear a canvas. Return its pen, for pixels of the page and with the style of axes, and its style. */
+export function cleared(canvas, height) {
+  const scale = window.devicePixelRatio || 1;
+  const width = Math.round(canvas.clientWidth * scale);
+  if (canvas.width !== width) {
+    [canvas.width, canvas.height] = [width, Math.round(height * scale)];
+  }
+  const [pen, style] = [canvas.getContext("2d"), getComputedStyle(canvas)];
+  pen.setTransform(scale, 0, 0, scale, 0, 0);
+  pen.clearRect(0, 0, canvas.clientWidth, height);
+  pen.font = "11px system-ui, sans-serif";
+  pen.fillStyle = style.getPropertyValue("--faint");
+  pen.strokeStyle = style.getPropertyValue("--grid");
+  pen.lineWidth = 1;
+  return [pen, style];
+}
+
+/** Draw a line through points. */
+export function drawThrough(pen, ...points) {
+  pen.beginPath();
+  points.forEach((point) => pen.lineTo(...point));
+  pen.stroke();
+}
+
 /** One chart of a goal. */
 export class Chart {
   constructor(chart) {
@@ -103,20 +127,12 @@ export class Chart {
     if (!width) {
       return;
     }
-    const scale = window.devicePixelRatio || 1;
-    if (this.canvas.width !== Math.round(width * scale)) {
-      this.canvas.width = Math.round(width * scale);
-      this.canvas.height = Math.round(HEIGHT * scale);
-    }
-    const pen = this.canvas.getContext("2d");
-    pen.setTransform(scale, 0, 0, scale, 0, 0);
-    pen.clearRect(0, 0, width, HEIGHT);
-    const style = getComputedStyle(this.canvas);
+    const [pen, style] = cleared(this.canvas, HEIGHT);
     const area = areaOf(this.chart.lines, width, this.zoom);
     this.area = area;
     show(this.whole, Boolean(this.zoom.part));
     if (area) {
-      drawAxes(pen, area, style, width, this.unit);
+      drawAxes(pen, area, width, this.unit);
       pen.save();
       pen.beginPath();
       pen.rect(MARGIN.left - 2, 0, width - MARGIN.left - MARGIN.right + 4, HEIGHT - MARGIN.bottom + 3);
@@ -190,19 +206,12 @@ function areaOf(lines, width, zoom) {
   return { extent, low, high, bottom, top, scaleX, scaleY };
 }
 
-function drawAxes(pen, area, style, width, unit) {
-  pen.font = "11px system-ui, sans-serif";
-  pen.fillStyle = style.getPropertyValue("--faint");
-  pen.strokeStyle = style.getPropertyValue("--grid");
-  pen.lineWidth = 1;
+function drawAxes(pen, area, width, unit) {
   pen.textAlign = "right";
   pen.textBaseline = "middle";
   for (const [tick, text] of labelled(ticksOf(area.bottom, area.top))) {
     const y = Math.round(HEIGHT - MARGIN.bottom - (tick - area.bottom) * area.scaleY) + 0.5;
-    pen.beginPath();
-    pen.moveTo(MARGIN.left, y);
-    pen.lineTo(width - MARGIN.right, y);
-    pen.stroke();
+    drawThrough(pen, [MARGIN.left, y], [width - MARGIN.right, y]);
     pen.fillText(text, MARGIN.left - 6, y);
   }
   pen.textAlign = "center";
@@ -214,19 +223,17 @@ function drawAxes(pen, area, style, width, unit) {
 }
 
 function drawLine(pen, { times, values }, area, color) {
+  const yOf = (value) => HEIGHT - MARGIN.bottom - (value - area.bottom) * area.scaleY;
   pen.strokeStyle = color;
   pen.lineWidth = 1.8;
   pen.lineJoin = "round";
   pen.beginPath();
   for (let index = 0; index < times.length; index += 1) {
-    const x = MARGIN.left + (times[index] - area.low) * area.scaleX;
-    const y = HEIGHT - MARGIN.bottom - (values[index] - area.bottom) * area.scaleY;
-    pen.lineTo(x, y);
+    pen.lineTo(MARGIN.left + (times[index] - area.low) * area.scaleX, yOf(values[index]));
   }
   pen.stroke();
   if (times.length === 1) {
     pen.fillStyle = color;
-    const y = HEIGHT - MARGIN.bottom - (values[0] - area.bottom) * area.scaleY;
-    pen.fillRect(MARGIN.left - 2, y - 2, 5, 5);
+    pen.fillRect(MARGIN.left - 2, yOf(values[0]) - 2, 5, 5);
   }
 }

@@ -1,6 +1,6 @@
 /** The places of a goal from above: where it is to go, where it was, and the paths, to scale. */
 
-import { labelled, shortNumber, ticksOf } from "./chart.js";
+import { cleared, drawThrough, labelled, shortNumber, ticksOf } from "./chart.js";
 import { arrange, h, setText, show } from "./dom.js";
 import { valueAt } from "./feedback_parts.js";
 import { counted } from "./goal_text.js";
@@ -78,14 +78,9 @@ class Plane {
     if (!width || this.element.hidden) {
       return;
     }
-    const scale = window.devicePixelRatio || 1;
-    this.canvas.width = Math.round(width * scale);
-    this.canvas.height = Math.round(HEIGHT * scale);
-    const pen = this.canvas.getContext("2d");
-    pen.setTransform(scale, 0, 0, scale, 0, 0);
-    const style = getComputedStyle(this.canvas);
+    const [pen, style] = cleared(this.canvas, HEIGHT);
     const area = areaOf(layers.flatMap((layer) => layer.points), width, this.axes);
-    drawGrid(pen, area, style, width);
+    drawGrid(pen, area, width);
     if (this.axes === "map") {
       drawScale(pen, area, style, width);
     }
@@ -139,28 +134,19 @@ export function areaOf(points, width, axes) {
   return { at, scaleX, scaleY, low: [middleX - halfX, middleY - halfY], high: [middleX + halfX, middleY + halfY] };
 }
 
-function drawGrid(pen, area, style, width) {
-  pen.font = "11px system-ui, sans-serif";
-  pen.fillStyle = style.getPropertyValue("--faint");
-  pen.strokeStyle = style.getPropertyValue("--grid");
-  const line = (from, to) => {
-    pen.beginPath();
-    pen.moveTo(...from);
-    pen.lineTo(...to);
-    pen.stroke();
-  };
+function drawGrid(pen, area, width) {
   pen.textAlign = "right";
   pen.textBaseline = "middle";
   for (const [tick, text] of labelled(ticksOf(area.low[1], area.high[1]))) {
     const [, y] = area.at(0, tick);
-    line([MARGIN.left, y], [width - MARGIN.right, y]);
+    drawThrough(pen, [MARGIN.left, y], [width - MARGIN.right, y]);
     pen.fillText(text, MARGIN.left - 6, y);
   }
   pen.textAlign = "center";
   pen.textBaseline = "alphabetic";
   for (const [tick, text] of labelled(ticksOf(area.low[0], area.high[0], Math.max(2, width / 110)))) {
     const [x] = area.at(tick, 0);
-    line([x, MARGIN.top], [x, HEIGHT - MARGIN.bottom]);
+    drawThrough(pen, [x, MARGIN.top], [x, HEIGHT - MARGIN.bottom]);
     pen.fillText(text, Math.min(x, width - 20), HEIGHT - 8);
   }
 }
@@ -178,16 +164,13 @@ function drawScale(pen, { scaleY }, style, width) {
 }
 
 function drawLayer(pen, { points, place, part }, { at }, color) {
-  const pixels = points.map(([x, y]) => at(x, y));
   pen.strokeStyle = pen.fillStyle = color;
   pen.lineWidth = 1.8;
   pen.lineJoin = "round";
   pen.setLineDash(part === "goal" ? [6, 4] : []);
-  pen.beginPath();
-  pixels.forEach((pixel) => pen.lineTo(...pixel));
-  pen.stroke();
+  drawThrough(pen, ...points.map(([x, y]) => at(x, y)));
   pen.setLineDash([]);
-  const marked = place.isPath && points.length > 50 ? points.slice(-1) : place.isPath ? points : points.slice(-1);
+  const marked = place.isPath && points.length <= 50 ? points : points.slice(-1);
   for (const [x, y, heading] of marked) {
     drawMarker(pen, at(x, y), place.isPath ? undefined : heading, part === "goal");
   }
@@ -203,9 +186,6 @@ function drawMarker(pen, [x, y], heading, isRing) {
     pen.fill();
   }
   if (heading !== undefined) {
-    pen.beginPath();
-    pen.moveTo(x, y);
-    pen.lineTo(x + ARROW * Math.cos(heading), y - ARROW * Math.sin(heading));
-    pen.stroke();
+    drawThrough(pen, [x, y], [x + ARROW * Math.cos(heading), y - ARROW * Math.sin(heading)]);
   }
 }

@@ -52,8 +52,8 @@ function decoded(name) {
 
 /**
  * Return the kind of field that a schema needs: object, array, boolean, integer, number, string,
- * bytes, choice, const, pairs (an object of any keys), nullable (with the schema `inner`), variants (with the `choices`, at least
- * one of which has fields), or json for everything else.
+ * bytes, choice, const, pairs (an object of any keys), nullable (with the schema `inner`), variants
+ * (with the `choices`, at least one of which has fields), or json for everything else.
  */
 export function kindOf(schema, resolve) {
   if ("const" in schema || schema.enum?.length === 1) {
@@ -137,22 +137,20 @@ function itemsOf(schema, resolve, level) {
 /** Return zero, or the number within the limits of a schema that is next to it or easy to read. */
 function numberOf(schema, isInteger) {
   const { minimum, maximum, exclusiveMinimum: above, exclusiveMaximum: below, multipleOf: unit } = schema;
-  const multiple = (limit, isBeyond) => multipleOf(Number(unit), Number(limit), isInteger, isBeyond);
+  const near = (limit, isBeyond, plain) =>
+    unit === undefined ? plain : multipleOf(Number(unit), Number(limit), isInteger, isBeyond);
   if (minimum > 0) {
-    return unit === undefined ? minimum : multiple(minimum, false);
+    return near(minimum, false, minimum);
   }
   if (above >= 0) {
-    if (unit !== undefined) {
-      return multiple(above, true);
-    }
     const [least, end] = [Number(above), Number(maximum ?? below ?? Infinity)];
-    return isInteger || least + 1 < end ? least + 1 : (least + end) / 2;
+    return near(above, true, isInteger || least + 1 < end ? least + 1 : (least + end) / 2);
   }
   if (maximum < 0) {
-    return unit === undefined ? maximum : -multiple(-Number(maximum), false);
+    return -near(-maximum, false, -maximum);
   }
   if (below <= 0) {
-    return unit === undefined ? Number(below) - 1 : -multiple(-Number(below), true);
+    return -near(-below, true, 1 - Number(below));
   }
   return 0;
 }
