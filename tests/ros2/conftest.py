@@ -46,10 +46,6 @@ else:
     if "PYTEST_XDIST_WORKER" in os.environ:
         # This process is measured. Those that it starts are not, because some of them are killed.
         os.environ.pop("COVERAGE_PROCESS_START", None)
-    # With shared memory, Fast DDS may crash in a process that ends just after another one, and each
-    # killed process leaves files behind, which slow down the next ones. `test_shared_memory.py`
-    # tests with it.
-    os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
     # Lines of ROS's log that tests can look at: no colors, no time.
     os.environ["RCUTILS_COLORIZED_OUTPUT"] = "0"
     os.environ["RCUTILS_CONSOLE_OUTPUT_FORMAT"] = "[{severity}] [{name}]: {message}"

@@ -1,4 +1,4 @@
-"""Shared memory, through which Fast DDS sends on one machine unless the user turns it off.
+"""Shared memory, through which Fast DDS sends on one machine.
 
 Goals pass through it, and a process that ends removes its files in /dev/shm, however it ends.
 
@@ -42,12 +42,6 @@ def anyio_backend(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture(autouse=True)
-def shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let Fast DDS use shared memory, as where nothing is set."""
-    monkeypatch.delenv("FASTDDS_BUILTIN_TRANSPORTS")
-
-
 def mapped_by(pid: int | str) -> set[Path]:
     """Return the files of Fast DDS that a process has mapped."""
     return {Path(name) for name in MAPPED.findall(Path(f"/proc/{pid}/maps").read_text())}
@@ -85,6 +79,20 @@ async def test_a_goal_is_executed_by_a_stock_server_with_shared_memory(url: str)
 
     assert feedback == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
     assert result.sequence == [0, 1, 1, 2, 3]
+
+
+async def test_with_the_range_of_this_machine_no_setting_turns_shared_memory_off(
+    alone: str,
+) -> None:
+    environment = {
+        "ROS_DOMAIN_ID": alone,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }
+    async with peer("ours", "serve_it", "tidy", "asyncio", **environment) as process:
+        await until_mapped(process)
+        process.signal(SIGTERM)
+        await process.ended(END)
 
 
 @pytest.mark.parametrize(("number", "code"), [(SIGINT, 128 + SIGINT), (SIGTERM, 0)])

@@ -32,7 +32,8 @@ async def bridge(*arguments: str) -> AsyncGenerator[Process, None]:
             yield process
             process.send_signal(SIGTERM)
             with anyio.fail_after(PATIENCE):
-                assert await process.wait() == 0
+                code = await process.wait()
+            assert code == 0, f"it ended with the code {code}"
         finally:
             if process.returncode is None:
                 process.kill()
