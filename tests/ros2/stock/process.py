@@ -18,8 +18,9 @@ from anyio.abc import Process
 from anyio.streams.buffered import BufferedByteReceiveStream
 
 ROOT = Path(__file__).parents[3]
-PATIENCE = 20.0
-"""Seconds for an answer: several times those of the slowest answer on a busy machine."""
+PATIENCE = 30.0
+"""Seconds for an answer: several times those of the slowest answer on a busy machine, and more than
+the 20 after which DDS misses a process that was killed, as is one that does not end by itself."""
 END_PATIENCE = 3.0
 """Seconds for the end. rclpy may not stop; then the process is killed."""
 LONGEST_LINE = 10_000_000
