@@ -245,13 +245,18 @@ def test_no_button_of_a_goal_moves_when_the_goal_ends(page: Page, robot: RobotPr
     assert again.bounding_box() == before
 
 
-def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
-    page: Page, robot: RobotProcess
-) -> None:
+def drive(page: Page, robot: RobotProcess) -> None:
+    """Send a goal of `arm/drive` that ends soon, and wait for its end."""
     open_action(page, robot, "arm/drive")
     page.get_by_label("gear").select_option("fast")
     send(page)
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+
+def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
+    page: Page, robot: RobotProcess
+) -> None:
+    drive(page, robot)
     titles = goal(page).locator("figcaption strong").all_inner_texts()
     assert titles == ["From above (m)", "position (m)", "battery (%)", "progress"]
     expect(goal(page).get_by_label("Latest feedback")).to_contain_text('"battery": 60')
@@ -263,10 +268,7 @@ def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
 
 
 def test_a_chart_is_zoomed_by_pointer_wheel_and_keys(page: Page, robot: RobotProcess) -> None:
-    open_action(page, robot, "arm/drive")
-    page.get_by_label("gear").select_option("fast")
-    send(page)
-    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    drive(page, robot)
     chart = goal(page).get_by_role("img", name="Chart of battery")
     figure = page.locator(".chart").filter(has=page.get_by_role("img", name="Chart of battery"))
     whole = figure.get_by_role("button", name="Show all")
@@ -336,10 +338,7 @@ def test_the_charts_of_a_goal_that_has_ended_follow_the_theme(
 
 
 def test_the_places_of_a_goal_are_drawn_from_above(page: Page, robot: RobotProcess) -> None:
-    open_action(page, robot, "arm/drive")
-    page.get_by_label("gear").select_option("fast")
-    send(page)
-    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    drive(page, robot)
     place = goal(page).get_by_role("img", name="From above (m): position 2, 1; goal target 2, 1")
     expect(place).to_be_visible()
     some = "canvas => canvas.getContext('2d').getImageData(60, 12, 200, 200).data.some(Boolean)"

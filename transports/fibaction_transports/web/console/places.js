@@ -2,10 +2,10 @@
 
 import { valueAt } from "./feedback_parts.js";
 import { kindOf, resolverOf, unitOf } from "./schema.js";
+import { Thinner } from "./series.js";
 
 const MOST_PLACES = 8;
 const MOST_LEVELS = 8;
-const MOST_POINTS = 2000;
 const LATITUDES = ["latitude", "lat"];
 const LONGITUDES = ["longitude", "lon", "lng"];
 const HEADINGS = ["theta", "yaw"];
@@ -97,14 +97,13 @@ function withHeading(point, turned) {
   return point && isTurned ? [point[0], point[1], Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))] : point;
 }
 
-/** The way of one place in the feedback. When it is full, every second point goes. */
+/** The way of one place in the feedback. */
 export class Trail {
   constructor(place) {
     this.place = place;
     this.points = [];
     this.latest = null;
-    this.stride = 1;
-    this.skipped = 0;
+    this.thinner = new Thinner();
   }
 
   add(feedback) {
@@ -113,16 +112,7 @@ export class Trail {
       return;
     }
     this.latest = point;
-    this.skipped += 1;
-    if (this.skipped < this.stride) {
-      return;
-    }
-    this.skipped = 0;
-    this.points.push(point);
-    if (this.points.length > MOST_POINTS) {
-      this.points = this.points.filter((_, index) => index % 2 === 0);
-      this.stride *= 2;
-    }
+    [this.points] = this.thinner.add([this.points], [point]);
   }
 
   /** Return at most so many points, and the latest one. */

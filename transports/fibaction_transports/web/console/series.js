@@ -2,7 +2,30 @@
 
 const MOST_POINTS = 2000;
 
-/** One number over time. When it is full, every second point goes, and later ones are rarer. */
+/** Keeps lists bounded. When they are full, every second item goes, and later ones are rarer. */
+export class Thinner {
+  constructor() {
+    this.stride = 1;
+    this.skipped = 0;
+  }
+
+  /** Add an item to each of the lists, unless it is skipped, and return them. */
+  add(lists, items) {
+    this.skipped += 1;
+    if (this.skipped < this.stride) {
+      return lists;
+    }
+    this.skipped = 0;
+    lists.forEach((list, index) => list.push(items[index]));
+    if (lists[0].length <= MOST_POINTS) {
+      return lists;
+    }
+    this.stride *= 2;
+    return lists.map((list) => list.filter((_, index) => index % 2 === 0));
+  }
+}
+
+/** One number over time. */
 class Line {
   constructor(name, path) {
     this.name = name;
@@ -10,24 +33,12 @@ class Line {
     this.times = [];
     this.values = [];
     this.latest = null;
-    this.stride = 1;
-    this.skipped = 0;
+    this.thinner = new Thinner();
   }
 
   add(time, value) {
     this.latest = value;
-    this.skipped += 1;
-    if (this.skipped < this.stride) {
-      return;
-    }
-    this.skipped = 0;
-    this.times.push(time);
-    this.values.push(value);
-    if (this.times.length > MOST_POINTS) {
-      this.times = this.times.filter((_, index) => index % 2 === 0);
-      this.values = this.values.filter((_, index) => index % 2 === 0);
-      this.stride *= 2;
-    }
+    [this.times, this.values] = this.thinner.add([this.times, this.values], [time, value]);
   }
 }
 
