@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.ros_domain import claim_domain
+from tests.support.ros_domain import claim_domain, remove_left_ports
 
 NEEDED = ("rclpy", "test_msgs", "geometry_msgs", "arduinobot_msgs", "fibaction_test_msgs")
 MISSING = [name for name in NEEDED if find_spec(name) is None]
@@ -59,9 +59,10 @@ def ros_log_files(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture
 def alone() -> Iterator[str]:
-    """A domain with no other process."""
+    """A domain with no other process, and nothing of earlier ones in shared memory."""
     domain, claim = claim_domain(500)
     with claim:
+        remove_left_ports(domain)
         yield str(domain)
 
 

@@ -21,6 +21,7 @@ from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
 from tests.support.fibonacci import Goal
+from tests.support.ros_domain import PORT, remove_left_ports
 
 pytestmark = [
     pytest.mark.anyio,
@@ -105,6 +106,34 @@ async def test_a_process_that_is_told_to_end_leaves_no_files(
         process.signal(number)
         assert await process.ended(END) == code, process.complaints()
     assert {path for path in files if path.exists()} == set()
+
+
+async def test_a_port_outlives_its_reader_if_a_process_that_sent_to_it_was_killed(
+    alone: str,
+) -> None:
+    environment = {"ROS_DOMAIN_ID": alone}
+    async with peer("ours", "serve_it", "outlived", "asyncio", **environment) as process:
+        files = await until_mapped(process)
+        async with peer("ours", "wait", "outlived", "asyncio", **environment) as sender:
+            sender.signal(SIGKILL)
+            await sender.ended(END)
+            left = files_of(process) - files
+        process.signal(SIGTERM)
+        await process.ended(END)
+    [port] = {path for path in files if path.exists() and PORT.fullmatch(path.name)}
+
+    remove_left_ports(int(alone))
+
+    assert not port.exists()
+    for path in left:
+        path.unlink(missing_ok=True)
+
+
+async def test_a_port_that_is_read_is_not_removed(alone: str) -> None:
+    async with peer("ours", "serve_it", "read", "asyncio", ROS_DOMAIN_ID=alone) as process:
+        files = await until_mapped(process)
+        remove_left_ports(int(alone))
+        assert {path for path in files if not path.exists()} == set()
 
 
 async def test_a_killed_process_leaves_its_files_and_the_next_one_removes_the_port(

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import re
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 DOMAINS = 102
 """The number of domain IDs whose UDP ports are below those that Linux assigns by itself."""
+FIRST_PORT, PORTS = 7400, 250
+"""The first UDP port of domain 0, and how many each domain has (RTPS 2.3, section 9.6.1.1).
+Fast DDS numbers its ports in shared memory in the same way."""
+SHARED_MEMORY = Path("/dev/shm")
+PORT = re.compile(r"fast(?:dds|rtps)_port(\d+)")
 
 
 def claim_domain(first: int) -> tuple[int, socket.socket]:
@@ -29,6 +37,31 @@ def claim_domain(first: int) -> tuple[int, socket.socket]:
         else:
             return domain, claim
     raise RuntimeError("all ROS domains of this machine are taken by test runs")
+
+
+def remove_left_ports(domain: int) -> None:
+    """Remove the ports of a domain in shared memory that no process reads any more.
+
+    A port counts who has it open. A process that is killed stays counted, and then the port
+    outlives the next processes, too, though they close it.
+    """
+    for path in SHARED_MEMORY.glob("fast*_port*"):
+        match = PORT.fullmatch(path.name)
+        if match and (int(match[1]) - FIRST_PORT) // PORTS == domain and not is_read(path):
+            for name in (path.name, f"{path.name}_el", f"sem.{path.name}_mutex"):
+                path.with_name(name).unlink(missing_ok=True)
+
+
+def is_read(port: Path) -> bool:
+    """Return whether a process reads a port: it has locked the file beside it."""
+    try:
+        with port.with_name(f"{port.name}_el").open() as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except BlockingIOError:
+        return True
+    return False
 
 
 @contextmanager
