@@ -44,7 +44,7 @@ async def tell(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
     yield "TEXT"
 
 
-server = ActionServer(TELL, tell, shutdown_timeout=600)
+server = ActionServer(TELL, tell, shutdown_timeout=600, result_timeout=600)
 """
 
 
