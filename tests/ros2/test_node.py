@@ -320,6 +320,43 @@ async def test_a_handle_that_is_being_destroyed_is_not_waited_for(
     assert ros.is_up
 
 
+async def test_a_part_that_is_destroyed_between_two_waits_is_not_waited_for_again(
+    ros: RclpyNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = threading.Event()
+
+    class Part:
+        """The events of a subscription, say, which can be held until their destruction."""
+
+        def __enter__(self) -> None:
+            """Do nothing: it is held."""
+
+        def __exit__(self, *_: object) -> None:
+            """Do nothing."""
+
+        def get_num_entities(self) -> Any:
+            return waitable.NumberOfEntities()
+
+        def add_to_wait_set(self, _: object) -> None:
+            looked.set()
+            raise InvalidHandle("destruction was requested")
+
+    monkeypatch.setattr(type(ros.node), "waitables", [Part()])
+    ros.wake()
+    assert await anyio.to_thread.run_sync(looked.wait, PATIENCE)
+    monkeypatch.undo()
+    heard = anyio.Event()
+    news = Mailbox(lambda: None)
+    async with Background() as tasks:
+        tasks.start_soon(news.run)
+        timer = ros.node.create_timer(0.01, lambda: news.put([(lambda _: heard.set(), None)]))
+        with anyio.fail_after(PATIENCE):
+            await heard.wait()
+        ros.node.destroy_timer(timer)
+    news.close()
+    assert ros.is_up
+
+
 async def test_the_thread_takes_nothing_while_the_mailbox_is_full_and_then_goes_on(
     ros: RclpyNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -120,7 +120,10 @@ class Spinner:
                 wait_set.clear_entities()
                 wake = wait_set.add_guard_condition(self._woken.handle)
                 wait_set.add_guard_condition(self._signal.handle)
-                others.add_to_wait_set(wait_set)
+                try:
+                    others.add_to_wait_set(wait_set)
+                except InvalidHandle:  # its destruction was requested since the last wait
+                    return
                 sources.add_to_wait_set(wait_set)
                 wait_set.wait(FOREVER)
                 woken = wait_set.is_ready("guard_condition", wake)
