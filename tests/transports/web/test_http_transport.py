@@ -349,6 +349,8 @@ async def test_a_client_that_does_not_read_makes_room(monkeypatch: pytest.Monkey
     monkeypatch.setattr(server_module, "UNREAD", 0.0)
     async with served(limits=Limits(connections=1)) as url, client_of(url) as deaf:
         await deaf.stream.send(MANY)
+        await deaf.stream.receive(1)
+        await anyio.wait_all_tasks_blocked()
         await let_in(url)
 
 

@@ -36,7 +36,7 @@ from fibaction_transports.web.rest import event_stream
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, hearing
 from tests.transports.tcp.servers import new_server
-from tests.transports.web.http_client import client_of, events_in, fetch
+from tests.transports.web.http_client import Answer, client_of, events_in, fetch
 
 pytestmark = pytest.mark.anyio
 
@@ -342,6 +342,32 @@ async def test_a_server_that_stops_tells_the_end_of_goals() -> None:
                 while not heard:
                     await anyio.lowlevel.checkpoint()
     assert b'"status":"SUCCEEDED"' in heard[0]
+
+
+async def test_a_stream_that_breaks_while_its_end_is_waited_for_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    streams: list[GoalStream] = []
+    answers: list[Answer] = []
+
+    class Followed(ForwardingEndpoint):
+        async def feedback(self, *arguments: Any, **settings: Any) -> GoalStream:
+            streams.append(await super().feedback(*arguments, **settings))
+            return streams[-1]
+
+    async def wait(url: str) -> None:
+        answers.append(await fetch(url, "GET", f"{GOALS}/{ID}?wait=30"))
+
+    monkeypatch.setattr(event_stream, "AT_ONCE", 0.0)
+    async with served(Followed(Held().server)) as url:
+        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 0})
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait, url)
+            while not streams:
+                await anyio.lowlevel.checkpoint()
+            await anyio.wait_all_tasks_blocked()
+            streams[0].fail(ConnectionLost("the cable"))
+    assert (answers[0].status, answers[0].json["detail"]) == (502, "the cable")
 
 
 async def test_a_wait_for_a_stream_that_breaks_is_an_error() -> None:

@@ -60,14 +60,21 @@ class SocketStream(ByteStream):
                     raise anyio.EndOfStream
                 return data
 
+    def send_now(self, item: bytes) -> bytes:
+        """Send as much as the socket takes without waiting, and return the rest.
+
+        Raises:
+            OSError: The connection is broken.
+        """
+        try:
+            return item[self._socket.send(item) :]
+        except BlockingIOError:
+            return item
+
     async def send(self, item: bytes) -> None:
         await anyio.lowlevel.checkpoint()
-        view = memoryview(item)
-        while view:
-            try:
-                view = view[self._socket.send(view) :]
-            except BlockingIOError:
-                await anyio.wait_writable(self._socket)
+        while item := self.send_now(item):
+            await anyio.wait_writable(self._socket)
 
     async def send_eof(self) -> None:
         self._socket.shutdown(socket.SHUT_WR)

@@ -18,6 +18,7 @@ from urllib.parse import parse_qs
 
 import anyio
 from anyio import CancelScope
+from anyio.lowlevel import checkpoint
 
 from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.border.http_access import Refused
@@ -107,6 +108,7 @@ class Exchange:
         self._send = send
         self._write_timeout = write_timeout
         self._answers = answers
+        self._start: Message | None = None  # of the answer, until its first piece
         self._held: CountedBytes | None = None
         self._writing = CancelScope()  # of a large answer
 
@@ -202,15 +204,13 @@ class Exchange:
         """Answer with a body of that media type; if it is empty, without one."""
         if body:
             headers = (*headers, ("Content-Type", kind))
-        await self._begin(status, [*headers, ("Content-Length", str(len(body)))])
+        self._begin(status, [*headers, ("Content-Length", str(len(body)))])
         if self.method == "HEAD":  # whose answer has no body, whatever its length says
             body = b""
         with self._counted(max(0, len(body) - UNCOUNTED)):
             for start in range(0, len(body) or 1, CHUNK):
                 piece, has_more = body[start : start + CHUNK], start + CHUNK < len(body)
-                await self._write(
-                    {"type": "http.response.body", "body": piece, "more_body": has_more}
-                )
+                await self._write(piece, has_more=has_more)
 
     @contextmanager
     def _counted(self, size: int) -> Generator[None, None, None]:
@@ -241,10 +241,10 @@ class Exchange:
         """Answer with a problem."""
         await self.answer(problem.status, problem.body, *problem.headers, kind=PROBLEM_JSON)
 
-    async def begin_events(self, status: int, *headers: tuple[str, str]) -> None:
+    def begin_events(self, status: int, *headers: tuple[str, str]) -> None:
         """Begin to answer with a stream of events."""
         kind = ("Content-Type", EVENT_STREAM)
-        await self._begin(status, [*headers, kind, ("X-Accel-Buffering", "no")])
+        self._begin(status, [*headers, kind, ("X-Accel-Buffering", "no")])
 
     async def write(self, data: bytes) -> None:
         """Write a piece of a stream.
@@ -252,28 +252,36 @@ class Exchange:
         Raises:
             ConnectionLost: The client has gone, or takes too long.
         """
-        await self._write({"type": "http.response.body", "body": data, "more_body": True})
+        await self._write(data, has_more=True)
 
     async def end(self) -> None:
         """End a stream."""
-        await self._write({"type": "http.response.body", "body": b"", "more_body": False})
+        await self._write(b"", has_more=False)
 
-    async def _begin(self, status: int, headers: Iterable[tuple[str, str]]) -> None:
+    def _begin(self, status: int, headers: Iterable[tuple[str, str]]) -> None:
         self.has_begun = True
         own = [*headers, *self.more_headers]
         names = {name for name, _ in own}
         sent = [*own, *(header for header in COMMON_HEADERS if header[0] not in names)]
         raw = [(name.lower().encode(), value.encode("latin-1")) for name, value in sent]
-        await self._write({"type": "http.response.start", "status": status, "headers": raw})
+        self._start = {"type": "http.response.start", "status": status, "headers": raw}
 
-    async def _write(self, message: Message) -> None:
+    async def _write(self, body: bytes, *, has_more: bool) -> None:
+        """Write a piece of the body, the begin of the answer before the first one."""
+        start, self._start = self._start, None
         try:
             with anyio.fail_after(self._write_timeout):
-                await self._send(message)
+                if start is not None:
+                    await self._send(start)
+                await self._send(
+                    {"type": "http.response.body", "body": body, "more_body": has_more}
+                )
         except TimeoutError:
             raise ConnectionLost(f"{self.peer} does not read") from None
         except OSError as exc:  # as ASGI has it for a client that has gone
             raise ConnectionLost(f"{self.peer} has gone") from exc
+        if has_more:
+            await checkpoint()  # the client may take all at once
 
 
 def _too_large(limit: int) -> Refused:

@@ -150,7 +150,7 @@ class HttpExchange:
         was_cut, self._is_cut = self._is_cut, True  # unless the client takes all of it
         try:
             await self._send_piece(data)
-        except (anyio.BrokenResourceError, anyio.ClosedResourceError) as exc:
+        except BROKEN as exc:
             self._is_gone = True
             raise OSError(str(exc)) from exc
         self._is_cut = was_cut

@@ -149,7 +149,10 @@ class HttpServer:
 
         Raises:
             anyio.BrokenResourceError: The client has gone, or has to go.
+            OSError: The connection is broken.
         """
+        if isinstance(stream, SocketStream) and not (data := stream.send_now(data)):
+            return
         with CancelScope() as scope:
             self._writing[scope] = address, anyio.current_time()
             try:

@@ -20,6 +20,9 @@ BATCH = 64
 """Feedback messages that are taken at once."""
 KEEP_ALIVE_AFTER = 15.0
 """Seconds without an event, after which a comment is sent."""
+AT_ONCE = 0.01
+"""Seconds in which short goals end. Only after them it is watched whether the client goes, which
+costs a task."""
 
 
 async def tell_goal(
@@ -36,7 +39,7 @@ async def tell_goal(
     told = False
     async with exchange.until_gone():
         try:
-            await exchange.begin_events(status, *headers)
+            exchange.begin_events(status, *headers)
             await exchange.write(events.accepted(stream).encode())
             await _tell_updates(exchange, events, stream)
             await exchange.end()
@@ -87,10 +90,12 @@ async def wait_for_end(
         ConnectionLost: The client has gone; or the rest of the goal cannot be followed.
         ActionError: As for `GoalStream.outcome`.
     """
+    with anyio.move_on_after(min(seconds, AT_ONCE)):
+        return await stream.outcome()
     outcome: Outcome[bytes] | None = None
     error: ActionError | None = None
     async with exchange.until_gone() as gone:
-        with anyio.move_on_after(seconds):
+        with anyio.move_on_after(seconds - AT_ONCE):
             try:
                 outcome = await stream.outcome()
             except ActionError as exc:  # raised below, and not in an exception group
