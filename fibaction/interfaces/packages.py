@@ -96,6 +96,17 @@ class SearchPath:
                 yield root / file
         for folder in self._named(package):
             yield folder / "msg" / file
+        yield from self._in_groups(package, file)
+
+    def _in_groups(self, package: str, file: str) -> Iterator[Path]:
+        """Yield the files of that name in folders within `msg`: ROS builds `msg/arm/Load.msg` as
+        `package/msg/Load`, and installs the file as `package/arm/Load.msg`.
+        """
+        if package:
+            for folder in (*(root / package for root in self.roots), *self._named(package)):
+                yield from sorted(folder.glob(f"msg/*/{file}"))
+                installed = (one for one in folder.glob(f"*/{file}") if one.parent.name != "msg")
+                yield from sorted(installed)
 
     def _named(self, package: str) -> list[Path]:
         """Return the folders with a `package.xml` of that name."""

@@ -63,6 +63,32 @@ def test_the_search_path_may_name_a_workspace_a_package_or_its_messages(
     assert found.goal.nested["load"].package == "robot_msgs"
 
 
+@pytest.mark.parametrize("search", [".", "cloned", "share"])
+def test_a_message_may_be_in_a_folder_within_the_messages_of_its_package(
+    tmp_path: Path, search: str
+) -> None:
+    grouped = package(tmp_path / "cloned", "robot_msgs") / "msg/arm"
+    installed = tmp_path / "share/robot_msgs/arm"
+    for folder in (grouped, installed):
+        folder.mkdir(parents=True)
+        (folder / "Load.msg").write_text("int32 kilograms\n")
+
+    found = read_action(action(tmp_path / "elsewhere/lift_msgs"), search=[tmp_path / search])
+
+    load = found.goal.nested["load"]
+    assert load.type_name == "robot_msgs/msg/Load"
+    assert load.definition.path.parent == (installed if search == "share" else grouped)
+
+
+def test_a_message_directly_in_its_package_comes_before_one_in_a_folder(tmp_path: Path) -> None:
+    robot = package(tmp_path / "robot_msgs", "robot_msgs", message="Load")
+    (robot / "msg/arm").mkdir()
+    (robot / "msg/arm/Load.msg").write_text("")
+    path = action(robot)
+
+    assert read_action(path).goal.nested["load"].definition.path == robot / "msg/Load.msg"
+
+
 @pytest.mark.parametrize("folder", ["build/a", "install/a", ".git/a", "ignored/a"])
 def test_what_a_build_does_not_look_into_is_not_searched(tmp_path: Path, folder: str) -> None:
     package(tmp_path / folder, "robot_msgs", message="Load")
@@ -131,6 +157,6 @@ def test_a_message_without_a_package_is_in_any_folder_and_none_of_another_packag
     other = package(tmp_path / "other", "other_msgs", message="Load") / "msg"
     path = SearchPath([], [other])
 
-    assert other / "Load.msg" in path.places("", "Load")
+    assert other / "Load.msg" in list(path.places("", "Load"))
     assert not any(one.is_file() for one in path.places("robot_msgs", "Load"))
     assert other / "Load.msg" in list(path.places("other_msgs", "Load"))
