@@ -62,7 +62,7 @@ class Limits(msgspec.Struct, frozen=True):
     """Requests that one connection may wait for at the same time, in addition to its goals."""
     frame: int = 2**20
     """Bytes of the largest message of a client; at least 1024. A goal is decoded in one piece, and
-    all other clients wait meanwhile: with a type of numbers some 15 ms for each MiB."""
+    all other clients wait meanwhile: with a type of numbers about 15 ms for each MiB."""
     memory: int = 64 * 2**20
     """Bytes of goals that are being decided upon, for one connection."""
     total_memory: int = 256 * 2**20
