@@ -254,7 +254,7 @@ def test_the_transport_that_the_guide_for_authors_shows_works() -> None:
     async def use() -> None:
         transport = shown["HouseTransport"]()
         server = ScriptedServer(FIBONACCI, [Feedback([1]), Feedback([2]), Result([3])])
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             async with serve(server, transport), connect(transport, FIBONACCI) as client:
                 async with client.send_goal(Goal(1)) as goal:
                     seen = [feedback async for feedback in goal.feedback]

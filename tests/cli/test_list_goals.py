@@ -467,7 +467,7 @@ async def test_a_watched_list_ends_with_ctrl_c(screen: Console, name: str | None
     async with serve(counter("one"), "inproc://goals"):
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(run)
-            with anyio.fail_after(5):
+            with anyio.fail_after(30):
                 while "active" not in drawn(screen):  # noqa: ASYNC110 - a file has no events
                     await anyio.sleep(0.01)
             signal.raise_signal(signal.SIGINT)

@@ -51,7 +51,7 @@ async def test_a_loaded_action_is_served_and_checks_its_limits() -> None:
         yield action.result.type(sequence=list(range(goal.request.order)))
 
     transport = InProcessTransport()
-    with anyio.fail_after(5):
+    with anyio.fail_after(30):
         async with (
             serve(ActionServer(action, count), transport),
             connect(transport, action) as client,

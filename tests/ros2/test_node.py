@@ -76,7 +76,7 @@ async def test_a_node_that_was_shut_down_from_outside_says_so() -> None:
     async with own_node(NodeSettings()) as ros:
         ros.on_loss(listen)
         ros.node.context.shutdown()
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await told.wait()
         ros.lose("it is told once")
     assert [str(error) for error in said] == ["rclpy was shut down"]
@@ -95,7 +95,7 @@ async def test_an_error_in_the_thread_is_logged_and_told(
         ros.on_loss(lambda error: told.set())
         monkeypatch.setattr(RosWaitable, "is_ready", fail)
         ros.wake()
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await told.wait()
         assert "the thread of rclpy has ended: KeyError: 'mine'" in str(ros.error)
     assert caplog.records[-1].levelno == logging.ERROR
@@ -110,7 +110,7 @@ async def test_a_shutdown_between_two_waits_of_rclpy_is_a_shutdown_and_not_an_er
         ros.on_loss(lambda error: told.set())
         shut_down_before_the_next_wait(monkeypatch, ros.node.context)
         ros.wake()
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await told.wait()
         assert str(ros.error) == "rclpy was shut down"
     assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
@@ -127,7 +127,7 @@ async def test_a_thread_that_spins_a_users_node_ends_if_rclpy_is_shut_down_betwe
     executor.add_node(node)
     async with users_node(node):
         shut_down_before_the_next_wait(monkeypatch, context)
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await anyio.to_thread.run_sync(spin, executor)
     executor.shutdown()
     node.destroy_node()

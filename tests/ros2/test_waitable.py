@@ -112,7 +112,7 @@ async def test_items_of_any_thread_are_handled_on_the_loop_in_order() -> None:
     async with Background() as tasks:
         tasks.start_soon(box.run)
         thread.start()
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await done.wait()
     thread.join()
     box.close()
@@ -137,7 +137,7 @@ async def test_an_item_that_is_added_just_before_the_loop_sleeps_is_handled() ->
     box._lock = held
     async with Background() as tasks:
         tasks.start_soon(box.run)
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await done.wait()
     box.close()
 
@@ -169,7 +169,7 @@ async def test_an_item_that_cannot_be_handled_is_logged_and_the_next_is_handled(
     async with Background() as tasks:
         tasks.start_soon(box.run)
         box.put([(fail, "bad"), (lambda _: done.set(), "good")])
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await done.wait()
     box.close()
     assert "KeyError: 'bad'" in caplog.text
@@ -182,7 +182,7 @@ async def test_many_items_leave_turns_to_others() -> None:
     box.put([(handled.append, number) for number in range(10 * TURN)])
     async with Background() as tasks:
         tasks.start_soon(box.run)
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while len(handled) < 10 * TURN:
                 turns.append(len(handled))
                 await anyio.lowlevel.checkpoint()

@@ -38,7 +38,7 @@ class Hearing(logging.Handler):
 
     async def until(self, text: str) -> logging.LogRecord:
         """Wait for a line that has the text in it."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while True:
                 for record in self.records:
                     if text in record.getMessage():
@@ -53,7 +53,7 @@ class Hearing(logging.Handler):
 
     async def lines(self, count: int) -> None:
         """Wait until there are so many lines."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while len(self.records) < count:
                 await self._news.wait()
 
@@ -83,7 +83,7 @@ class Raw:
 
     async def shake_hands(self) -> None:
         """Do what comes before the first frame, if anything does."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while self._framing.has_answer:
                 await self.stream.send(self._framing.encode([]))
                 self._framing.feed(await self.stream.receive())
@@ -100,14 +100,14 @@ class Raw:
 
     async def hear(self) -> FromServer:
         """The next message."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while not self._messages:
                 await self._receive()
             return self._messages.pop(0)
 
     async def hear_all(self) -> list[FromServer]:
         """All messages until the server closes."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             try:
                 while True:
                     await self._receive()

@@ -53,7 +53,7 @@ class Line:
 
     async def swallows(self) -> None:
         """Wait until something has come that is not handed on."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await self._swallowed.wait()
 
     async def half_close(self) -> None:
@@ -63,7 +63,7 @@ class Line:
 
     async def until(self, connections: int) -> None:
         """Wait until there have been so many connections."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while self.opened < connections:
                 await self._changed.wait()
 

@@ -60,7 +60,7 @@ class Scene:
         self.client = client
 
     async def is_well(self) -> bool:
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             return await self.client.call(Goal(3)) == Result([0, 1, 1, 2])
 
     async def ends(self, peer: Raw, problem: str, why: int = Why.PROTOCOL) -> list[Any]:
@@ -264,7 +264,7 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
             endless = SendGoal(1, NAME, ID, FIBONACCI.goal.encode(Goal(1)), 2**31 - 1)
             await peer.say(HELLO, encode(endless))
             await here.heard.until(f"{peer.name} has read nothing for 0.2 s")
-            with anyio.fail_after(5):
+            with anyio.fail_after(30):
                 await canceled.wait()
             assert taken * size > queue  # more than that is on the line, whatever it holds
             assert most < queue

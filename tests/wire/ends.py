@@ -332,7 +332,7 @@ async def is_used(connection: Connection, server: Peer) -> None:
 async def numbers_of(goal: Any, count: int | None = None) -> list[int]:
     """The numbers of the next feedback, which is there, or of all of it to the end."""
     numbers: list[int] = []
-    with anyio.fail_after(5):
+    with anyio.fail_after(30):
         while count is None or len(numbers) < count:
             if (item := await goal.receive()) is None:
                 break
@@ -342,12 +342,12 @@ async def numbers_of(goal: Any, count: int | None = None) -> list[int]:
 
 async def update_of(goal: Any) -> Any:
     """What happens next to a goal."""
-    with anyio.fail_after(5):
+    with anyio.fail_after(30):
         return await anext(aiter(goal))
 
 
 async def outcome_of(goal: Any) -> Any:
-    with anyio.fail_after(5):
+    with anyio.fail_after(30):
         return await goal.outcome()
 
 

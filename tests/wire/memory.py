@@ -168,7 +168,7 @@ class Peer:
 
     async def hear_the_end(self) -> None:
         """The other end closes the connection, and says no more before that."""
-        with anyio.fail_after(5), pytest.raises(ConnectionLost):
+        with anyio.fail_after(30), pytest.raises(ConnectionLost):
             while True:
                 self._take(await self.channel.receive())
         assert list(self._heard) == []
@@ -241,7 +241,7 @@ class Apart(Generic[T]):
 
     async def entered(self) -> T:
         """What the block is of, once it has begun."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             return await self._entered
 
     async def canceled_while_it_leaves(self) -> None:
@@ -250,7 +250,7 @@ class Apart(Generic[T]):
         await settled()
         assert not self._task.done()
         self._task.cancel()
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             await asyncio.wait([self._task])
         assert self._task.cancelled()
 

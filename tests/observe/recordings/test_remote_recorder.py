@@ -81,7 +81,7 @@ class Lines:
     ) -> list[Record]:
         """Wait until so many records of that event are written, and return all."""
         wanted = "" if goal_id is None else str(goal_id)
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while True:
                 records = list(read_records(self.path)) if self.path.exists() else []
                 found = [one for one in records if one.event == event and wanted in one.goal_id]
@@ -230,7 +230,7 @@ async def test_goals_that_were_followed_are_forgotten_after_a_while(
 
 async def ends_with_its_error(connection: ClientConnection, recorder: Recorder) -> None:
     """Record until the disk is full."""
-    with pytest.raises(OSError, match="No space left"), anyio.fail_after(5):
+    with pytest.raises(OSError, match="No space left"), anyio.fail_after(30):
         await record_from(connection, recorder)
 
 

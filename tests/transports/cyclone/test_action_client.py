@@ -30,7 +30,7 @@ async def test_the_first_goal_after_the_server_was_found_is_answered() -> None:
     async with cyclone_server(name):
         for _ in range(5):
             async with dds_end.client(name) as client:
-                with anyio.fail_after(5):
+                with anyio.fail_after(30):
                     assert await client.call(Goal(9)) == Result(NINE)
 
 

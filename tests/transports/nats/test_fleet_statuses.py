@@ -37,7 +37,7 @@ async def next_of(statuses: StatusStream, count: int) -> list[str]:
     """The next statuses, and no more."""
     found = []
     for _ in range(count):
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             info = await statuses.receive()
         assert info is not None
         found.append(info.status.name)

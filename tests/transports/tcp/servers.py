@@ -25,7 +25,7 @@ def new_server() -> ActionServer[Goal, Feedback, Result]:
 
 
 async def works(url: str | TcpTransport | UnixTransport, **settings: Any) -> bool:
-    with anyio.fail_after(5):
+    with anyio.fail_after(30):
         async with connect(url, FIBONACCI, **settings) as client:
             return await client.call(Goal(3)) == Result([0, 1, 1, 2])
 

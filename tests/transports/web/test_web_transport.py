@@ -62,7 +62,7 @@ class Call:
 
     async def next(self, *kinds: str) -> dict[str, Any]:
         """Wait for the next message of one of these types."""
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             while not any(message["type"] in kinds for message in self.said):
                 self._spoken = anyio.Event()
                 await self._spoken.wait()

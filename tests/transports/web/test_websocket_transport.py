@@ -55,7 +55,7 @@ async def answer_to(url: str, *pieces: bytes) -> bytes:
     async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
         for piece in pieces:
             await stream.send(piece)
-        with anyio.fail_after(5):
+        with anyio.fail_after(30):
             try:
                 while True:
                     said += await stream.receive()
@@ -183,7 +183,7 @@ async def test_a_ping_is_answered_while_nothing_else_is_said(
         async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
             await stream.send(upgrade() + b"\x89\x82\0\0\0\0hi")
             said = b""
-            with anyio.fail_after(5):
+            with anyio.fail_after(30):
                 while not said.endswith(b"\x8a\x02hi"):
                     said += await stream.receive()
 
@@ -208,7 +208,7 @@ async def scene(heard: Hearing, **settings: Any) -> AsyncGenerator[str, None]:
     async with serve(new_server(), WS, **settings) as (url,):
         async with connect(url, FIBONACCI) as client:
             yield url
-            with anyio.fail_after(5):
+            with anyio.fail_after(30):
                 await client.wait_for_server()
     assert len(heard.warnings) == 1
 
