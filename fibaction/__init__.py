@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         Schedule,
         action,
     )
+    from fibaction.stores.goal_history import GoalHistory
     from fibaction.stores.sqlite_store import SqliteStore
     from fibaction.types.action import Action, ActionInfo
     from fibaction.wire.auth import Peer, Permission
@@ -99,6 +100,7 @@ else:
         "words.progress": "Progress",
         "words.returned": "Return",
         "words.statuses": "GoalEvent GoalStatus",
+        "stores.goal_history": "GoalHistory",
         "stores.sqlite_store": "SqliteStore",
         "border.watchers": "Watcher",
         "wire.auth": "Peer Permission",
@@ -144,6 +146,7 @@ __all__ = [
     "GoalFeedback",
     "GoalFields",
     "GoalHandle",
+    "GoalHistory",
     "GoalID",
     "GoalInfo",
     "GoalKept",

@@ -36,6 +36,7 @@ import msgspec
 
 from fibaction._runtime.text import LENGTH, shortened
 from fibaction.words.errors import StoreError
+from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import GoalID, GoalInfo, Sender, child_id
 from fibaction.words.meta import meta_after_end, parent_in
 from fibaction.words.statuses import GoalStatus
@@ -200,7 +201,27 @@ def no_obstacle(_goal: StoredGoal) -> str:
     return ""
 
 
-class GoalJournal(ABC):
+class PastSource:
+    """The history of an action: goals that are kept beyond their outcomes; here there are none."""
+
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        """Return a page of them. The server may remember some of them as well.
+
+        Raises:
+            StoreError: They cannot be read.
+        """
+        return []
+
+    async def past_goal(self, goal_id: GoalID) -> StoredGoal | None:
+        """Return one of them with its request and its result; None if it is not there.
+
+        Raises:
+            StoreError: It cannot be read.
+        """
+        return None
+
+
+class GoalJournal(PastSource, ABC):
     """The goals of one action in an open store. See the module for the rules of all methods."""
 
     @property

@@ -1,18 +1,24 @@
-"""The file of a journal: a database of SQLite with one table, used by one thread of one process."""
+"""The file of a journal: a database of SQLite, used by one thread of one process.
+
+The journal is one table. A history is another one, which `_history_table` writes by `add_with`.
+"""
 
 from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 
 from fibaction._runtime.text import excerpt
 from fibaction.stores._log_mark import LOG_IS_MISSING, begin_log, lacks_log, prepare_mark
 from fibaction.stores._wal import PAGE, is_damaged
 from fibaction.stores.journal_rows import DamagedRow, KeptGoals
 from fibaction.words.errors import StoreError
+
+FoundT = TypeVar("FoundT")
 
 APPLICATION = 0x66696261
 """The `application_id` in the header of the file: "fiba"."""
@@ -142,6 +148,56 @@ class JournalFile:
             self._logged += PAGE + len(row)
             self._check_path()
 
+    def add_with(self, row: bytes, write: Callable[[sqlite3.Connection], int]) -> bool:
+        """Add a row, and what a function writes to other tables, in one commit; it returns the
+        bytes of that. Return whether there was room for both; else the row alone was added.
+        """
+        with self._explained():
+            self._bound_log()
+
+            def both(db: sqlite3.Connection) -> int:
+                db.execute("insert into log values (?, ?)", (self._last + 1, row))
+                return write(db)
+
+            if not self._commit(both):
+                self.add(row)
+                return False
+            self._last += 1
+            self.size += len(row)
+            self._logged += PAGE + len(row)
+            self._check_path()
+        return True
+
+    def write(self, work: Callable[[sqlite3.Connection], int]) -> bool:
+        """Let a function write to other tables, in one commit; it returns the bytes of that. Return
+        whether there was room for it.
+        """
+        with self._explained():
+            self._bound_log()
+            return self._commit(work)
+
+    def look(self, work: Callable[[sqlite3.Connection], FoundT]) -> FoundT:
+        """Return what a function finds in other tables."""
+        with self._explained():
+            return work(self._db)
+
+    def _commit(self, work: Callable[[sqlite3.Connection], int]) -> bool:
+        """Commit what a function writes. Without room on the disk, nothing of it is written: the
+        disk has lost nothing that it said it had, as after another error it may have.
+        """
+        try:
+            self._db.execute("begin immediate")
+            written = work(self._db)
+            self._db.execute("commit")
+        except BaseException as exc:
+            if self._db.in_transaction:
+                self._db.execute("rollback")
+            if _code_of(exc) == sqlite3.SQLITE_FULL:
+                return False
+            raise
+        self._logged += written
+        return True
+
     def rows(self) -> Iterator[tuple[int, bytes]]:
         """Yield the number and the bytes of each row."""
         with self._explained():
@@ -205,13 +261,18 @@ class JournalFile:
         except DamagedRow as exc:
             raise self._error(f"{WHAT_TO_DO[sqlite3.SQLITE_CORRUPT]} ({exc})") from exc
         except sqlite3.Error as exc:
-            code = getattr(exc, "sqlite_errorcode", 0) & 0xFF
-            raise self._error(WHAT_TO_DO.get(code, str(exc))) from exc
+            raise self._error(WHAT_TO_DO.get(_code_of(exc), str(exc))) from exc
         except Exception as exc:
             raise self._error(f"{type(exc).__name__}: {exc}") from exc
 
     def _error(self, reason: str) -> StoreError:
         return StoreError(f"{self._failing}: {excerpt(reason, 400)}")
+
+
+def _code_of(error: BaseException) -> int:
+    """Return the number of SQLite for an error; 0 if it has none."""
+    code: int = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    return code
 
 
 def _identity_of(path: str) -> tuple[int, int] | None:

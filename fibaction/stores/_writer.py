@@ -49,7 +49,8 @@ LARGEST_ROW = 64 * 1024 * 1024
 
 Call: TypeAlias = Callable[..., object]
 """A function that has another one called on the event loop, with arguments."""
-Batch: TypeAlias = list[tuple[Record, Then]]
+Batch: TypeAlias = list[tuple[Record, Then, StoredGoal | None]]
+"""Records, each with the function to call, and with the goal if its end is also for a history."""
 
 
 def loop_callers() -> tuple[Call, Call]:
@@ -81,14 +82,17 @@ class Writer:
         self._thread = Thread(target=self._run, name="fibaction store", daemon=True)
         self._thread.start()
 
-    def write(self, record: Record, then: Then) -> None:
+    def write(self, record: Record, then: Then, past: StoredGoal | None = None) -> None:
         """Write a record; `then` is called on the event loop when it is durable or has failed."""
         if self._is_closing:
-            self._call_soon(then, StoreError(f"the store {excerpt(self._path)} is closed"))
+            self._call_soon(then, self._closed())
             return
-        self._written.append((record, then))
+        self._written.append((record, then, past))
         if len(self._written) == 1:
             self._call_soon(self._flush)
+
+    def _closed(self) -> StoreError:
+        return StoreError(f"the store {excerpt(self._path)} is closed")
 
     def _flush(self) -> None:
         """Give the thread what this turn of the event loop has written."""
@@ -162,9 +166,9 @@ class Writer:
 
     def _commit(self, batch: Batch) -> None:
         if batch:
-            self._try(partial(self._add, [record for record, _ in batch]))
+            self._try(partial(self._add, batch))
             self._call(_tell, batch, self._error)
-            self._try(self._compact)
+            self._try(self._clean)
 
     def _try(self, work: Callable[[], object]) -> None:
         """Do this work, unless an earlier one has failed; note the text of its error."""
@@ -183,15 +187,19 @@ class Writer:
 
         self._file = JournalFile(self._path, self._sync)
 
-    def _add(self, records: list[Record]) -> None:
+    def _add(self, batch: Batch) -> None:
         assert self._file is not None
-        row = encode_row(self._file.next_number, records)
-        if len(row) > LARGEST_ROW and len(records) > 1:
-            half = len(records) // 2
-            self._add(records[:half])
-            self._add(records[half:])
+        row = encode_row(self._file.next_number, [record for record, *_ in batch])
+        if len(row) > LARGEST_ROW and len(batch) > 1:
+            half = len(batch) // 2
+            self._add(batch[:half])
+            self._add(batch[half:])
         else:
-            self._file.add(row)
+            self._add_row(self._file, row, batch)
+
+    def _add_row(self, file: JournalFile, row: bytes, batch: Batch) -> None:
+        """Add the row of a batch to the file."""
+        file.add(row)
 
     def _load(self, action: str, max_results: int, found: list[StoredGoal]) -> None:
         assert self._file is not None
@@ -202,7 +210,8 @@ class Writer:
             self._has_begun = True
         found += goals.of(action).in_order()
 
-    def _compact(self) -> None:
+    def _clean(self) -> None:
+        """Make the file smaller, if need be, after the clients were told."""
         assert self._file is not None
         if self._file.size > max(COMPACT_FROM, GROWTH * self._file.first_size):
             self._file.replace(self._goals().rows(self._file.next_number))
@@ -228,5 +237,5 @@ class _WriterCommand:
 
 def _tell(batch: Batch, error: str) -> None:
     """Call the function of each record, on the event loop."""
-    for _, then in batch:
+    for _, then, _ in batch:
         then(StoreError(error) if error else None)

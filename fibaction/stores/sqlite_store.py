@@ -13,6 +13,7 @@ from anyio import CancelScope, Event
 from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, no_obstacle
+from fibaction.stores.goal_history import GoalHistory, check_is_history
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 
@@ -29,13 +30,20 @@ class SqliteStore(GoalStore):
 
     The file is on a disk of this machine, since network file systems do not lock reliably.
 
+    With a `GoalHistory`, goals that have ended stay in the file beyond the time for which their
+    server remembers them, and are in lists of the past.
+
     For example:
 
         ActionServer(PRINT, print_layers, store=SqliteStore("goals.db"), recovery="rerun")
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], sync: Literal["full", "normal"] = "full"
+        self,
+        path: str | os.PathLike[str],
+        sync: Literal["full", "normal"] = "full",
+        *,
+        history: GoalHistory | None = None,
     ) -> None:
         """Name the file; it is opened when a server starts.
 
@@ -43,9 +51,14 @@ class SqliteStore(GoalStore):
         disk keeps what it says it does. With `"normal"` it is kept when the process ends in any
         way, but the last moments before a power failure can be lost; a write is then ready sooner.
 
+        `history` says how long goals are kept after their end; None to keep only what clients may
+        still ask for.
+
         Raises:
+            TypeError: `history` is not a `GoalHistory`.
             ValueError: `sync` is neither of the two, or the path does not name a file.
         """
+        check_is_history(history)
         if sync not in ("full", "normal"):
             raise ValueError(f"sync is 'full' or 'normal', not {sync!r}")
         name: str = os.fsdecode(path)
@@ -54,6 +67,7 @@ class SqliteStore(GoalStore):
         # SQLite puts its other files beside the file itself, and not beside a link to it.
         self._path: str = os.path.realpath(name)
         self._sync = sync
+        self._history = history
         self._writer: Writer | None = None
         self._thread = 0
         self._users = 0
@@ -61,7 +75,8 @@ class SqliteStore(GoalStore):
         self._closing: Event | None = None
 
     def __repr__(self) -> str:
-        return f"SqliteStore({self._path!r}, sync={self._sync!r})"
+        history = "" if self._history is None else f", history={self._history!r}"
+        return f"SqliteStore({self._path!r}, sync={self._sync!r}{history})"
 
     @asynccontextmanager
     async def open(
@@ -74,16 +89,16 @@ class SqliteStore(GoalStore):
         obstacle: Callable[[StoredGoal], str] = no_obstacle,
         ends_unreadable: bool = False,
     ) -> AsyncGenerator[GoalJournal, None]:
-        # The imports take their time, which only programs with a store are to pay.
-        from fibaction.stores._sqlite_journal import SqliteJournal
-
         writer = await self._begin(action)
         try:
             slices = Slices()
-            for goal in await writer.load(action, max_results):
+            goals = await writer.load(action, max_results)
+            journal = self._journal(action, writer, goals)
+            for goal in goals:
                 claim(goal)
                 await slices.pause()
-            yield SqliteJournal(action, writer)
+            del goals
+            yield journal
         finally:
             with CancelScope(shield=True):
                 await self._end(action, writer)
@@ -97,12 +112,31 @@ class SqliteStore(GoalStore):
         if action in self._actions:
             raise self._error(f"a server of the action {excerpt(action)!r} uses it already")
         if self._writer is None:
-            from fibaction.stores._writer import Writer
-
-            self._writer, self._thread = Writer(self._path, self._sync), get_ident()
+            self._writer, self._thread = self._new_writer(), get_ident()
         self._users += 1
         self._actions.add(action)
         return self._writer
+
+    # The imports take their time, which only programs with a store are to pay.
+
+    def _new_writer(self) -> Writer:
+        if self._history is None:
+            from fibaction.stores._writer import Writer
+
+            return Writer(self._path, self._sync)
+        from fibaction.stores._history_writer import HistoryWriter
+
+        return HistoryWriter(self._path, self._sync, self._history)
+
+    def _journal(self, action: str, writer: Writer, goals: list[StoredGoal]) -> GoalJournal:
+        if self._history is None:
+            from fibaction.stores._sqlite_journal import SqliteJournal
+
+            return SqliteJournal(action, writer)
+        from fibaction.stores._history_writer import HistoryJournal, HistoryWriter
+
+        assert isinstance(writer, HistoryWriter)
+        return HistoryJournal(action, writer, (goal for goal in goals if goal.status.is_active))
 
     async def _end(self, action: str, writer: Writer) -> None:
         """Wait for the writes that are under way; the last action ends the thread."""

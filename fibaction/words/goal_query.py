@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from fibaction._runtime.text import excerpt
 from fibaction.words.goals import GoalInfo
@@ -57,6 +57,26 @@ class GoalQuery(NamedTuple):
 
 ANY_GOAL = GoalQuery()
 """The query that finds every goal."""
+
+Place: TypeAlias = tuple[int, bytes]
+"""The place of a goal in the order of acceptance: its stamp and its ID."""
+
+MOST_PAST = 1000
+"""Goals of one page of a history, at most."""
+
+
+class PastPage(NamedTuple):
+    """A part of the history of a server: goals that have ended, as its store has kept them."""
+
+    wanted: GoalQuery = ANY_GOAL
+    """The goals that are listed."""
+    limit: int = MOST_PAST
+    """The number of goals, `MOST_PAST` at most; fewer come only at the end of the history."""
+    after: Place | None = None
+    """The place of the goal that comes before the first one, in the order of the page; None to
+    begin with the first goal of all."""
+    newest_first: bool = True
+    """True for the order from the newest acceptance to the oldest, False for the other one."""
 
 
 def time_of(text: str, now: int, *, is_local: bool) -> int:

@@ -9,6 +9,7 @@ import pytest
 
 from fibaction import SqliteStore
 from fibaction.border.goal_store import NoFleet, no_obstacle
+from fibaction.words.goal_query import PastPage
 from fibaction.words.statuses import GoalStatus
 from tests.stores.made import a_goal
 
@@ -56,6 +57,14 @@ async def test_a_store_of_one_server_has_no_limits_for_a_fleet(tmp_path: Path) -
     async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
         with pytest.raises(NoFleet, match="fleet_limit='arms' needs a fleet"):
             await journal.key_places("arms", 1)
+
+
+@pytest.mark.asyncio
+async def test_a_store_without_a_history_has_no_goals_of_the_past(tmp_path: Path) -> None:
+    store = SqliteStore(tmp_path / "goals.db")
+    async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
+        assert await journal.past_goals(PastPage()) == []
+        assert await journal.past_goal(a_goal(1).goal_id) is None
 
 
 def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:

@@ -8,8 +8,9 @@ import sqlite3
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -184,6 +185,88 @@ def test_a_full_disk_is_an_error(path: Path) -> None:
             for number in range(1, 100):
                 add(file, number)
     assert stamps(path) == list(range(1, number))
+
+
+NOTES = "create table notes(text text not null)"
+
+
+def note(text: str, db: sqlite3.Connection) -> int:
+    db.execute("insert into notes values (?)", (text,))
+    return len(text)
+
+
+def notes(db: sqlite3.Connection) -> list[str]:
+    return [text for (text,) in db.execute("select text from notes order by rowid")]
+
+
+@pytest.fixture
+def noting(path: Path) -> Generator[JournalFile, None, None]:
+    """A file with a table beside the journal."""
+    with closing(JournalFile(str(path), "full")) as file:
+        assert file.write(lambda db: db.execute(NOTES).rowcount)
+        yield file
+
+
+def with_note(file: JournalFile, number: int, text: str) -> bool:
+    row = encode_row(file.next_number, [WholeRecord("paint", a_goal(number))])
+    return file.add_with(row, partial(note, text))
+
+
+def test_a_row_and_what_another_table_gets_are_one_commit(noting: JournalFile, path: Path) -> None:
+    before = noting.size
+    assert with_note(noting, 1, "one")
+    assert noting.size > before
+
+    def fail(db: sqlite3.Connection) -> int:
+        raise sqlite3.IntegrityError("wrong")
+
+    with pytest.raises(StoreError, match="wrong"):
+        noting.add_with(b"row", fail)
+    assert with_note(noting, 2, "two")
+    assert noting.look(notes) == ["one", "two"]
+    noting.close()
+    assert stamps(path) == [1, 2]
+
+
+def test_without_room_for_another_table_the_row_alone_is_added(
+    noting: JournalFile, path: Path
+) -> None:
+    used = noting.look(lambda db: db.execute("pragma page_count").fetchone()[0])
+    noting.look(lambda db: db.execute(f"pragma max_page_count={used + 2}"))
+    assert not with_note(noting, 1, "x" * 100_000)
+    assert not noting.write(partial(note, "y" * 100_000))
+    assert with_note(noting, 2, "short")
+    assert noting.look(notes) == ["short"]
+    noting.close()
+    assert stamps(path) == [1, 2]
+
+
+def test_without_room_for_the_row_either_it_is_an_error(noting: JournalFile, path: Path) -> None:
+    noting.look(lambda db: db.execute("pragma max_page_count=1"))
+    with pytest.raises(StoreError, match="the disk is full"):
+        for number in range(1, 100):
+            with_note(noting, number, "x" * 5_000)
+    noting.close()
+    assert stamps(path) == list(range(1, number))
+
+
+def test_what_sqlite_has_rolled_back_itself_needs_no_rollback(noting: JournalFile) -> None:
+    def give_up(db: sqlite3.Connection) -> int:
+        db.execute("rollback")
+        raise sqlite3.IntegrityError("gone")
+
+    with pytest.raises(StoreError, match="gone"):
+        noting.write(give_up)
+    assert noting.write(partial(note, "next"))
+
+
+def test_the_log_is_copied_also_for_what_another_table_gets(path: Path) -> None:
+    with closing(JournalFile(str(path), "full", largest_log=50_000)) as file:
+        assert file.write(lambda db: db.execute(NOTES).rowcount)
+        for number in range(1, 40):
+            assert with_note(file, number, "x" * 10_000)
+            assert file.write(partial(note, "y" * 10_000))
+        assert os.stat(f"{path}-wal").st_size < 200_000
 
 
 def test_a_file_that_is_removed_is_an_error(path: Path) -> None:

@@ -19,11 +19,12 @@ import anyio
 import anyio.to_thread
 import pytest
 
-from fibaction import GoalStatus, SqliteStore, StoreError
+from fibaction import GoalHistory, GoalStatus, SqliteStore, StoreError
 from fibaction.border.goal_store import GoalJournal, StoredGoal
 from fibaction.stores import _journal_file, _writer
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import Record, StartRecord, encode_row
+from fibaction.words.goal_query import PastPage
 from tests.stores.made import a_goal, after_end
 
 pytestmark = pytest.mark.anyio
@@ -290,6 +291,18 @@ async def test_what_sync_can_be_is_checked(path: Path) -> None:
     assert repr(SqliteStore(path, "normal")) == f"SqliteStore({str(path)!r}, sync='normal')"
 
 
+async def test_a_store_keeps_goals_that_have_ended_for_a_history(path: Path) -> None:
+    history = GoalHistory(goals=5)
+    store = SqliteStore(path, history=history)
+    assert repr(store) == f"SqliteStore({str(path)!r}, sync='full', history={history!r})"
+    async with opened(store) as kept:
+        await kept(kept.journal.accept, a_goal(1))
+        await kept(kept.journal.end, after_end(a_goal(1), ended_at=time.time_ns()))
+        assert [info.stamp for info in await kept.journal.past_goals(PastPage())] == [1]
+    with pytest.raises(TypeError, match="history is a GoalHistory, not 5"):
+        SqliteStore(path, history=5)  # type: ignore[arg-type]  # that is the point
+
+
 async def test_after_a_failed_write_all_others_fail_in_order(path: Path) -> None:
     store = SqliteStore(path)
     told: list[tuple[int, str]] = []
@@ -493,10 +506,10 @@ async def test_everything_that_was_told_is_there_after_kills(path: Path) -> None
     assert len(told) > 5 * KILLS
 
 
-def killed(path: Path, sync: str) -> dict[int, str]:
+def killed(path: Path, sync: str, program: str = KILLED) -> dict[int, str]:
     """Run a program until it has told enough, kill it, and return what it has told."""
-    program = [sys.executable, "-c", KILLED, str(path), sync]
-    child = subprocess.Popen(program, stdout=subprocess.PIPE, text=True)
+    command = [sys.executable, "-c", program, str(path), sync]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert child.stdout is not None
     lines = [child.stdout.readline() for _ in range(random.randrange(1, 100))]
     child.kill()

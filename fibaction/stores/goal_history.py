@@ -1,0 +1,58 @@
+"""`GoalHistory`: how long a store keeps the goals that have ended, for lists of the past."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from fibaction._runtime.plain_data import check_is_number
+
+SECOND = 1_000_000_000
+DAY = 24 * 3600.0
+
+
+class GoalHistory(msgspec.Struct, frozen=True, kw_only=True):
+    """The bounds of a history: goals that have ended stay in the file until one is passed.
+
+    For example:
+
+        SqliteStore("goals.db", history=GoalHistory(seconds=7 * 24 * 3600, goals=10_000))
+    """
+
+    seconds: float = 30 * DAY
+    """Seconds after its end for which a goal is kept; `math.inf` without this bound."""
+    goals: int = 10_000
+    """The number of goals that are kept, of all actions in the file together; those whose end is
+    the longest ago go first."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            TypeError: One of them is not a number.
+            ValueError: One of them is out of range.
+        """
+        check_is_number("seconds", self.seconds)
+        if not self.seconds > 0:
+            raise ValueError(f"seconds is more than 0, not {self.seconds}")
+        _check_is_whole("goals", self.goals)
+        if self.goals < 1:
+            raise ValueError(f"goals is 1 or more, not {self.goals}")
+
+    def earliest_end(self, now: int) -> int:
+        """Return the time at or before which an end is too long ago at `now`, both in nanoseconds
+        since 1970; -1 if no end is.
+        """
+        return -1 if math.isinf(self.seconds) else now - int(self.seconds * SECOND)
+
+
+def _check_is_whole(name: str, value: object) -> None:
+    if not isinstance(value, int):
+        raise TypeError(f"{name} is a whole number, not {value!r}")
+
+
+def check_is_history(value: object) -> None:
+    """Raise TypeError for what is neither a history nor None."""
+    if not (value is None or isinstance(value, GoalHistory)):
+        raise TypeError(f"history is a GoalHistory, not {value!r}")
