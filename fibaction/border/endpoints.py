@@ -18,11 +18,13 @@ from fibaction.border.goal_request import GoalRequest
 from fibaction.border.streams import GoalStream, StatusStream
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import UnknownGoal
+from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
     CancelAnswer,
     GoalID,
+    GoalInfo,
     Outcome,
     Sender,
 )
@@ -140,6 +142,17 @@ class Endpoint(ABC):
             TransportError, ProtocolError: As for `feedback`.
         """
 
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        """Return a page of the history: goals that have ended, as the server's store has kept them;
+        none if it keeps none, or if the transport does not carry it.
+
+        The server may remember some of them as well: then `status` has them, too.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`.
+        """
+        return []
+
     @abstractmethod
     async def wait_for_server(self) -> None:
         """Wait until this action is served, without a timeout.
@@ -244,6 +257,9 @@ class ForwardingEndpoint(Endpoint):
 
     async def status(self) -> StatusStream:
         return await self.inner.status()
+
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        return await self.inner.past_goals(page)
 
     async def wait_for_server(self) -> None:
         await self.inner.wait_for_server()

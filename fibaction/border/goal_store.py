@@ -232,7 +232,7 @@ class GoalJournal(PastSource, ABC):
         """
         return math.inf
 
-    def set_room(self, running: float, waiting: float) -> None:  # noqa: B027  # most need no room
+    def set_room(self, running: float, waiting: float) -> None:  # most need no room
         """Note how many more goals the server can run now, and how many more can wait in its queue.
 
         Both are 0 while the server starts, drains or stops, and `math.inf` without a limit. The

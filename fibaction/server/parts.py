@@ -34,6 +34,7 @@ from fibaction.server.admission.room_report import Room
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.goal_keeper import STORE_IS_LATE
 from fibaction.server.durability.keeper import Keeper, KeeperEvents
+from fibaction.server.durability.past_goals import PastGoals
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.executor import Runner
 from fibaction.server.execution.runs import Runs
@@ -84,6 +85,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             latest=settings.feedback == "latest",
             are_told_elsewhere=keeper.tells_statuses,
         )
+        self.past = PastGoals(action.name, keeper, logs, registry.budget)
         self._watch = Watch(action.name, settings.watchdog)
         self.runs = runs = Runs(
             action, runner, registry, logs, keeper, dispatcher, self._watch, settings

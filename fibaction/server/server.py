@@ -45,15 +45,15 @@ from fibaction.server.functions.executor_check import (
 )
 from fibaction.server.parts import Parts
 from fibaction.server.registry.goal_record import Offer
-from fibaction.server.scheduling.dispatcher import Dispatcher, NoScheduleDispatcher
-from fibaction.server.scheduling.fleet_dispatcher import FleetDispatcher
-from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
+from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.fleet_dispatcher import dispatcher_of
 from fibaction.server.settings import ActionServerKeywords, ActionServerSettings, check_is_store
 from fibaction.server.watcher_group import WatcherGroup
 from fibaction.server.watchers import NoWatchers, Watchers
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
-from fibaction.words.goals import CancelAnswer, GoalID
+from fibaction.words.goal_query import PastPage
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.words.meta import checked_meta
 
 logger = clean_logger("fibaction.server")
@@ -102,7 +102,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         check_settings("ActionServer", settings, ActionServerSettings.__struct_fields__)
         self._settings = ActionServerSettings(**settings)
         self._callbacks = GoalCallbacks(action.name, self._settings)
-        self._dispatcher: Dispatcher[GoalT] = _dispatcher_of(action.name, self._settings)
+        self._dispatcher: Dispatcher[GoalT] = dispatcher_of(
+            action.name, self._settings.schedule, self._settings.shutdown_timeout
+        )
         self._watchers: Watchers = NoWatchers()
         self._parts: Parts[GoalT, FeedbackT, ResultT]
         self._goals: Sized = ()
@@ -303,7 +305,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     ) -> FeedbackCursor:
         """See `Endpoint.feedback`."""
         self._check_running()
-        return self._parts.logs.follow(goal_id, after=after, own=own, attempt=attempt)
+        return await self._parts.past.follow(goal_id, after=after, own=own, attempt=attempt)
 
     def owner_of(self, goal_id: GoalID) -> bytes:
         """See `Endpoint.owner_of`."""
@@ -324,6 +326,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher.note_places()
         return await self._parts.logs.follow_statuses()
 
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        """See `Endpoint.past_goals`."""
+        self._check_running()
+        return await self._parts.past.page(page)
+
     def _check_running(self) -> None:
         if self._phase in ("running", "stopping"):
             return
@@ -336,12 +343,3 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._goals)}>"
-
-
-def _dispatcher_of(action: str, settings: ActionServerSettings[GoalT]) -> Dispatcher[GoalT]:
-    schedule, kill_after = settings.schedule, settings.shutdown_timeout
-    if schedule is None:
-        return NoScheduleDispatcher()
-    if schedule.fleet_limit:
-        return FleetDispatcher(schedule, action=action, kill_after=kill_after)
-    return GoalDispatcher(schedule, action=action, kill_after=kill_after)

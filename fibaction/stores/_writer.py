@@ -135,10 +135,7 @@ class Writer:
         try:
             self._try(self._open)
             while last is None:
-                # Those that come meanwhile are for the next commit.
-                items = [self._queue.get()]
-                items += [self._queue.get_nowait() for _ in range(self._queue.qsize())]
-                last = self._handle(items)
+                last = self._handle(self._next_items())  # which it has no longer while it waits
         except RuntimeError:
             pass  # the event loop has ended without closing the store: there is nothing to tell
         if self._file is not None:
@@ -146,6 +143,12 @@ class Writer:
         if last is not None:
             with suppress(RuntimeError):  # the event loop has ended meanwhile
                 self._call(last.is_done.set)
+
+    def _next_items(self) -> list[Batch | _WriterCommand]:
+        """Wait for something to do. What comes afterwards is for the next commit."""
+        items = [self._queue.get()]
+        items += [self._queue.get_nowait() for _ in range(self._queue.qsize())]
+        return items
 
     def _handle(self, items: list[Batch | _WriterCommand]) -> _WriterCommand | None:
         """Do everything in order; return the command to close, after which nothing comes."""

@@ -33,6 +33,7 @@ from fibaction.words.errors import (
     TransportError,
     UnknownGoal,
 )
+from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
@@ -324,6 +325,20 @@ async def test_a_goal_is_sent_by_offering_a_request_of_the_keywords(feedback: bo
         assert (first.sender, first.deadline, first.meta) == (UNKNOWN_SENDER, math.inf, None)
         assert (second.feedback, second.sender, second.meta) == (True, ann, meta)
         assert second.deadline == pytest.approx(anyio.current_time() + 5, abs=1)
+
+
+@pytest.mark.asyncio
+async def test_an_endpoint_has_no_history_unless_it_says_so_and_a_wrapper_has_the_inner_one() -> (
+    None
+):
+    class Old(OneGoal):
+        async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+            return [GoalInfo(KNOWN, page.limit, GoalStatus.SUCCEEDED)]
+
+    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
+    assert await inner.past_goals(PastPage()) == []
+    wrapper = ForwardingEndpoint(Old(inner.stream))
+    assert [info.stamp for info in await wrapper.past_goals(PastPage(limit=5))] == [5]
 
 
 def test_an_endpoint_that_is_written_as_it_was_before_says_what_to_write() -> None:

@@ -130,9 +130,12 @@ def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPat
     assert invoke(*command, "--store", "goals.db", url="tcp://b").exit_code == 0
     common = ("robot:server", ("unix:///a",), "tcp://b")
     kept = ("--store", os.path.abspath("goals.db"), "--sync", "full")
+    past = (*command, "--store", "goals.db", "--history", "0.5")
+    assert invoke(*past, url="tcp://b").exit_code == 0
     more = ("--log-json", "--metrics", ":0", "--record", os.path.abspath("a.jsonl"))
     assert invoke(*command, *more, url="tcp://b").exit_code == 0
-    assert asked == [(*common, ()), (*common, kept), (*common, more)]
+    with_past = (*kept, "--history", "0.5")
+    assert asked == [(*common, options) for options in ((), kept, with_past, more)]
 
 
 def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invoke) -> None:
@@ -267,11 +270,21 @@ def test_a_store_that_cannot_be_used_is_one_sentence(folder: Path, invoke: Invok
     )
 
 
-def test_how_to_sync_is_a_setting_of_a_store(folder: Path, invoke: Invoke) -> None:
-    result = invoke("serve", "robot:make", "--sync", "normal")
+@pytest.mark.parametrize("option", [("--sync", "normal"), ("--history", "7")])
+def test_how_to_keep_goals_is_a_setting_of_a_store(
+    folder: Path, invoke: Invoke, option: tuple[str, str]
+) -> None:
+    result = invoke("serve", "robot:make", *option)
 
     assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == "Error: --sync is a setting of --store FILE\n"
+    assert result.stderr == f"Error: {option[0]} is a setting of --store FILE\n"
+
+
+@pytest.mark.asyncio
+async def test_a_history_is_kept_for_so_many_days(tmp_path: Path) -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    serve.keep_in_file([server], str(tmp_path / "goals.db"), "full", 0.5)
+    assert repr(server.store).endswith("history=GoalHistory(seconds=43200.0, goals=10000))")
 
 
 # Garbage

@@ -34,7 +34,8 @@ from fibaction.words.errors import (
     TransportError,
     copy_of,
 )
-from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.words.goal_query import PastPage
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, GoalInfo, Sender
 
 StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 
@@ -200,6 +201,9 @@ class _NamedEndpoint(Endpoint):
 
     async def status(self) -> StatusStream:
         return self._connection.opened(await self._server.status())
+
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        return await self._server.past_goals(page)
 
     async def wait_for_server(self) -> None:
         name, place = self._info.name, self._connection.place

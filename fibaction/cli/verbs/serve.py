@@ -27,6 +27,7 @@ from fibaction.cli.process.logs import log_events, log_with_time
 from fibaction.cli.process.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.process.serve_watchers import metrics_of, recorded
 from fibaction.cli.process.signals import stop_signals
+from fibaction.stores.goal_history import DAY, GoalHistory
 from fibaction.stores.sqlite_store import SqliteStore
 from fibaction.words.statuses import GoalStatus
 
@@ -59,6 +60,12 @@ Examples:
     type=click.Choice(["full", "normal"]),
     help="With --store: normal is faster, and may lose the last goals if the power fails.",
 )
+@click.option(
+    "--history",
+    metavar="DAYS",
+    type=click.FloatRange(min=0, min_open=True),
+    help="With --store: keep goals that have ended for so many days, for lists of the past.",
+)
 @click.option("--log-json", is_flag=True, help="Log JSON objects, one on a line, with goal IDs.")
 @click.option("--metrics", metavar="[HOST]:PORT", help="Serve /metrics and /healthz here, by HTTP.")
 @click.option("--record", metavar="FILE", help="Record everything that happens to goals.")
@@ -71,6 +78,7 @@ def serve_command(
     urls: tuple[str, ...],
     store: str | None,
     sync: Literal["full", "normal"] | None,
+    history: float | None,
     log_json: bool,
     metrics: str | None,
     record: str | None,
@@ -90,6 +98,8 @@ def serve_command(
     """
     if sync is not None and store is None:
         raise Failure("--sync is a setting of --store FILE", ExitCode.USAGE)
+    if history is not None and store is None:
+        raise Failure("--history is a setting of --store FILE", ExitCode.USAGE)
     where = urls or (url_of(context),)
     reject_inproc(*where)  # beside another one it is for clients in the module itself
     sync = sync or "full"
@@ -100,6 +110,7 @@ def serve_command(
     with log_with_time(as_json=log_json):
         if reload:
             options: tuple[str, ...] = () if store is None else ("--store", store, "--sync", sync)
+            options += () if history is None else ("--history", str(history))
             options += ("--log-json",) if log_json else ()
             options += () if metrics is None else ("--metrics", metrics)
             options += () if record is None else ("--record", record)
@@ -109,7 +120,7 @@ def serve_command(
                 same = None if parent is None else SAME_STOP
                 servers = import_servers(target)
                 if store is not None:
-                    keep_in_file(servers, store, sync)
+                    keep_in_file(servers, store, sync, history)
                 with LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
                     run(
                         serve_servers,
@@ -123,9 +134,17 @@ def serve_command(
                     )
 
 
-def keep_in_file(servers: Sequence[AnyServer], path: str, sync: Literal["full", "normal"]) -> None:
-    """Let the servers that have no store keep their goals in a file."""
-    store = SqliteStore(path, sync=sync)
+def keep_in_file(
+    servers: Sequence[AnyServer],
+    path: str,
+    sync: Literal["full", "normal"],
+    days: float | None = None,
+) -> None:
+    """Let the servers that have no store keep their goals in a file, with a history of so many
+    days, if it is to have one.
+    """
+    history = None if days is None else GoalHistory(seconds=days * DAY)
+    store = SqliteStore(path, sync=sync, history=history)
     for server in servers:
         if server.store is None:
             server.keep_in(store)

@@ -122,6 +122,7 @@ class GoalKeeper(Keeper):
             obstacle=events.obstacle,
             ends_unreadable=events.ends_unreadable,
         ) as self._journal:
+            self.past = self._journal
             yield
 
     def start(self, tasks: TaskGroup, *parts: Callable[[TaskGroup], None]) -> None:

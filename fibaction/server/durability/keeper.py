@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 from fibaction._runtime.log import clean_logger
-from fibaction.border.goal_store import NoFleet
+from fibaction.border.goal_store import NoFleet, PastSource
 from fibaction.server.life import LIFE_IN_MEMORY, Effect, Event, Phase, Step
 
 if TYPE_CHECKING:
@@ -86,6 +86,8 @@ class Keeper(ABC):
     """A block that is canceled when the store fails, once the keeper is open."""
     life: Mapping[tuple[Phase, Event], Step]
     """The table by which the goals live."""
+    past: PastSource
+    """The source of the goals of the past, once the keeper is open."""
 
     @abstractmethod
     def open(self, tasks: TaskGroup, events: KeeperEvents) -> AbstractAsyncContextManager[None]:
@@ -188,6 +190,7 @@ class NoStoreKeeper(Keeper):
     tells_statuses = False
     block = nullcontext()
     life = LIFE_IN_MEMORY
+    past: PastSource = PastSource()
 
     def __init__(self, action: str) -> None:
         self._action = action

@@ -14,11 +14,11 @@ from msgspec.structs import replace
 
 from fibaction.border.http_access import Refused
 from fibaction.feeds.status_broadcast import StatusBroadcast
-from fibaction.words.goal_query import GoalQuery
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest import goal_list
-from fibaction_transports.web.rest.goal_list import Page, listed, page_of, wanted_of
+from fibaction_transports.web.rest.goal_list import Page, listed, page_of, past_of, wanted_of
 
 pytestmark = pytest.mark.anyio
 
@@ -96,13 +96,71 @@ async def test_only_goals_that_are_wanted_are_counted_for_a_page() -> None:
     assert await page(page_of("3", cursor, None, wanted)) == ([7], "")
 
 
+class PastEndpoint:
+    """An endpoint with a history: goals of which two each have the same stamp."""
+
+    def __init__(self, *numbers: int) -> None:
+        self.infos = [Listed(number).info for number in numbers]
+        self.asked = 0
+
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        assert not page.newest_first
+        self.asked += 1
+        assert page.after is not None
+        infos = [one for one in self.infos if (one.stamp, one.goal_id) > page.after]
+        return [one for one in infos if page.wanted.has(one)][: page.limit]
+
+
+async def with_past(page: Page, endpoint: Any, *numbers: int) -> tuple[list[int], str]:
+    past = await past_of(endpoint, page)
+    body, cursor = await listed(goals(*numbers), page, anyio.Lock(), past)
+    return [int(one["goal_id"], 16) for one in json.loads(body)], cursor
+
+
+async def test_pages_have_the_goals_of_the_history_and_those_that_are_remembered_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(goal_list, "MOST_PAST", 3)
+    endpoint = PastEndpoint(1, 2, 3, 5, 6, 7, 8)
+    found: list[int] = []
+    page = page_of("4", None, past="true")
+    while True:
+        more, cursor = await with_past(page, endpoint, 4, 5, 9)
+        found += more
+        if not cursor:
+            break
+        page = page_of("4", cursor, past="true")
+    assert found == [1, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert (await with_past(page_of(None, None, past="true"), endpoint, 9))[0] == [1, 2, 3]
+
+
+async def test_without_being_asked_for_the_history_is_not_read() -> None:
+    endpoint = PastEndpoint(1)
+    assert await with_past(page_of(None, None, past="false"), endpoint, 2) == ([2], "")
+    assert endpoint.asked == 0
+
+
+async def test_children_in_the_history_are_found_behind_other_goals(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(goal_list, "MOST_PAST", 2)
+    endpoint, parent = PastEndpoint(*range(1, 9)), GoalID.random()
+    for number in (5, 7):
+        child = replace(endpoint.infos[number - 1], parent=Parent(parent, ""))
+        endpoint.infos[number - 1] = child
+    page = page_of("1", None, str(parent), past="true")
+    first, cursor = await with_past(page, endpoint)
+    assert first == [5]
+    assert await with_past(page_of("1", cursor, str(parent), past="true"), endpoint) == ([7], "")
+
+
 def read(query: str) -> Page:
     """The page that a request with this query names."""
     found = parse_qs(query[1:], strict_parsing=True)
     one = {name: values[-1] for name, values in found.items()}
     span = (one.get("since"), one.get("until"))
     wanted = wanted_of(found.get("status", []), one.get("client"), *span, NOW)
-    return page_of(one.get("limit"), one.get("after"), one.get("parent"), wanted)
+    return page_of(one.get("limit"), one.get("after"), one.get("parent"), wanted, one.get("past"))
 
 
 @pytest.mark.parametrize(
@@ -111,6 +169,7 @@ def read(query: str) -> Page:
         "?limit=5",
         f"?limit=5&parent={1:032x}",
         "?limit=5&status=active&status=ABORTED",
+        "?limit=5&past=true&status=SUCCEEDED",
         "?limit=5&client=robot%207+at+%26+%3Climit%3E",
         "?limit=5&since=10m&until=2026-01-31T12:00:00%2B01:00",
     ],
@@ -170,6 +229,11 @@ async def test_a_stream_that_ends_ends_the_list() -> None:
 def test_wrong_parameters_are_refused(limit: str | None, after: str | None) -> None:
     with pytest.raises(Refused, match=r"between 1 and 10000|a cursor of the header Link"):
         page_of(limit, after)
+
+
+def test_a_past_that_is_neither_true_nor_false_is_refused() -> None:
+    with pytest.raises(Refused, match="past is true or false"):
+        page_of("1", None, past="1")
 
 
 def test_a_parent_that_is_not_the_id_of_a_goal_is_refused() -> None:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import AsyncGenerator, Generator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any, ClassVar
 
 import anyio
@@ -18,12 +19,14 @@ from fibaction import (
     CancelRejected,
     GoalAborted,
     GoalHandle,
+    GoalHistory,
     GoalID,
     GoalRejected,
     Limits,
     Peer,
     Permission,
     Sender,
+    SqliteStore,
     Watcher,
     connect,
     serve,
@@ -722,6 +725,30 @@ async def test_goals_are_listed_in_pages() -> None:
         assert len(stamps) == 3
         assert stamps == sorted(stamps)
         assert (await fetch(url, "GET", f"{GOALS}?limit=none")).status == 400
+
+
+async def test_goals_that_the_server_has_forgotten_are_listed_from_its_history(
+    tmp_path: Path,
+) -> None:
+    store = SqliteStore(tmp_path / "goals.db", history=GoalHistory())
+    server = ActionServer(FIBONACCI, fibonacci, store=store, result_timeout=0)
+    async with served(server) as url:
+        sent = [
+            (await fetch(url, "POST", f"{GOALS}?wait=60", {"order": 1})).json["goal_id"]
+            for _ in range(3)
+        ]
+        assert (await fetch(url, "GET", GOALS)).json == []
+        past = f"{GOALS}?past=true&status=SUCCEEDED"
+        first = await fetch(url, "GET", f"{past}&limit=2")
+        link = re.fullmatch(r'<(\?limit=2&\S+)>; rel="next"', first.headers["link"])
+        assert link
+        second = await fetch(url, "GET", f"{GOALS}{link[1]}")
+        assert "link" not in second.headers
+        assert [goal["goal_id"] for goal in first.json + second.json] == sent
+        one = await fetch(url, "GET", f"{GOALS}/{sent[0]}")
+        assert (one.status, one.json["status"]) == (200, "SUCCEEDED")
+        assert one.json["result"]["sequence"][0] == 0
+        assert (await fetch(url, "GET", f"{GOALS}?past=1")).status == 400
 
 
 async def test_goals_are_chosen_by_status_client_and_time_on_every_page() -> None:

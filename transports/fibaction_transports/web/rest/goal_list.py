@@ -5,6 +5,9 @@ list, for any client, in each turn of the event loop.
 
 The pages are in the order of acceptance. A cursor is the stamp and the ID of the last goal of a
 page, so it holds also when that goal is forgotten meanwhile.
+
+With `past=true` the list also has the goals that the server has forgotten, and that its store has
+in its history. It always comes in pages then, each with no more of the history than it needs.
 """
 
 from __future__ import annotations
@@ -19,10 +22,10 @@ from urllib.parse import urlencode
 import anyio
 import msgspec
 
-from fibaction.border.abc import StatusStream
+from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.border.event_loop import SLICE
 from fibaction.border.http_access import Refused
-from fibaction.words.goal_query import ANY_GOAL, STATUSES, GoalQuery, time_of
+from fibaction.words.goal_query import ANY_GOAL, MOST_PAST, STATUSES, GoalQuery, PastPage, time_of
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
 
@@ -46,6 +49,8 @@ class Page(NamedTuple):
     """The goal whose children are listed; None for all goals."""
     wanted: GoalQuery = ANY_GOAL
     """The goals that are listed."""
+    past: bool = False
+    """True for the goals of the history as well; then there is a limit."""
 
     def has(self, info: GoalInfo) -> bool:
         """Return whether a goal is on this page or on one after it."""
@@ -61,6 +66,8 @@ class Page(NamedTuple):
         parameters: list[tuple[str, object]] = [("limit", self.limit), ("after", cursor)]
         if self.parent is not None:
             parameters.append(("parent", str(self.parent)))
+        if self.past:
+            parameters.append(("past", "true"))
         parameters += [("status", status.name) for status in sorted(wanted.statuses)]
         if wanted.client:
             parameters.append(("client", wanted.client))
@@ -102,6 +109,7 @@ def page_of(
     after: str | None,
     parent: str | None = None,
     wanted: GoalQuery = ANY_GOAL,
+    past: str | None = None,
 ) -> Page:
     """Return the page that the parameters of a request name, of the goals that are wanted.
 
@@ -111,7 +119,11 @@ def page_of(
     if limit is not None and not (limit.isascii() and limit.isdecimal() and int(limit[:9]) > 0):
         raise Refused(400, f"limit is a number of goals between 1 and {LARGEST_PAGE}")
     size = None if limit is None else min(int(limit[:9]), LARGEST_PAGE)
+    if past not in (None, "true", "false"):
+        raise Refused(400, "past is true or false")
     whole = Page(size, wanted=wanted)
+    if past == "true":
+        whole = whole._replace(past=True, limit=MOST_PAST if size is None else size)
     if parent is not None:
         try:
             whole = whole._replace(parent=GoalID.parse(parent))
@@ -157,21 +169,45 @@ def parent_members(parent: Parent | None) -> dict[str, object]:
     return {"parent": {"goal_id": str(parent.goal_id), "step": parent.step}}
 
 
-async def listed(statuses: StatusStream, page: Page, turn: anyio.Lock) -> tuple[bytes, str]:
-    """Return a page as JSON, and the cursor of the next one; empty if there is none.
+async def past_of(endpoint: Endpoint, page: Page) -> list[GoalInfo]:
+    """Return the goals of the history that may be on a page, and one more, if the page has them.
+
+    Raises:
+        ActionError: As for `Endpoint.past_goals`.
+    """
+    found: list[GoalInfo] = []
+    is_last = not page.past
+    after = page.after
+    while not is_last and len(found) <= (page.limit or 0):
+        asked = PastPage(page.wanted, MOST_PAST, after, newest_first=False)
+        infos = await endpoint.past_goals(asked)
+        found += [info for info in infos if page.has(info)]
+        is_last = len(infos) < MOST_PAST
+        after = after if is_last else _place_of(infos[-1])
+    return found
+
+
+async def listed(
+    statuses: StatusStream, page: Page, turn: anyio.Lock, past: Iterable[GoalInfo] = ()
+) -> tuple[bytes, str]:
+    """Return a page as JSON, and the cursor of the next one; empty if there is none. A goal of the
+    past that the statuses have as well is told as they do.
 
     Raises:
         ActionError: As for `StatusStream.receive`.
     """
     pause = _pauses(turn)
+    of_past = {_place_of(info): info for info in past}
     found: list[GoalInfo] = []
     for _ in range(statuses.known):
         info = await statuses.receive()
         if info is None:
             break
+        of_past.pop(_place_of(info), None)
         if page.has(info):
             found.append(info)
         await pause()
+    found = [*of_past.values(), *found]
     has_more = page.limit is not None and len(found) > page.limit
     if page.limit is not None:
         found = nsmallest(page.limit, found, key=_place_of)

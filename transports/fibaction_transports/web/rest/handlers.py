@@ -35,7 +35,7 @@ from fibaction.words.meta import trace_meta
 from fibaction_transports.web.http.exchange import Exchange, bearer_of
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
-from fibaction_transports.web.rest.goal_list import listed, members_of, page_of, wanted_of
+from fibaction_transports.web.rest.goal_list import listed, members_of, page_of, past_of, wanted_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import Resource, Route, route_of
 
@@ -137,9 +137,11 @@ class RestInterface:
         asked = exchange.parameter
         words, client_text = exchange.parameters("status"), asked("client")
         wanted = wanted_of(words, client_text, asked("since"), asked("until"), time_ns())
-        page = page_of(asked("limit"), asked("after"), asked("parent"), wanted)
+        page = page_of(asked("limit"), asked("after"), asked("parent"), wanted, asked("past"))
         with await endpoint.status() as statuses:
-            body, cursor = await listed(statuses, page, self._turn)
+            # Afterwards, so that a goal which is forgotten meanwhile is in one of them.
+            past = await past_of(endpoint, page)
+            body, cursor = await listed(statuses, page, self._turn, past)
         next_page = ("Link", f'<{page.next_query(cursor)}>; rel="next"')
         await exchange.answer(200, body, *([next_page] if cursor else ()))
 

@@ -143,7 +143,14 @@ _SINCE, _UNTIL = (
     }
     for name, when in (("since", "later"), ("until", "earlier"))
 )
-_CHOICE = (_STATUSES, _CLIENT, _SINCE, _UNTIL)
+_PAST = {
+    "name": "past",
+    "in": "query",
+    "description": "With `true`, also the goals that the server has forgotten and that its store"
+    " keeps as its history; always in pages.",
+    "schema": {"type": "boolean"},
+}
+_CHOICE = (_STATUSES, _CLIENT, _SINCE, _UNTIL, _PAST)
 _NEXT = {
     "Link": {
         "description": "The address of the next page, with rel=next; absent on the last one.",
