@@ -130,11 +130,14 @@ class MessageRouter:
     def _sample(
         self, reader: bytes, writer: Guid, data: Data | DataFragment, time: float | None, now: float
     ) -> None:
-        for matched in self._endpoints.addressed(reader, writer):
+        is_known = False
+        for found in self._endpoints.addressed(reader, writer):
             if isinstance(data, Data):
-                matched.receive_data(writer, data, time, now)
+                is_known |= found.receive_data(writer, data, time, now)
             else:
-                matched.receive_fragment(writer, data, time, now)
+                is_known |= found.receive_fragment(writer, data, time, now)
+        if not is_known:
+            self._early.note_sample(writer, data.number)
         if not is_builtin(writer.entity):
             self._liveliness.hear(writer, now)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
+from msgspec.structs import replace
+
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
@@ -13,7 +15,8 @@ class EarlyHeartbeats:
     """The newest heartbeat of each writer that no reader is matched with yet.
 
     Fast DDS sends its first heartbeat before its discovery has told of the writer, and the next one
-    three seconds later.
+    three seconds later. Its first sample may come before discovery, too, without a heartbeat of its
+    own: that sample counts as announced, so that it is requested when the writer is matched.
     """
 
     def __init__(self, limits: RtpsLimits) -> None:
@@ -36,6 +39,12 @@ class EarlyHeartbeats:
             self.take(next(iter(of_one)))
         elif self._count > self._limit:
             self.take(next(iter(next(iter(self._of.values())))))
+
+    def note_sample(self, writer: Guid, number: int) -> None:
+        """Note that a sample came which no reader could take yet."""
+        of_one = self._of.get(writer.prefix)
+        if of_one is not None and writer in of_one and of_one[writer].last < number:
+            of_one[writer] = replace(of_one[writer], last=number)
 
     def take(self, writer: Guid) -> WriterHeartbeat | None:
         """Return the heartbeat of a writer, and keep it no longer; None if there is none."""

@@ -119,19 +119,21 @@ class DataReader:
         if not self.is_catching_up:
             self._shared.emit(CaughtUp(self.guid))
 
-    def receive_data(self, writer: Guid, data: Data, time: float | None, now: float) -> None:
-        """Take a sample."""
+    def receive_data(self, writer: Guid, data: Data, time: float | None, now: float) -> bool:
+        """Take a sample; return False if the writer is not matched."""
         proxy = self._writers.get(writer)
         if proxy is not None:
             proxy.receive_data(data, time, now)
+        return proxy is not None
 
     def receive_fragment(
         self, writer: Guid, fragment: DataFragment, time: float | None, now: float
-    ) -> None:
-        """Take fragments of a sample."""
+    ) -> bool:
+        """Take fragments of a sample; return False if the writer is not matched."""
         proxy = self._writers.get(writer)
         if proxy is not None:
             proxy.receive_fragment(fragment, time, now)
+        return proxy is not None
 
     def receive_heartbeat(self, writer: Guid, heartbeat: WriterHeartbeat, now: float) -> bool:
         """Note which samples there are, and request those that are missing; return False if the
