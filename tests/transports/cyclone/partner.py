@@ -51,7 +51,8 @@ async def partner(module: str, *arguments: str, lease: str = "10 s") -> AsyncGen
     """
     config = CONFIG.format(lease=lease)
     name = f"{__package__}.{module}"
-    async with peer(name, *arguments, CYCLONEDDS_URI=config) as found:
+    # Without a preloaded Cyclone DDS of another version, as tests of ROS 2 may run with.
+    async with peer(name, *arguments, CYCLONEDDS_URI=config, LD_PRELOAD="") as found:
         yield found
         complaints = found.complaints().splitlines()
         rest = [line for line in complaints if not line.endswith(OF_FAST_DDS)]
