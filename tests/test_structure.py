@@ -25,7 +25,7 @@ AMBIGUOUS_CONSTANTS = {
 }
 FACADES = {
     # The settings of a user, by keyword: a call names the few that it needs.
-    "DdsTransport.__init__": 17,
+    "DdsTransport.__init__": 18,
     "NatsTransport.__init__": 10,
     "Ros2Transport.__init__": 14,
     "RosbridgeTransport.__init__": 12,

@@ -27,7 +27,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import middleware
 from tests.ros2.ends import client_of
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import action
-from tests.ros2.stock.process import Peer, peer
+from tests.ros2.stock.process import PROFILES_FILE, Peer, peer
 from tests.ros2.stock.waiting import eventually
 from tests.support.fibonacci import Feedback, Goal, Result
 
@@ -46,8 +46,6 @@ PROFILE = f"""\
   </builtin></rtps></participant>
 </profiles>
 """
-PROFILES_FILE = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
-"""The variables that name the file: of Fast DDS 3, which Kilted has, and of Fast DDS 2 of Jazzy."""
 CYCLONE_CONFIG = (
     f"<CycloneDDS><Domain><Discovery><LeaseDuration>{LEASE}s</LeaseDuration></Discovery></Domain>"
     "</CycloneDDS>"

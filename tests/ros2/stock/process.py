@@ -23,6 +23,9 @@ PATIENCE = 30.0
 the 20 after which DDS misses a process that was killed, as is one that does not end by itself."""
 END_PATIENCE = 3.0
 """Seconds for the end. rclpy may not stop; then the process is killed."""
+PROFILES_FILE = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+"""The variables that name the file with the settings of Fast DDS: of Fast DDS 3, which Kilted has,
+and of Fast DDS 2 of Jazzy."""
 LONGEST_LINE = 10_000_000
 TICKS = os.sysconf("SC_CLK_TCK")
 

@@ -354,6 +354,9 @@ async def test_the_domain_and_the_range_may_be_settings(monkeypatch: pytest.Monk
     domain = DdsAdapter(node, settings).domain()
     assert (domain.domain, domain.discovery_range.value) == (7, "SUBNET")
     assert domain.static_peers == ("one", "two")
+    assert domain.ip_versions == (4,)
+    assert DdsAdapter(node, DdsSettings(ip_versions=(6,))).domain().ip_versions == (6,)
+    assert DdsAdapter(node, DdsSettings(peers=("fd00::7",))).domain().ip_versions == (4, 6)
     monkeypatch.setenv("ROS_DOMAIN_ID", "many")
     with pytest.raises(TransportError, match="ROS_DOMAIN_ID='many'"):
         DdsAdapter(NodeSettings(), DdsSettings()).domain()
@@ -364,6 +367,7 @@ async def test_the_domain_and_the_range_may_be_settings(monkeypatch: pytest.Monk
     [
         ({"discovery": "EVERYWHERE"}, "discovery is one of OFF, LOCALHOST, SUBNET"),
         ({"fragment_size": 100}, "fragment_size must be between 256 and 63000"),
+        ({"ip_versions": (6, 4)}, "ip_versions is one of 4, 6 and 4,6, not 6,4"),
     ],
 )
 def test_a_setting_that_is_out_of_range_is_an_error(settings: dict[str, Any], problem: str) -> None:

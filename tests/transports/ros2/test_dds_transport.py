@@ -75,6 +75,7 @@ def test_settings_take_precedence_over_those_in_the_url() -> None:
 def test_the_url_has_the_settings_that_a_client_must_share() -> None:
     url = "dds://arm?namespace=/robot&lease=5&discovery=SUBNET&peers=a,b&search=/x,/y"
     assert url_of(url) == ("dds://?namespace=/robot&lease=5.0&discovery=SUBNET&peers=a,b")
+    assert url_of("dds://?ip_versions=4,6") == "dds://?ip_versions=4,6"
     assert DdsTransport().url == "dds://"
 
 

@@ -16,7 +16,7 @@ import pytest
 from fibaction import Action, ActionServer, GoalHandle, serve
 from fibaction.border.abc import Diagnosis
 from fibaction.border.urls import transport_for
-from fibaction_transports.ros2.on_dds.diagnosis import DomainView, advice
+from fibaction_transports.ros2.on_dds.diagnosis import DomainView, _groups, advice
 from fibaction_transports.rtps.network import open_network
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.ports import (
@@ -146,6 +146,15 @@ async def test_the_settings_and_the_defaults_are_told(monkeypatch: pytest.Monkey
     assert found.facts["domain"]["from"] == "setting domain_id"
     assert found.facts["discovery"] == {"range": "SUBNET", "from": "default"}
     assert found.facts["multicast"]["joined_at"] == ["127.0.0.1"]
+
+
+def test_the_groups_of_each_version_of_ip_are_told() -> None:
+    settings = DomainSettings(domain=7, ip_versions=(4, 6))
+    assert list(_groups(settings)) == [
+        "239.255.0.1:9150",
+        "[ff1e::ffff:efff:1]:9150",
+        "[ff02::ffff:efff:1]:9150",
+    ]
 
 
 @pytest.mark.anyio

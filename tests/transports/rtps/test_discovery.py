@@ -574,6 +574,50 @@ def test_of_several_interfaces_the_one_that_is_sent_from_is_used() -> None:
     assert reachable([], "192.168.0.8") is None
 
 
+def test_a_participant_is_reached_by_the_version_of_ip_by_which_it_was_heard() -> None:
+    locators = [udp_locator(("192.168.0.7", 7412)), udp_locator(("fd00::7", 7414))]
+    assert reachable(locators, "192.168.0.7") == ("192.168.0.7", 7412)
+    assert reachable(locators, "fd00::7") == ("fd00::7", 7414)
+    assert reachable(locators, "fd00::8") == ("fd00::7", 7414)
+    assert reachable(locators, "::1") == ("::1", 7414)
+    assert reachable(locators[:1], "fd00::7") is None
+    assert reachable(locators[1:], "192.168.0.7") is None
+
+
+def test_a_link_local_address_is_sent_to_only_at_the_interface_that_it_came_from() -> None:
+    local, other = udp_locator(("fe80::7", 7412)), udp_locator(("fd00::7", 7414))
+    assert reachable([local], "fe80::7%eth0") == ("fe80::7%eth0", 7412)
+    assert reachable([local], "fd00::7") is None
+    assert reachable([local, other], "fe80::9%eth0") == ("fd00::7", 7414)
+
+
+def test_a_participant_with_addresses_of_ipv6_only_is_found_and_answered() -> None:
+    source = ("fd00::99", 7410)
+    world = World()
+    node = world.join()
+    reader_of(world, node)
+    sent = list[object]()
+
+    def note(_: bytes, address: object) -> bool:
+        sent.append(address)
+        return True
+
+    world.flush()  # its first announcement
+    world.is_lost = note
+    locators = (udp_locator(source), udp_locator(("fe80::99", 7410)))
+    content = hello(discovery_locators=locators, data_locators=locators)
+    node.participant.receive(content, source, world.now)
+    world.flush()
+    (remote,) = node.participant.remote_participants
+    assert set(sent) == {source}
+    assert [remote.is_at(host) for host in ("fd00::99", "::1", "fd00::98", "fe80::99")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+
+
 # Liveliness
 
 ALIVE = Qos(liveliness_lease=1.0)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import errno
 import socket
+import struct
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import ExitStack, asynccontextmanager
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import anyio
 import pytest
@@ -32,6 +33,8 @@ from fibaction_transports.rtps.network import (
     open_network,
 )
 from fibaction_transports.rtps.ports import (
+    GROUPS,
+    LOCALHOSTS,
     PARTICIPANTS,
     DiscoveryRange,
     DomainSettings,
@@ -40,6 +43,7 @@ from fibaction_transports.rtps.ports import (
 )
 from fibaction_transports.rtps.qos import Qos
 from fibaction_transports.rtps.sockets import ParticipantSockets, default_interface
+from tests.support.ipv6 import has_ipv6
 from tests.support.ros_domain import claim_domain
 from tests.transports.rtps.world import TOPIC, TYPE, payload
 
@@ -47,6 +51,7 @@ PATIENCE = 15.0
 """Seconds for an exchange; fewer than a lease, because a participant that leaves says so."""
 MANY = MOST_AT_ONCE + 10
 """More datagrams than are taken in one turn."""
+needs_ipv6 = pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
 OFF, SUBNET = DiscoveryRange.OFF, DiscoveryRange.SUBNET
 
 
@@ -182,11 +187,35 @@ async def test_with_discovery_off_nobody_is_found(domain: int) -> None:
 
 
 @pytest.mark.anyio
-async def test_a_static_peer_by_its_address_of_ipv6_is_an_error(domain: int) -> None:
+async def test_a_static_peer_by_its_address_of_ipv6_without_ipv6_is_an_error(domain: int) -> None:
     settings = DomainSettings(domain=domain, static_peers=("fe80::1",))
-    with pytest.raises(TransportError, match=r"'fe80::1' is an address of IPv6, which is not"):
+    with pytest.raises(TransportError, match=r"'fe80::1' is an address of IPv6: use ip_versions"):
         async with open_network(settings, Listener()):
             pass
+
+
+@needs_ipv6
+@pytest.mark.anyio
+@pytest.mark.parametrize("versions", [(6,), (4, 6)])
+@pytest.mark.parametrize("peers", [(), ("::1",)])
+async def test_two_participants_of_this_machine_exchange_samples_over_ipv6(
+    domain: int, versions: tuple[int, ...], peers: tuple[str, ...]
+) -> None:
+    await exchange(DomainSettings(domain=domain, ip_versions=versions, static_peers=peers))
+
+
+@needs_ipv6
+@pytest.mark.anyio
+async def test_the_addresses_of_both_versions_of_ip_can_be_asked_for(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction_transports.rtps.network.default_interface", LOCALHOSTS.get)
+    settings = DomainSettings(domain=domain, discovery_range=SUBNET, ip_versions=(4, 6))
+    async with participant(settings) as network:
+        assert network.addresses.hosts == ("127.0.0.1", "::1")
+        assert network.addresses.interfaces == ("127.0.0.1",)  # there is no other of IPv6
+    async with participant(settings, interfaces=["127.0.0.1"]) as network:
+        assert network.addresses.hosts == ("127.0.0.1", "::1")
 
 
 @pytest.mark.anyio
@@ -201,7 +230,7 @@ async def test_an_unknown_static_peer_is_an_error(domain: int) -> None:
 async def test_the_default_interface_is_used_if_none_is_asked_for(
     domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.rtps.network.default_interface", lambda: "127.0.0.1")
+    monkeypatch.setattr("fibaction_transports.rtps.network.default_interface", LOCALHOSTS.get)
     await exchange(DomainSettings(domain=domain, discovery_range=SUBNET))
 
 
@@ -430,7 +459,7 @@ def test_a_full_domain_is_an_error(domain: int) -> None:
 def test_a_host_that_cannot_be_bound_is_an_error(
     domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sockets_module, "LOCALHOST", "192.0.2.1")
+    monkeypatch.setattr(sockets_module, "LOCALHOSTS", {4: "192.0.2.1"})
     with pytest.raises(TransportError, match=r"cannot bind to 192.0.2.1"):
         ParticipantSockets(domain, is_local=True, interfaces=())
 
@@ -445,11 +474,91 @@ def test_what_cannot_be_sent_is_lost(domain: int) -> None:
     sockets = ParticipantSockets(domain, is_local=True, interfaces=())
     sockets.send(b"x", ("192.0.2.1", 9))  # another network, from a loopback address
     sockets.send(b"x", ("239.255.0.1", multicast_port(domain)))  # no interface
+    sockets.send(b"x", ("fd00::1", 9))  # no socket of this version
     blocked: Any = BlockedSocket()
-    sockets.received = [blocked]
+    sockets._by_version[4] = [blocked]
     with pytest.raises(BlockingIOError):
         sockets.send(b"x", ("127.0.0.1", 9))
+    assert sockets.sender is blocked  # it is waited for
     sockets.close()
+
+
+class Ipv6Socket:
+    """A socket of IPv6 on a machine with three interfaces, the first of which has no multicast. The
+    others have the addresses `fd00::2` and `fd00::3`.
+    """
+
+    made: ClassVar[list[Ipv6Socket]] = []
+
+    def __init__(self, family: int, kind: int) -> None:
+        assert (family, kind) == (socket.AF_INET6, socket.SOCK_DGRAM)
+        self.options: dict[tuple[int, int], list[Any]] = {}
+        self.bound: Any = None
+        self.sent: list[Any] = []
+        self.made.append(self)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def setblocking(self, is_blocking: bool) -> None:
+        assert not is_blocking
+
+    def setsockopt(self, level: int, option: int, value: Any) -> None:
+        self.options.setdefault((level, option), []).append(value)
+
+    def connect(self, address: object) -> None:
+        if self.of_ipv6(socket.IPV6_MULTICAST_IF) == [1]:
+            raise OSError(errno.ENETUNREACH, "no multicast")
+
+    def getsockname(self) -> Any:
+        return f"fd00::{self.of_ipv6(socket.IPV6_MULTICAST_IF)[0]}", 1, 0, 0
+
+    def bind(self, address: object) -> None:
+        self.bound = address
+
+    def sendto(self, datagram: bytes, address: object) -> None:
+        self.sent.append(address)
+
+    def of_ipv6(self, option: int) -> list[Any]:
+        return self.options.get((socket.IPPROTO_IPV6, option), [])
+
+
+@pytest.fixture
+def ipv6_sockets(monkeypatch: pytest.MonkeyPatch) -> list[Ipv6Socket]:
+    monkeypatch.setattr(Ipv6Socket, "made", [])
+    monkeypatch.setattr(socket, "socket", Ipv6Socket)
+    names = [(1, "lo"), (2, "eth0"), (3, "eth1")]
+    monkeypatch.setattr(socket, "if_nameindex", lambda: names)
+    return Ipv6Socket.made
+
+
+def test_over_ipv6_the_groups_of_both_middlewares_are_joined_at_the_interface_of_the_address(
+    ipv6_sockets: list[Ipv6Socket],
+) -> None:
+    sockets = ParticipantSockets(7, is_local=False, interfaces=["fd00::3"], ip_versions=[6])
+    assert all(each.of_ipv6(socket.IPV6_V6ONLY) == [1] for each in ipv6_sockets)
+    by_host = {each.bound: each for each in ipv6_sockets}
+    receiver, sender = by_host["::", multicast_port(7)], by_host["fd00::3", 0]
+    packed = [socket.inet_pton(socket.AF_INET6, group) for group in GROUPS[6]]
+    joined = receiver.of_ipv6(socket.IPV6_JOIN_GROUP)
+    assert joined == [group + struct.pack("@I", 3) for group in packed]
+    assert sender.of_ipv6(socket.IPV6_MULTICAST_IF) == [3]
+    assert sender.of_ipv6(socket.IPV6_MULTICAST_HOPS) == [1]
+    for group in GROUPS[6]:
+        sockets.send(b"x", (group, multicast_port(7)))
+    assert sender.sent == [(group, multicast_port(7)) for group in GROUPS[6]]
+    sockets.send(b"x", ("fd00::9", 7410))
+    assert by_host["::", discovery_port(7, 0)].sent == [("fd00::9", 7410)]
+    sockets.close()
+
+
+@pytest.mark.usefixtures("ipv6_sockets")
+def test_an_address_of_ipv6_that_no_interface_has_is_an_error() -> None:
+    with pytest.raises(TransportError, match=r"'fd00::9' is not the address of an interface with"):
+        ParticipantSockets(7, is_local=False, interfaces=["fd00::9"], ip_versions=[6])
 
 
 class BlockedSocket:
@@ -468,6 +577,7 @@ def test_the_default_interface_has_an_address(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(socket, "socket", Unconnected)
     assert default_interface() == "127.0.0.1"
+    assert default_interface(6) == "::1"
 
 
 class Busy:

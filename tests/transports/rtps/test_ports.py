@@ -52,6 +52,28 @@ def test_the_first_participants_of_static_peers_are_announced_to() -> None:
     )
 
 
+@pytest.mark.parametrize("peers", ["", "robot;fd00::7"])
+def test_ipv6_is_used_if_it_is_set_or_a_static_peer_has_such_an_address(peers: str) -> None:
+    environment = {"ROS_STATIC_PEERS": peers, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    usual = DomainSettings.from_environment(environment).ip_versions
+    assert usual == ((4, 6) if peers else (4,))
+    settings = DomainSettings.from_environment(environment, (6,))
+    assert settings.ip_versions == (6,)
+    assert announced_addresses(settings, ())[::31] == (("::1", 7410), ("::1", 7472))
+    with pytest.raises(ValueError, match=r"versions \(5,\) of IP are not 4, 6, or both"):
+        DomainSettings(ip_versions=(5,))
+
+
+def test_both_versions_of_ip_are_announced_to_with_the_groups_of_both_middlewares() -> None:
+    settings = DomainSettings(discovery_range=DiscoveryRange.SUBNET, ip_versions=(4, 6))
+    assert announced_addresses(settings, ("fd00::7",))[:4] == (
+        ("239.255.0.1", 7400),
+        ("ff1e::ffff:efff:1", 7400),
+        ("ff02::ffff:efff:1", 7400),
+        ("fd00::7", 7410),
+    )
+
+
 def test_nobody_is_announced_to_if_discovery_is_off() -> None:
     settings = DomainSettings.from_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"})
     assert announced_addresses(settings, ("10.0.0.6",)) == ()

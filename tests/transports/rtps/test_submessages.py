@@ -23,7 +23,12 @@ from fibaction_transports.rtps.messages.layout import (
     seconds_of,
     time_halves,
 )
-from fibaction_transports.rtps.messages.locators import Locator, udp_locator
+from fibaction_transports.rtps.messages.locators import (
+    Locator,
+    locator_bytes,
+    read_locator,
+    udp_locator,
+)
 from fibaction_transports.rtps.messages.parameters import Parameters
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
@@ -309,6 +314,12 @@ ADDRESSES = {
     "no host": (udp_locator(("0.0.0.0", 7411)), None),
     "a group": (udp_locator(("239.255.0.1", 7411)), None),
     "broadcast": (udp_locator(("255.255.255.255", 7411)), None),
+    "ipv6": (udp_locator(("fd00::2", 7411)), ("fd00::2", 7411)),
+    "link-local": (udp_locator(("fe80::1%eth0", 7411)), ("fe80::1", 7411)),
+    "no host of ipv6": (udp_locator(("::", 7411)), None),
+    "a group of ipv6": (udp_locator(("ff1e::ffff:efff:1", 7411)), None),
+    "ipv4 in ipv6": (udp_locator(("::ffff:10.0.0.1", 7411)), None),
+    "port 0 of ipv6": (udp_locator(("fd00::2", 0)), None),
 }
 
 
@@ -316,3 +327,9 @@ ADDRESSES = {
 def test_only_addresses_of_one_host_are_sent_to(name: str) -> None:
     locator, address = ADDRESSES[name]
     assert locator.udp_address == address
+
+
+def test_a_locator_of_ipv6_has_the_kind_and_the_bytes_of_the_specification() -> None:
+    content = locator_bytes(udp_locator(("fd00::2", 7411)))
+    assert content == struct.pack("<iI", 2, 7411) + b"\xfd" + bytes(14) + b"\2"
+    assert read_locator(content, LITTLE).udp_address == ("fd00::2", 7411)

@@ -28,12 +28,17 @@ def _words(text: str) -> tuple[str, ...]:
     return tuple(filter(None, (word.strip() for word in text.split(","))))
 
 
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(map(int, _words(text)))
+
+
 DDS_IN_URLS: Final[Mapping[str, Callable[[str], Any]]] = {
     **IN_URLS,
     "search": _words,
     "discovery": str,
     "peers": _words,
     "network": _words,
+    "ip_versions": _numbers,
     "fragment_size": int,
 }
 """The settings that a URL may have, and their types."""
@@ -63,6 +68,7 @@ class DdsTransport(RosTransport):
         discovery: str = "",
         peers: Sequence[str] = (),
         network: Sequence[str] = (),
+        ip_versions: Sequence[int] = (),
         fragment_size: int = 63_000,
     ) -> None:
         """Describe the node; nothing is made yet. Each `serve` and `connect` makes its own.
@@ -92,6 +98,8 @@ class DdsTransport(RosTransport):
                 those of ROS_STATIC_PEERS.
             network: The addresses of this machine's interfaces that take part in multicast; by
                 default that of the default route.
+            ip_versions: The versions of IP that are used: `(4,)`, `(6,)` or `(4, 6)`, in a URL
+                `ip_versions=4,6`. By default 4, and 6 as well if a peer is an address of IPv6.
             fragment_size: Bytes of a message that go into one datagram, from 256 to 63,000. Where
                 much is lost, a size below the MTU loses less.
 
@@ -114,11 +122,16 @@ class DdsTransport(RosTransport):
             discovery=discovery,
             peers=tuple(peers),
             network=tuple(network),
+            ip_versions=tuple(ip_versions),
             fragment_size=fragment_size,
         )
         node = NodeSettings(node_name or "", namespace, domain_id, arguments)
         shared = shared_settings(namespace, domain_id, ends)
-        shared |= {"discovery": discovery or None, "peers": ",".join(peers) or None}
+        shared |= {
+            "discovery": discovery or None,
+            "peers": ",".join(peers) or None,
+            "ip_versions": ",".join(map(str, ip_versions)) or None,
+        }
         self._dds = DdsAdapter(node, settings)
         super().__init__(self._dds, ends, shared)
 

@@ -21,10 +21,10 @@ from fibaction_transports.rtps.loops.fair_inbox import FairInbox
 from fibaction_transports.rtps.loops.on_anyio import AnyioLoop
 from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop, calls_for
 from fibaction_transports.rtps.messages.ids import Guid
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.locators import Address, is_ipv6
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.ports import (
-    LOCALHOST,
+    LOCALHOSTS,
     DiscoveryRange,
     DomainSettings,
     announced_addresses,
@@ -45,6 +45,11 @@ CLOSING_TIME = 1.0
 MOST_WAITING = 256
 """Submessages that wait for the end of a turn before they are sent."""
 _LARGEST_DATAGRAM = 2**16
+_FAMILIES: dict[tuple[int, ...], socket.AddressFamily] = {
+    (4,): socket.AF_INET,
+    (6,): socket.AF_INET6,
+    (4, 6): socket.AF_UNSPEC,
+}
 
 
 class OwnAddresses(Struct, frozen=True, kw_only=True):
@@ -157,7 +162,7 @@ class ParticipantNetwork:
                 return
             except OSError:
                 continue  # an answer of ICMP to something that was sent
-            if not self._inbox.put(datagram, address):
+            if not self._inbox.put(datagram, address[:2]):
                 self.participant.counters.over_limit += 1
 
     def work(self) -> bool:
@@ -215,21 +220,24 @@ async def open_network(
     """Open the sockets of a participant, and run it while the block is open.
 
     `on_event` is called for each event, in order; it must not block. The interfaces, by their
-    addresses, are for multicast; by default the one of the default route.
+    addresses, are for multicast; by default the one of the default route, for each version of IP.
 
     Raises:
         TransportError: The sockets cannot be opened, or a static peer is unknown.
     """
-    reach = settings.discovery_range
-    peers = await _addresses(settings.static_peers) if reach is not DiscoveryRange.OFF else ()
+    reach, versions = settings.discovery_range, settings.ip_versions
     is_multicast = reach is DiscoveryRange.SUBNET
-    if is_multicast and not interfaces:
-        interfaces = (default_interface(),)
+    peers = await _addresses(settings) if reach is not DiscoveryRange.OFF else ()
     is_local = not is_multicast and not peers
-    hosts = interfaces if is_multicast else (LOCALHOST if is_local else default_interface(),)
+    hosts = [
+        host
+        for version in versions
+        for host in _own_hosts(version, interfaces if is_multicast else (), is_local=is_local)
+    ]
     domain = settings.domain
+    joined = [host for host in hosts if host != LOCALHOSTS[6]] if is_multicast else []
     with closing(
-        ParticipantSockets(domain, is_local=is_local, interfaces=interfaces if is_multicast else ())
+        ParticipantSockets(domain, is_local=is_local, interfaces=joined, ip_versions=versions)
     ) as sockets:
         number = sockets.participant
         participant = Participant(
@@ -247,7 +255,7 @@ async def open_network(
         own = OwnAddresses(
             number=number,
             hosts=tuple(hosts),
-            interfaces=tuple(interfaces) if is_multicast else (),
+            interfaces=tuple(joined),
             peers=peers,
         )
         network = ParticipantNetwork(participant, sockets, on_event, loop, own)
@@ -262,17 +270,22 @@ async def open_network(
             await network.close()
 
 
-async def _addresses(hosts: Sequence[str]) -> tuple[str, ...]:
-    """Return the addresses of hosts."""
+def _own_hosts(version: int, interfaces: Sequence[str], *, is_local: bool) -> list[str]:
+    """Return the addresses of this host that a participant announces, of one version of IP."""
+    if is_local:
+        return [LOCALHOSTS[version]]
+    found = [each for each in interfaces if is_ipv6(each) == (version == 6)]
+    return found or [default_interface(version)]
+
+
+async def _addresses(settings: DomainSettings) -> tuple[str, ...]:
+    """Return the addresses of the static peers."""
     found = list[str]()
-    for host in hosts:
-        if ":" in host:
-            raise TransportError(
-                f"static peer {host!r} is an address of IPv6, which is not supported here: use the"
-                " name of the host, or its address of IPv4"
-            )
+    for host in settings.static_peers:
+        if is_ipv6(host) and 6 not in settings.ip_versions:
+            raise TransportError(f"static peer {host!r} is an address of IPv6: use ip_versions=4,6")
         try:
-            infos = await anyio.getaddrinfo(host, None, family=socket.AF_INET)
+            infos = await anyio.getaddrinfo(host, None, family=_FAMILIES[settings.ip_versions])
         except OSError as error:
             raise TransportError(f"static peer {host!r} is unknown: {error}") from error
         found.append(str(infos[0][4][0]))

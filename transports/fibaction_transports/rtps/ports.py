@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
+from typing import Final
 
 from msgspec import Struct
 
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.locators import Address, is_ipv6
 
 GROUP = "239.255.0.1"
-"""The multicast group of discovery."""
+"""The multicast group of discovery over IPv4."""
+GROUPS: Final = {4: (GROUP,), 6: ("ff1e::ffff:efff:1", "ff02::ffff:efff:1")}
+"""The groups of discovery for each version of IP; over IPv6, those of Fast DDS and Cyclone DDS."""
 LOCALHOST = "127.0.0.1"
+LOCALHOSTS: Final = {4: LOCALHOST, 6: "::1"}
 
 DOMAINS = range(233)
 """The domains whose ports are below 65,536."""
@@ -22,6 +26,8 @@ LOCAL_PARTICIPANTS = range(32)
 PEER_PARTICIPANTS = range(4)
 """The participants of a static peer that are announced to."""
 
+IP_VERSIONS: Final = ((4,), (6,), (4, 6))
+"""The versions of IP that a participant may use."""
 _FIRST_PORT, _PER_DOMAIN, _PER_PARTICIPANT = 7400, 250, 2
 _DISCOVERY, _DATA = 10, 11
 
@@ -41,14 +47,22 @@ class DomainSettings(Struct, frozen=True, kw_only=True):
     discovery_range: DiscoveryRange = DiscoveryRange.LOCALHOST
     static_peers: tuple[str, ...] = ()
     """Hosts that are asked in addition, unless the range is OFF."""
+    ip_versions: tuple[int, ...] = (4,)
+    """The versions of IP that are used: 4, 6, or both."""
 
     def __post_init__(self) -> None:
         if self.domain not in DOMAINS:
             raise ValueError(f"domain {self.domain} is not between 0 and {DOMAINS[-1]}")
+        if self.ip_versions not in IP_VERSIONS:
+            raise ValueError(f"versions {self.ip_versions} of IP are not 4, 6, or both")
 
     @classmethod
-    def from_environment(cls, environ: Mapping[str, str]) -> DomainSettings:
+    def from_environment(
+        cls, environ: Mapping[str, str], ip_versions: tuple[int, ...] = ()
+    ) -> DomainSettings:
         """Read the settings as ROS does: SUBNET if nothing is said.
+
+        Without versions of IP, it is IPv4, and IPv6 as well if a static peer is an address of it.
 
         Raises:
             ValueError: A variable has a value that ROS does not know.
@@ -65,11 +79,14 @@ class DomainSettings(Struct, frozen=True, kw_only=True):
             raise ValueError(
                 f"ROS_AUTOMATIC_DISCOVERY_RANGE={word!r} is not one of SUBNET, LOCALHOST, OFF"
             )
-        peers = environ.get("ROS_STATIC_PEERS", "").split(";")
+        texts = (text.strip() for text in environ.get("ROS_STATIC_PEERS", "").split(";"))
+        peers = tuple(filter(None, texts))
+        usual = (4, 6) if any(map(is_ipv6, peers)) else (4,)
         return cls(
             domain=int(text),
             discovery_range=DiscoveryRange[word],
-            static_peers=tuple(peer.strip() for peer in peers if peer.strip()),
+            static_peers=peers,
+            ip_versions=ip_versions or usual,
         )
 
 
@@ -103,8 +120,10 @@ def announced_addresses(
     found = [
         (peer, discovery_port(domain, number)) for peer in peers for number in PEER_PARTICIPANTS
     ]
+    versions = settings.ip_versions
     if reach is DiscoveryRange.SUBNET:
-        return (GROUP, multicast_port(domain)), *found
-    numbers = range(max(number, LOCAL_PARTICIPANTS.stop))
-    local = [(LOCALHOST, discovery_port(domain, each)) for each in numbers]
+        port = multicast_port(domain)
+        return (*((group, port) for version in versions for group in GROUPS[version]), *found)
+    ports = [discovery_port(domain, n) for n in range(max(number, LOCAL_PARTICIPANTS.stop))]
+    local = [(LOCALHOSTS[version], port) for version in versions for port in ports]
     return (*local, *found)

@@ -24,7 +24,7 @@ from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.on_dds.node import DdsNode, open_node
 from fibaction_transports.ros2.on_dds.parameters import USE_SIM_TIME
 from fibaction_transports.ros2.settings import NodeSettings, check_range
-from fibaction_transports.rtps.ports import DiscoveryRange, DomainSettings
+from fibaction_transports.rtps.ports import IP_VERSIONS, DiscoveryRange, DomainSettings
 
 DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"
 """The variable of Fast DDS for nodes that find each other by a server."""
@@ -39,6 +39,7 @@ class DdsSettings(msgspec.Struct, frozen=True, kw_only=True):
     discovery: str = ""
     peers: tuple[str, ...] = ()
     network: tuple[str, ...] = ()
+    ip_versions: tuple[int, ...] = ()
     fragment_size: int = 63_000
 
     def __post_init__(self) -> None:
@@ -51,6 +52,9 @@ class DdsSettings(msgspec.Struct, frozen=True, kw_only=True):
         if self.discovery and self.discovery not in DiscoveryRange.__members__:
             known = ", ".join(DiscoveryRange.__members__)
             raise ValueError(f"discovery is one of {known}, not {self.discovery!r}")
+        if self.ip_versions and self.ip_versions not in IP_VERSIONS:
+            given = ",".join(map(str, self.ip_versions))
+            raise ValueError(f"ip_versions is one of 4, 6 and 4,6, not {given}")
 
 
 class DdsAdapter(RosAdapter):
@@ -133,7 +137,7 @@ class DdsAdapter(RosAdapter):
         if settings.peers:
             environ["ROS_STATIC_PEERS"] = ";".join(settings.peers)
         try:
-            return DomainSettings.from_environment(environ)
+            return DomainSettings.from_environment(environ, settings.ip_versions)
         except ValueError as exc:
             raise TransportError(str(exc)) from exc
 

@@ -21,8 +21,9 @@ from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.settings import EndSettings
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, OWN_VENDOR
 from fibaction_transports.rtps.ports import (
-    GROUP,
+    GROUPS,
     LOCALHOST,
+    LOCALHOSTS,
     DiscoveryRange,
     DomainSettings,
     data_port,
@@ -74,7 +75,7 @@ async def diagnose_domain(
             "samples": view.ports[1],
         },
         "multicast": {
-            "group": f"{GROUP}:{multicast_port(settings.domain)}",
+            "group": ", ".join(_groups(settings)),
             "joined_at": list(own.interfaces),
         },
         "participants": view.participants,
@@ -87,6 +88,14 @@ async def diagnose_domain(
     return Diagnosis(is_found, facts, (*advice(view, problems), *adapter.left_out()))
 
 
+def _groups(settings: DomainSettings) -> Iterator[str]:
+    """Yield the groups of multicast with their port."""
+    port = multicast_port(settings.domain)
+    for version in settings.ip_versions:
+        for group in GROUPS[version]:
+            yield f"[{group}]:{port}" if version == 6 else f"{group}:{port}"
+
+
 # What was heard
 
 
@@ -94,7 +103,7 @@ def _view(node: DdsNode, settings: DomainSettings, origins: dict[str, str]) -> D
     own, participant = node.network.addresses, node.network.participant
     remotes = participant.remote_participants
     endpoints = [end.guid.prefix for end in participant.remote_endpoints]
-    here = {*own.hosts, LOCALHOST}
+    here = {*own.hosts, *LOCALHOSTS.values()}
     sources = {remote.source for remote in remotes}
     return DomainView(
         settings=settings,

@@ -7,25 +7,38 @@ from collections.abc import Iterable, Sequence
 
 from fibaction_transports.rtps.budgets import PeerBudget
 from fibaction_transports.rtps.discovery.participant_data import ParticipantData
-from fibaction_transports.rtps.messages.locators import Address, Locator
+from fibaction_transports.rtps.messages.locators import (
+    Address,
+    Locator,
+    is_ipv6,
+    without_scope,
+)
 from fibaction_transports.rtps.outbox import PeerRoute
 
 _LOOPBACK = "127."
-_LOCALHOST = "127.0.0.1"
+_LOCALHOST, _LOCALHOST_IPV6 = "127.0.0.1", "::1"
+_LINK_LOCAL = "fe80:"
 
 
 def reachable(locators: Iterable[Locator], source: str) -> Address | None:
     """Choose the address to send to, for a participant that sends from this host.
 
     A participant of this machine announces the addresses of its interfaces, and is reached over
-    the loopback interface all the same. Of several interfaces, the one that it sends from is used.
+    the loopback interface all the same. Of several interfaces, the one that it sends from is used,
+    and of both versions of IP that by which it was heard. A link-local address does not tell its
+    interface, so it is used only if it is sent from.
     """
-    addresses = _addresses(locators)
-    if not addresses:
-        return None
-    if source.startswith(_LOOPBACK):
-        return _LOCALHOST, addresses[0][1]
-    return next((address for address in addresses if address[0] == source), addresses[0])
+    addresses = [each for each in _addresses(locators) if is_ipv6(each[0]) == is_ipv6(source)]
+    if addresses and _is_loopback(source):
+        return _LOCALHOST_IPV6 if is_ipv6(source) else _LOCALHOST, addresses[0][1]
+    for host, port in addresses:
+        if host == without_scope(source):
+            return source, port
+    return next((each for each in addresses if not each[0].startswith(_LINK_LOCAL)), None)
+
+
+def _is_loopback(host: str) -> bool:
+    return host.startswith(_LOOPBACK) or host == _LOCALHOST_IPV6
 
 
 def _addresses(locators: Iterable[Locator]) -> list[Address]:
@@ -48,8 +61,9 @@ class RemoteParticipant:
         self.budget = PeerBudget(now)
         """Its budget: the bytes that it may be sent."""
         locators = (*data.discovery_locators, *data.data_locators)
-        self._hosts = {source, *(host for host, _ in _addresses(locators))}
-        self._is_at_source = discovery[0] in (source, _LOCALHOST)
+        hosts = (host for host, _ in _addresses(locators))
+        self._hosts = {source, *(host for host in hosts if not host.startswith(_LINK_LOCAL))}
+        self._is_at_source = discovery[0] in (source, _LOCALHOST, _LOCALHOST_IPV6)
         self._default = self._address(data.data_locators) or discovery
         self.lease = math.inf
         """Seconds of silence after which it is gone."""
@@ -66,7 +80,7 @@ class RemoteParticipant:
         """Return whether it may send from this host. No other machine can send from a loopback
         address.
         """
-        return host in self._hosts or host.startswith(_LOOPBACK)
+        return host in self._hosts or _is_loopback(host)
 
     def is_sent_to(self, host: str) -> bool:
         """Return whether it is at a host from which it has announced itself, and is sent to that

@@ -12,7 +12,7 @@ from fibaction_transports.rtps.messages.layout import LITTLE, Layout, Order
 Address: TypeAlias = tuple[str, int]
 """A host and a port of UDP."""
 
-UDP_V4 = 1
+UDP_V4, UDP_V6 = 1, 2
 _LOCATOR = Layout("iI16s")
 LOCATOR_SIZE = _LOCATOR.size
 _PORTS = range(1, 2**16)
@@ -28,19 +28,40 @@ class Locator(Struct, frozen=True):
 
     @property
     def udp_address(self) -> Address | None:
-        """The address that can be sent to by UDP over IPv4; None if it is of another kind."""
-        host = ipaddress.IPv4Address(self.host[12:])
-        if self.kind != UDP_V4 or self.port not in _PORTS or host.is_unspecified:
+        """The address of one host that can be sent to by UDP; None if it is of another kind."""
+        if self.port not in _PORTS:
             return None
-        return None if host.is_multicast or host == _BROADCAST else (str(host), self.port)
+        host: ipaddress.IPv4Address | ipaddress.IPv6Address
+        if self.kind == UDP_V4:
+            host = ipaddress.IPv4Address(self.host[12:])
+        elif self.kind == UDP_V6:
+            host = ipaddress.IPv6Address(self.host)
+            if host.ipv4_mapped is not None:
+                return None
+        else:
+            return None
+        is_of_many = host.is_multicast or host == _BROADCAST
+        return None if host.is_unspecified or is_of_many else (str(host), self.port)
 
 
 _BROADCAST = ipaddress.IPv4Address("255.255.255.255")
 
 
+def is_ipv6(host: str) -> bool:
+    """Return whether the address of a host is one of IPv6."""
+    return ":" in host
+
+
+def without_scope(host: str) -> str:
+    """Return an address without the interface that link-local addresses of IPv6 have."""
+    return host.partition("%")[0]
+
+
 def udp_locator(address: Address) -> Locator:
-    """Return the locator of an address of IPv4."""
+    """Return the locator of an address."""
     host, port = address
+    if is_ipv6(host):
+        return Locator(UDP_V6, port, ipaddress.IPv6Address(without_scope(host)).packed)
     return Locator(UDP_V4, port, bytes(12) + ipaddress.IPv4Address(host).packed)
 
 
