@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def asyncio_task() -> asyncio.Task[Any] | None:
-    """Return the caller's task; None if it is one of trio, also as a guest of asyncio's loop."""
+    """Return the caller's task; None if it is one of trio, even as a guest of asyncio's loop."""
     import asyncio  # noqa: TID251  # not imported with `fibaction`, since a program may be of trio
 
     try:

@@ -27,7 +27,7 @@ class ByteBudget:
         return self.used > self.limit
 
     def take(self, size: int) -> None:
-        """Count bytes that are held from now on, also if they are over the limit."""
+        """Count bytes that are held from now on, even if they are over the limit."""
         self.used += size
 
     def give_back(self, size: int) -> None:

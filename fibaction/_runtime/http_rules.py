@@ -1,6 +1,6 @@
 """Which HTTP requests a server lets in: the path, the host, and the page that asks.
 
-A browser lets every page open a WebSocket to every address, also to one of this machine, and says
+A browser lets every page open a WebSocket to every address, even to one of this machine, and says
 by `Origin` which page it was. So a page may only use the server that it came from, or one that
 names it in `origins`. A page of another host may still point its own name at this machine after it
 was loaded ("DNS rebinding"): then `Origin` and `Host` agree, but the name is foreign. So `Host`

@@ -156,12 +156,12 @@ class BlockingGoal(Generic[FeedbackT, ResultT]):
         return self._loop.run(self._goal.cancel)
 
     def detach(self) -> None:
-        """Let the goal go on by itself: the end of no block cancels it any more."""
+        """Let the goal continue on its own: the end of a block no longer cancels it."""
         if self._sending is not None:
             self._sending.detach()
 
     def close(self) -> None:
-        """Stop reading feedback. The goal goes on, and `outcome()` still works."""
+        """Stop reading feedback. The goal continues, and `outcome()` still works."""
 
         async def close() -> None:
             self._goal.close()

@@ -55,7 +55,7 @@ def connect(
             print(client.call(3))
 
     With an action, the block gets a `BlockingClient`, without one a `BlockingConnection`. The end
-    of the block, also by Ctrl-C, cancels the goals that have not ended, and ends the thread.
+    of the block, or Ctrl-C in it, cancels the goals that have not ended, and ends the thread.
     `tracing` and `settings` are those of `fibaction.connect`.
 
     Raises:

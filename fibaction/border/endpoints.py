@@ -85,7 +85,7 @@ class Endpoint(ABC):
         """Send a goal, and follow it from its beginning: wait for what `offer_goal` returns.
 
         The arguments are the fields of `GoalRequest`, but for `timeout`: the number of seconds,
-        more than 0, after which the client gives the goal up; None if it does not.
+        more than 0, after which the client gives up the goal; None if it does not.
 
         Raises:
             ActionError: As for `offer_goal`.

@@ -33,7 +33,7 @@ class GoalRequest(msgspec.Struct, frozen=True):
     connection to another process does not pass it on, since the server there identifies its clients
     itself."""
     deadline: float = math.inf
-    """Time, by `anyio.current_time()`, at which the client gives the goal up; `math.inf` if it does
+    """Time, by `anyio.current_time()`, at which the client gives up the goal; `math.inf` if it does
     not. It may be in the past. The executor gets it as `GoalHandle.deadline`, and the server does
     not enforce it. A goal that is sent again keeps its first deadline. To another process, send the
     seconds that are left: its clock is another one."""

@@ -55,7 +55,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     goal: bytes
     """The goal as it was sent; empty after the end, unless it was given up."""
     deadline: int = 0
-    """Time at which the client gives the goal up: nanoseconds since 1970; 0 if it does not."""
+    """Time at which the client gives up the goal: nanoseconds since 1970; 0 if it does not."""
     status: GoalStatus = GoalStatus.ACCEPTED
     """ACCEPTED, CANCELING, or an end; never EXECUTING, which `attempt` tells."""
     is_running: bool = False

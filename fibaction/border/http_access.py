@@ -1,6 +1,6 @@
 """Which HTTP requests a server lets in: the path, the host, and the page that asks.
 
-A browser lets every page open a WebSocket to every address, also to one of this machine. So every
+A browser lets every page open a WebSocket to every address, even to one of this machine. So every
 server of HTTP or WebSocket needs these rules. For example:
 
     access = rules(host, "/", hosts=(), origins=(), has_tls=False)

@@ -187,7 +187,7 @@ class GoalStream(_Closing):
         return outcome
 
     def seek(self, cursor: int) -> None:
-        """Continue behind the feedback of that number, as far as it is still remembered.
+        """Continue after the feedback of that number, as far as it is still remembered.
 
         Does nothing for a stream that cannot be positioned.
         """

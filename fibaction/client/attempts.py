@@ -12,7 +12,7 @@ counts, however late it is read.
 
 A goal is sent again by the rules of goal IDs, always with the same ID. Until its acceptance is
 known, `send` sends the goal again: a server that knows the goal repeats its answer. After that,
-`follow_again` follows the goal behind the last feedback that was read. A goal that the server does
+`follow_again` follows the goal after the last feedback that was read. A goal that the server does
 not know any more is an `UnknownGoal` then, since sending it could run it a second time.
 
 `_may_run` says whether the server may have accepted the goal. If so, a cancellation of the caller
@@ -56,7 +56,7 @@ logger = clean_logger("fibaction.client")
 
 
 async def cancel_left(endpoint: Endpoint, goal_id: GoalID, *, unanswered: float = 0.0) -> None:
-    """Cancel a goal that its client leaves, wait for the answer, and log if the goal runs on.
+    """Cancel a goal that its client leaves, wait for the answer, and log if the goal keeps running.
 
     `unanswered` are the seconds for which the server has not answered the goal.
     """
@@ -172,7 +172,7 @@ class Attempts:
         return await wait(stream)
 
     async def follow_again(self, error: ConnectionLost, lost: GoalStream) -> GoalStream:
-        """Follow the accepted goal again, behind the feedback that was read of a lost stream.
+        """Follow the accepted goal again, after the feedback that was read of a lost stream.
 
         Raises:
             GoalTimeout: The time is over.

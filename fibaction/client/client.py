@@ -174,7 +174,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     ) -> ClientGoal[FeedbackT, ResultT]:
         """Follow a goal that any client sent: its feedback from now on, and its result.
 
-        With `after`, the feedback begins behind that number, as far back as the server remembers:
+        With `after`, the feedback begins after that number, as far back as the server remembers:
         `goal.feedback.number` is the number of the feedback that was read last. `attempt` is the
         attempt that the number is of, `goal.feedback.attempt`; if the server has run the goal again
         since, the feedback begins with the first of the new attempt.

@@ -7,7 +7,7 @@ Holding: by default, a server loses no feedback of a goal that its own client re
 waits for a slow reader. A client that waits for the outcome without reading would wait for an
 executor that waits for the client. `outcome` therefore releases the executor (`GoalStream.hold`) if
 the calling task is the reader, or if the feedback has no reader; the next read holds it again. A
-reader in another task keeps the executor waiting, since that task goes on reading. A feedback
+reader in another task keeps the executor waiting, since that task keeps reading. A feedback
 reader that is garbage collected closes its stream, which releases the executor, too.
 
 Timeouts and retries: a goal that has either has `Attempts`, through which the reader waits. It has
@@ -146,8 +146,9 @@ class FeedbackReader(Generic[FeedbackT]):
     def number(self) -> int:
         """The number of the feedback that was read last, from 1; 0 before the first.
 
-        It is what `ActionClient.attach` takes as `after`, to go on behind this feedback. A message
-        that was not delivered has a number, too. Each attempt at the goal has numbers of its own.
+        It is what `ActionClient.attach` takes as `after`, to continue after this feedback. A
+        message that was not delivered has a number, too. Each attempt at the goal has numbers of
+        its own.
         """
         return self.stream.cursor
 

@@ -86,7 +86,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         """The newest attempt at the goal that this client knows, from 1.
 
         A server that keeps its goals in a store may run a goal again after a restart. The feedback
-        of the new attempt follows what is unread of the one before.
+        of the new attempt follows what is unread of the previous one.
         """
         return self.feedback.stream.newest_attempt
 
@@ -160,7 +160,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         return await self._endpoint.cancel_goals(self.goal_id)
 
     def close(self) -> None:
-        """Stop reading feedback. The goal goes on, and `outcome()` still works."""
+        """Stop reading feedback. The goal continues, and `outcome()` still works."""
         self._thread.check()
         self.feedback.stream.close()
 
@@ -228,11 +228,11 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
                 await self.leave()
 
     def detach(self) -> None:
-        """Let the goal go on by itself: the end of no block cancels it any more."""
+        """Let the goal continue on its own: the end of a block no longer cancels it."""
         self._blocks.pop(self, None)
 
     async def leave(self) -> None:
-        """Cancel the goal if it has not ended, wait for the answer, and log if the goal runs on."""
+        """Cancel the goal if it has not ended, wait for the answer, and log if it keeps running."""
         goal_id = self._goal_id
         if self._goal is not None:
             if self._goal.status.is_terminal:

@@ -42,10 +42,11 @@ def load_action(
     `navigate_to_pose` for `NavigateToPose.action`. `type_name` is the ROS 2 type; by default it is
     known from the folders if the file lies in `package/action/`.
 
-    Nested messages are searched for beside the file, in the packages beside its own, in each folder
-    of `search`, and in the folders of ROS, if `setup.bash` has been sourced or ROS is installed in
-    this virtual environment. A folder of `search` holds packages (`package/msg/Type.msg`), is a
-    package, or holds `.msg` files. The two messages of `builtin_interfaces` need no file.
+    Nested messages are searched for next to the file, in the packages next to its own, in each
+    folder of `search`, and in the folders of ROS, if `setup.bash` has been sourced or ROS is
+    installed in this virtual environment. A folder of `search` holds packages
+    (`package/msg/Type.msg`), is a package, or holds `.msg` files. The two messages of
+    `builtin_interfaces` need no file.
 
     Raises:
         InterfaceError: A file is malformed, or a nested message is not found; the text names the

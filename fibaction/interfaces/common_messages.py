@@ -1,6 +1,6 @@
 """The messages of ROS's common packages, from the library rosbags, for machines without ROS.
 
-rosbags has the definitions of some 160 messages, of `std_msgs`, `geometry_msgs`, `nav_msgs`,
+rosbags has the definitions of about 160 messages, of `std_msgs`, `geometry_msgs`, `nav_msgs`,
 `sensor_msgs` and others, for each release of ROS. It leaves out the defaults of fields, which only
 `geometry_msgs/Quaternion` has among them. It is imported where a message has no file.
 """

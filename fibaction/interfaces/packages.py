@@ -77,7 +77,7 @@ class SearchPath:
 
     @classmethod
     def around(cls, path: Path, search: Sequence[Path]) -> SearchPath:
-        """Return the search path of an action file: its package, those beside it, and `search`."""
+        """Return the search path of an action file: its package, those next to it, and `search`."""
         here = path.absolute().parent
         near = [here.parent.parent, here.parent, here] if package_of(path) else [here]
         return cls(near, search, ros_folders())

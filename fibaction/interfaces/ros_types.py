@@ -89,7 +89,7 @@ def struct(
 
     `fields` are names, types and defaults. A default is plain data; that of a nested struct is a
     dict, and `{}` means the nested struct's own defaults. A field whose name is a keyword of Python
-    becomes an attribute with `_` behind the name, and keeps its name in payloads.
+    becomes an attribute with `_` after the name, and keeps its name in payloads.
     """
     return msgspec.defstruct(
         name,

@@ -117,7 +117,7 @@ async def _follow_if_usable(
 async def follow_action(
     client: AnyClient, info: ActionInfo, listener: ActionListener, *, feedback: bool
 ) -> None:
-    """Follow one action, also after restarts of its server, until canceled.
+    """Follow one action, even after restarts of its server, until canceled.
 
     Raises:
         TransportError: The transport cannot follow the goals of others, as that of rosbridge.

@@ -106,7 +106,7 @@ class FollowedServers(ServerGroup):
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Leave the servers; goals that run there go on."""
+        """Leave the servers; goals that run there continue."""
         await self._block.__aexit__(exc_type, exc, traceback)
 
     async def _follow(self, server: str, where: str | Transport) -> None:

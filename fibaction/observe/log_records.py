@@ -13,7 +13,7 @@ __all__ = ["GoalFilter", "JsonFormatter"]
 
 
 class GoalFilter(logging.Filter):
-    """Adds `goal_id` and `action` to each record that is logged inside of an executor, by the
+    """Adds `goal_id` and `action` to each record that is logged inside an executor, by the
     executor itself or by any function that it calls; elsewhere both are empty text.
 
     Add it to a handler, so that it sees the records of all loggers:

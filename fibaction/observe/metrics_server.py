@@ -1,6 +1,6 @@
 """`serve_metrics`: `/metrics`, `/healthz` and `/readyz` over HTTP, for Prometheus and Kubernetes.
 
-The answers come from a thread, so they come also while an executor blocks the event loop: then
+The answers come from a thread, so they come even while an executor blocks the event loop: then
 `/healthz` says so. This is HTTP without TLS and without tokens, for the machine itself or for a
 network that only the operator has access to.
 """

@@ -88,7 +88,7 @@ class MonitoredGoal:
     def add_feedback(self, event: GoalFeedback[Any]) -> int:
         """Take feedback. Return how many messages there were since the one before."""
         # If the first one seen here is not number 1, its number says nothing about the rate. The
-        # numbers begin anew with each attempt.
+        # numbers begin again with each attempt.
         more = event.number - self._number if 0 < self._number < event.number else 1
         self._number, self._new = event.number, event
         self.rate.count += more

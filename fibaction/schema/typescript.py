@@ -2,7 +2,7 @@
 
 A goal may leave out fields that have defaults; feedback and results arrive with all of them. So a
 type that is used in both directions, and that has such fields, is declared twice: as it is sent,
-with `Input` behind its name, and as it is received.
+with `Input` after its name, and as it is received.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class Succession(ABC, Generic[GoalT]):
 
     @abstractmethod
     def take_over(self, goal_id: GoalID) -> GoalHandle[GoalT]:
-        """Let the executor of a goal go on as its successor, and return that.
+        """Let the executor of a goal continue as its successor, and return that.
 
         Raises:
             RuntimeError: There is none.
@@ -106,7 +106,7 @@ class GoalHandle(Generic[GoalT]):
 
     @property
     def deadline(self) -> float:
-        """Time at which the client gives the goal up, by the clock of `anyio.current_time()`;
+        """Time at which the client gives up the goal, by the clock of `anyio.current_time()`;
         `math.inf` if it does not. The server does not enforce it.
         """
         return self._goal.deadline
@@ -139,7 +139,7 @@ class GoalHandle(Generic[GoalT]):
 
     @property
     def is_kept(self) -> bool:
-        """True if the goal is to stop here and goes on in another attempt.
+        """True if the goal is to stop here and continues in another attempt.
 
         The server stops and keeps its goals (`at_stop="keep"`), or another worker of the fleet has
         the goal by now. So this tells a planned stop from a cancel:
@@ -164,7 +164,7 @@ class GoalHandle(Generic[GoalT]):
 
         The ID of the child follows from this goal, the child's action and the `name`, and is the
         same in each attempt. An attempt after the first follows a child that the server of the
-        child knows, also one that has ended, and sends it otherwise.
+        child knows, even one that has ended, and sends it otherwise.
 
         A child that has not ended when its block or call ends is canceled, so a cancel of this goal
         reaches it. It is left alone if this goal `is_kept`. With `wait_for_end`, a block or call
@@ -188,7 +188,7 @@ class GoalHandle(Generic[GoalT]):
         """Keep a state in the server's store, and return when it is kept.
 
         The next attempt at the goal gets it as `restored`: this one, or a later one. It replaces
-        the checkpoint before, and is encoded at once. Without a store nothing is kept, nothing is
+        the previous checkpoint, and is encoded at once. Without a store nothing is kept, nothing is
         waited for, and the first call of a server is a warning in the log.
 
             async def paint(goal):
@@ -233,7 +233,7 @@ class GoalHandle(Generic[GoalT]):
         return successor
 
     def take_over(self) -> GoalHandle[GoalT]:
-        """Go on as the successor, and return it: this goal ends as ABORTED, "preempted by <id>".
+        """Continue as the successor, and return it: this goal ends as ABORTED, "preempted by <id>".
 
         All that the executor yields from now on belongs to the successor:
 

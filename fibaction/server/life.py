@@ -87,7 +87,7 @@ class Event(IntEnum):
     EXECUTE = 6
     """The executor takes its first step."""
     TAKE_OVER = 7
-    """The executor of another goal goes on as this one."""
+    """The executor of another goal continues as this one."""
     TAKE_OVER_KEPT = 8
     CANCEL = 9
     """A client's cancel was accepted."""

@@ -63,7 +63,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     """A server of one action, to be entered with `async with`, or given to `serve`.
 
     It can be entered once. User callbacks may be sync or async. An exception of a callback becomes
-    an answer to the client and a line in the log, and the server goes on.
+    an answer to the client and a line in the log, and the server continues.
 
     For example:
 
@@ -248,8 +248,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """Reject new goals as busy, and wait until the active ones have ended, at most `timeout`
         seconds.
 
-        Clients of a fleet then send their goals to other servers. The server goes on rejecting when
-        this returns, also if it is canceled; `stop()` ends what is left.
+        Clients of a fleet then send their goals to other servers. The server keeps rejecting when
+        this returns, even if it is canceled; `stop()` ends what is left.
         """
         if self.is_running:
             await self._parts.drain(timeout)

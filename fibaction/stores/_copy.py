@@ -1,8 +1,8 @@
-"""The goals in a file, in a copy of it, so that a server can go on using the file.
+"""The goals in a file, in a copy of it, so that a server can continue using the file.
 
 A server keeps its file locked. But SQLite only appends to its write-ahead log, until it has written
-all of the log to the file and begins the log anew, with another header. So a copy of both is of one
-moment if neither the file nor the header of the log has changed meanwhile.
+all of the log to the file and begins the log again, with another header. So a copy of both is of
+one moment if neither the file nor the header of the log has changed meanwhile.
 
 The process of the server must not do this: when a process closes a file, it loses its locks on it.
 """
@@ -78,7 +78,7 @@ def _try(
     """Return what `use` makes of a copy, which is on the disk of the target, in a tuple; an empty
     one if a copy cannot be made now.
     """
-    path = os.path.realpath(path)  # the log is beside the file, and not beside a link to it
+    path = os.path.realpath(path)  # the log is next to the file, and not next to a link to it
     with _explained(failing):
         if not S_ISREG(os.stat(path).st_mode):
             raise StoreError(f"{failing}: it is not a file")

@@ -3,9 +3,9 @@
 Theory of operation
 -------------------
 
-SQLite keeps commits in a log beside the file, and copies them to the file from time to time. If the
-log of a killed process is removed, SQLite finds an older state in the file, and says nothing. The
-file itself must tell that it needs its log.
+SQLite keeps commits in a log next to the file, and copies them to the file from time to time. If
+the log of a killed process is removed, SQLite finds an older state in the file, and says nothing.
+The file itself must tell that it needs its log.
 
 `needs_log` is 1 in the file, and the first commit of the log makes it 0:
 

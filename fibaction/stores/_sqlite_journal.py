@@ -17,7 +17,7 @@ class SqliteJournal(GoalJournal):
         self._write = writer.write
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
-        # A copy: the goal goes on while it waits for the thread.
+        # A copy: the goal continues while it waits for the thread.
         self._write(WholeRecord(self._action, copy(goal)), then)
 
     def begin(self, goal: StoredGoal, then: Then) -> None:

@@ -63,7 +63,7 @@ def _frames(file: BinaryIO) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _summed(data: bytes, sums: Sums, words: str) -> Sums:
-    """Return SQLite's checksum of the data, which goes on from earlier data."""
+    """Return SQLite's checksum of the data, which continues from earlier data."""
     numbers = array("I", data)
     if words != sys.byteorder:
         numbers.byteswap()

@@ -25,7 +25,7 @@ class SqliteStore(GoalStore):
     """A store in one file, for all servers of one process.
 
     The file is made if there is none. It is locked while a server uses it, and a second process
-    gets a StoreError. The goals of actions that are not served stay as they are. Beside the file
+    gets a StoreError. The goals of actions that are not served stay as they are. Next to the file
     there are one or two more while it is in use; a copy needs all of them.
 
     The file is on a disk of this machine, since network file systems do not lock reliably.
@@ -47,7 +47,7 @@ class SqliteStore(GoalStore):
     ) -> None:
         """Name the file; it is opened when a server starts.
 
-        With `sync="full"`, what a client was told is kept also when the power fails, as far as the
+        With `sync="full"`, what a client was told is kept even when the power fails, as far as the
         disk keeps what it says it does. With `"normal"` it is kept when the process ends in any
         way, but the last moments before a power failure can be lost; a write is then ready sooner.
 
@@ -64,7 +64,7 @@ class SqliteStore(GoalStore):
         name: str = os.fsdecode(path)
         if name == ":memory:":
             raise ValueError("a store is a file: leave `store` out to keep goals in memory")
-        # SQLite puts its other files beside the file itself, and not beside a link to it.
+        # SQLite puts its other files next to the file itself, and not next to a link to it.
         self._path: str = os.path.realpath(name)
         self._sync = sync
         self._history = history

@@ -54,7 +54,7 @@ def numpy() -> Any:
 
 @cache
 def _cells(tag: int) -> Any:
-    """Return the type of a number behind its tag; None if there is no such tag."""
+    """Return the type of a number after its tag; None if there is no such tag."""
     kind = _TYPES.get(tag)
     return None if kind is None else numpy().dtype([("tag", "u1"), ("number", kind)])
 

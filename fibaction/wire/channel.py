@@ -93,14 +93,14 @@ class Line(ABC):
 
     @abstractmethod
     async def aclose(self) -> None:
-        """Close the connection, at once if it cannot be closed in good order."""
+        """Close the connection, at once if it cannot be closed cleanly."""
 
 
 class Channel(Line):
     """A line whose two directions have a task each."""
 
     has_answer = False
-    """True if `send` is to be called also without frames: for bytes that belong to no frame."""
+    """True if `send` is to be called even without frames: for bytes that belong to no frame."""
     _wanted: Notifier | None = None
     _turn: anyio.Lock | None = None
 
@@ -137,7 +137,7 @@ class Channel(Line):
             while True:
                 frames = on_frames(await self.receive())
                 while frames:
-                    async with turn:  # in a later turn, also if the lock is free
+                    async with turn:  # in a later turn, even if the lock is free
                         frames = on_frames(frames)
 
         async def write() -> None:
@@ -184,7 +184,7 @@ class StreamChannel(Channel):
 
     @property
     def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
-        """True if `send` is to be called also without frames: for bytes that belong to no frame."""
+        """True if `send` is to be called even without frames: for bytes that belong to no frame."""
         return self._framing.has_answer
 
     async def send(self, frames: Sequence[bytes]) -> None:

@@ -219,7 +219,7 @@ class FrameMemory:
     """
 
     def __init__(self, budget: ByteBudget) -> None:
-        """Share a budget, also with other things."""
+        """Share a budget, even with other things."""
         self._budget = budget
         self._held: dict[Holder, int] = {}
 

@@ -108,7 +108,7 @@ class ServerSettings(msgspec.Struct, frozen=True):
     """The tokens and permissions of the clients."""
     limits: Limits = msgspec.field(default_factory=Limits)
     orphans: Literal["keep", "cancel"] = "keep"
-    """The fate of goals whose client does not come back: they run on, or are canceled."""
+    """The fate of goals whose client does not come back: they keep running, or are canceled."""
     grace: float = 10.0
     """Seconds in which a client may come back for its goals."""
 
@@ -132,7 +132,7 @@ class ClientSettings(msgspec.Struct, frozen=True):
     token: str = ""
     """Access token sent to the server; empty if none."""
     reconnect: bool = True
-    """Open a lost connection again, and go on with open calls."""
+    """Open a lost connection again, and continue with open calls."""
     reconnect_timeout: float = 30.0
     """Seconds that calls wait for a lost connection to come back."""
     window: int = 256

@@ -1,7 +1,7 @@
 """The bases of every transport over the wire protocol.
 
 A `WireTransport` says how to open and to accept lines; the rest is here and in the modules below:
-settings and their checks, URLs with settings behind `?`, TLS files, `serve` and `connect`. A
+settings and their checks, URLs with settings after `?`, TLS files, `serve` and `connect`. A
 subclass has
 
 - a constructor with its address, which passes `**settings` on,
@@ -61,7 +61,7 @@ class ConfiguredTransport(Transport):
     wire_settings: ClassVar[tuple[str, ...]] = tuple(WireKeywords.__annotations__)
     """Names of the keyword arguments of `WireKeywords` that the subclass has."""
     own_settings: ClassVar[tuple[str, ...]] = ()
-    """Names of keyword arguments that the subclass has beside those of `WireKeywords`."""
+    """Names of keyword arguments that the subclass has in addition to those of `WireKeywords`."""
     own_url_settings: ClassVar[Mapping[str, FromText]] = {}
     """Settings that the subclass has after the `?` of a URL, each with its reader."""
     tls_schemes: ClassVar[tuple[str, ...]] = ()
@@ -100,7 +100,7 @@ class ConfiguredTransport(Transport):
 
     @classmethod
     def from_url(cls: type[T], url: str, **settings: Any) -> T:
-        """Make the transport from a URL, with settings behind `?`; `settings` count for more.
+        """Make the transport from a URL, with settings after `?`; `settings` count for more.
 
         Raises:
             InvalidURL: The address or a setting in the URL is invalid; the text says which.

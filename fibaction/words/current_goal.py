@@ -20,4 +20,4 @@ class CurrentGoal:
 
 
 current_goal: ContextVar[CurrentGoal | None] = ContextVar("current_goal", default=None)
-"""The goal of the executor that this code is called by; None outside of executors."""
+"""The goal of the executor that this code is called by; None outside executors."""

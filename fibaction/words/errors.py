@@ -6,7 +6,7 @@
     ├── GoalCanceled          the goal ended because its cancel was accepted
     ├── GoalTimeout           the goal took longer than the client's timeout
     ├── CancelRejected        the server rejects a cancel
-    ├── UnknownGoal           the server does not know the goal, or not any longer
+    ├── UnknownGoal           the server does not know the goal, or no longer
     ├── InvalidTransition     an event that a status does not allow: a bug in fibaction
     ├── ProtocolError         the peer sent an invalid message
     │   └── InvalidMessage        this side's message is too large or malformed; it was not sent
@@ -137,7 +137,7 @@ class GoalTimeout(_GoalError, TimeoutError):
 
 
 class CancelRejected(_GoalError):
-    """The server rejects a cancel; raise it in `on_cancel`. The goal goes on.
+    """The server rejects a cancel; raise it in `on_cancel`. The goal continues.
 
     Clients do not get it: `cancel` returns a `CancelAnswer` with `CancelCode.REJECTED` and the
     reason.
@@ -148,7 +148,7 @@ class CancelRejected(_GoalError):
 
 class UnknownGoal(ActionError):
     """The server does not know the goal: it was never accepted, its result has expired, or the
-    server was started anew.
+    server was restarted.
     """
 
     def __init__(self, goal_id: GoalID) -> None:
@@ -201,7 +201,7 @@ class ServerNotFound(TransportError):
 
 
 class ConnectionLost(TransportError):
-    """The connection ended while something was waited for; goals may run on at the server.
+    """The connection ended while something was waited for; goals may keep running at the server.
 
     Also raised for a goal that another server has taken over from this one.
     """

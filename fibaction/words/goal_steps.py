@@ -7,9 +7,9 @@ The ID of a child is made of the ID of its parent, the name of the child's actio
 the step. So each attempt at the parent sends the same child, and a server that knows it lets the
 attempt follow it.
 
-A child is left when its block ends before the child has. If the parent goes on in another attempt
+A child is left when its block ends before the child has. If the parent continues in another attempt
 (`is_kept`), the child is left alone; otherwise it is canceled. The parent may still end in this
-attempt: its executor may yield a result all the same, and a cancel may arrive while it cleans up.
+attempt: its executor may yield a result anyway, and a cancel may arrive while it cleans up.
 So the cancels of children that are left alone are kept until the executor is gone (`settle`).
 
 This module depends on neither clients nor servers, which both use it.
@@ -34,7 +34,7 @@ class SteppedGoal(Protocol):
 
     @property
     def is_kept(self) -> bool:
-        """True if this attempt is interrupted, and the goal goes on in another one."""
+        """True if this attempt is interrupted, and the goal continues in another one."""
         ...
 
 
@@ -54,7 +54,7 @@ class GoalSteps:
         self._left.append(cancel)
 
     async def settle(self, *, is_over: bool) -> None:
-        """Cancel the children that were left, if the goal does not go on: its executor `is_over`
+        """Cancel the children that were left, if the goal does not continue: its executor `is_over`
         with an ending of its own, or a cancel has arrived.
         """
         if is_over or not self.goal.is_kept:

@@ -1,4 +1,4 @@
-"""The meta of a goal: a small text map beside it, for traces, and for the parent of a goal."""
+"""The meta of a goal: a small text map next to it, for traces, and for the parent of a goal."""
 
 from __future__ import annotations
 

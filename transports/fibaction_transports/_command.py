@@ -15,7 +15,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line, and exit with its code."""
     try:
-        # Imported behind the `try`, since Ctrl-C may come at any moment.
+        # Imported after the `try`, since Ctrl-C may come at any moment.
         import os
         import signal
 

@@ -39,7 +39,7 @@ FLUSH = 0.05
 MAX_WAITING_BYTES = 64 * 2**20
 """Bytes of feedback that may wait for the disk."""
 OVERHEAD = 500
-"""Bytes that a record takes beside its payload."""
+"""Bytes that a record takes in addition to its payload."""
 BATCH = 1000
 """Records of one write."""
 
@@ -60,7 +60,7 @@ class Recorder(Watcher):
                 ...
 
     The file is appended to. If it cannot be written to any longer, for example because the disk is
-    full, the log says so once, and goals go on.
+    full, the log says so once, and goals continue.
     """
 
     def __init__(self, path: str | Path, *, max_bytes: int = MAX_WAITING_BYTES) -> None:
@@ -200,7 +200,7 @@ class Recorder(Watcher):
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a recording to append to it, behind a line that a kill may have cut off."""
+    """Open a recording to append to it, after a line that a kill may have cut off."""
     file = open(path, "a+b", buffering=0)  # noqa: SIM115  # the thread closes it
     if file.tell():
         file.seek(-1, 2)

@@ -70,7 +70,7 @@ class _Observer:
         self._seen: dict[GoalID, None] = {}
 
     async def record_action(self, info: ActionInfo) -> None:
-        """Record the goals of an action, also after restarts of its server, until canceled."""
+        """Record the goals of an action, even after restarts of its server, until canceled."""
         try:
             endpoint = self._connection.endpoint(info)
         except ActionError:  # its ROS type is not installed here

@@ -15,7 +15,7 @@ a cancel with its ID: `_decisions` has a notifier per undecided goal that a task
 
 With a store, an acceptance is written before the goal is accepted and anything is told. Until then
 the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
-meanwhile, the goal is accepted all the same. `_writing` has the offers that are being written. If
+meanwhile, the goal is accepted anyway. `_writing` has the offers that are being written. If
 another server turns out to have the goal (`lose`), the call is told so.
 
 A new goal is rejected as *busy*, and may be sent again later or elsewhere, if the server drains; if
@@ -312,7 +312,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._watchers.rejected(goal_id, WITHDRAWN)
 
     def _withdraw(self, goal_id: GoalID) -> None:
-        """Forget a goal whose decision was canceled; a retry is decided anew."""
+        """Forget a goal whose decision was canceled; a retry is decided again."""
         self._registry.withdraw(goal_id)
         self._tell_decision(goal_id)
 

@@ -178,7 +178,7 @@ class Keeper(ABC):
 
     @abstractmethod
     async def settled_within(self, seconds: float) -> None:
-        """Wait for that, for some seconds at most, also if the caller is canceled."""
+        """Wait for that, for some seconds at most, even if the caller is canceled."""
 
 
 class NoStoreKeeper(Keeper):

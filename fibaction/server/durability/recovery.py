@@ -10,7 +10,7 @@ is empty (`recovered`). A goal that is lost while it waits is forgotten (`forget
 A goal may come that is here in another way. If a client has sent it here as well, its acceptance
 cannot be kept: if that is being written, it is given up, and if it is still being
 decided, the goal is taken over after the decision. If its old executor has not ended yet, the goal
-is known to clients, and goes on when that is gone.
+is known to clients, and continues when that is gone.
 
 A goal that has ended is remembered with its outcome. An active one is known to clients from then
 on, and one of these happens:
@@ -209,7 +209,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         return max(self._keep_for - age, LEAST_TIME)
 
     def _decide(self, goal: GoalRecord, request: GoalT) -> None:
-        """Let a goal go on, end it, or ask the function which of these."""
+        """Let a goal continue, end it, or ask the function which of these."""
         stored = goal.stored
         assert stored is not None
         if goal.status is GoalStatus.CANCELING:
@@ -247,13 +247,13 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         return await self._lost_attempts.answer(self._runs.handle_of(goal.goal_id))
 
     def _run_again(self, goal: GoalRecord, stored: StoredGoal, request: GoalT) -> None:
-        """Let a goal go on whose attempt was lost."""
+        """Let a goal continue whose attempt was lost."""
         stored.is_running = False
         stored.lost += 1
         self._go_on(goal, stored, request)
 
     def _go_on(self, goal: GoalRecord, stored: StoredGoal, request: GoalT) -> None:
-        """Let a goal go on, with another attempt."""
+        """Let a goal continue, with another attempt."""
         logger.info(
             "goal %s of action %r: attempt %d", goal.goal_id, self._action.name, stored.attempt + 1
         )
@@ -264,7 +264,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             self._begin(goal, request)
 
     async def _begin_later(self, goal: GoalRecord, request: GoalT) -> None:
-        """Let a goal go on when the executor that it had here before is gone."""
+        """Let a goal continue when the executor that it had here before is gone."""
         await self._runs.lost.left(goal.goal_id)
         if goal.phase.is_open and not self._is_closed:
             self._begin(goal, request)
@@ -272,7 +272,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
     def _begin(self, goal: GoalRecord, request: GoalT) -> None:
         stored = goal.stored
         assert stored is not None
-        # What has run before has had its turn, and waits anew.
+        # What has run before has had its turn, and waits again.
         waited = 0.0 if stored.attempt else max(0.0, (time.time_ns() - stored.stamp) / SECOND)
         try:
             self._dispatcher.resume(goal.goal_id, request, goal.sender, goal.deadline, waited)

@@ -21,7 +21,7 @@ OUTCOME_GRACE = 60.0
 for it while the server was away."""
 SECOND = 1_000_000_000
 LONGEST = 1e9
-"""Seconds above which a time is kept as unlimited: some 30 years."""
+"""Seconds above which a time is kept as unlimited: about 30 years."""
 
 
 class StoredEnds:

@@ -143,7 +143,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         self._current = CurrentGoal(action.name, self.goal.goal_id)
         self._context.run(current_goal.set, self._current)
         self.fence: Fence | None = None
-        """The function that is asked before each step; None if the executor may always go on."""
+        """The function that is asked before each step; None if the executor may always continue."""
         self.phase = PREPARED
         """The phase of the executor's life; it is gone with its clean-up. `Runs` says when."""
         self._scopes: CancelOnce | None = None
@@ -175,7 +175,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         """Cancel every `await` from now on, those of the clean-up included, and discard feedback,
         since the goal has ended.
 
-        An executor that survives this is given up if `for_good`; otherwise it runs on.
+        An executor that survives this is given up if `for_good`; otherwise it keeps running.
         """
         if self._scopes is not None:
             self._log = self._log.discarding()
@@ -319,7 +319,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         return steps.pending or log.is_full or perf_counter() >= steps.slice_end
 
     async def pause(self) -> None:
-        if self._scopes is not None:  # else it was abandoned, and its thread runs on
+        if self._scopes is not None:  # else it was abandoned, and its thread keeps running
             await self._pause()
 
     def arrive(self) -> None:

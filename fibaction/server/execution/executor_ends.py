@@ -152,7 +152,7 @@ def abandoned(goal_id: GoalID, action: str, result: bytes | None) -> Ending:
 
 
 def tell_spared(goal_id: GoalID, action: str) -> None:
-    """Log that an executor survived being killed and runs on."""
+    """Log that an executor survived being killed and keeps running."""
     logger.error(
         "goal %s of action %r: its executor does not end though it was killed, and runs on;"
         " its place in the schedule stays taken until then",

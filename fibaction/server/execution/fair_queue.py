@@ -31,7 +31,7 @@ class FairQueue(Generic[T]):
         """The number of items; an attribute, since a pool reads it at each wait of a job."""
 
     def append(self, item: T, key: Hashable) -> None:
-        """Add an item behind those of the same key."""
+        """Add an item after those of the same key."""
         items = self._items.get(key)
         if items is None:
             items = self._items[key] = deque()

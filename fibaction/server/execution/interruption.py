@@ -20,8 +20,9 @@ coroutine should have waited (`slice_end`), since executors that never wait must
 run.
 
 A server may be cut off from a store that it shares, or frozen. Then its goals may run elsewhere,
-and `fence` interrupts the coroutine, and says that it may not go on. `Steps` lets the task wait for
-that cancellation in place of the step (`_detour`). Only a coroutine that shields itself goes on.
+and `fence` interrupts the coroutine, and says that it may not continue. `Steps` lets the task wait
+for that cancellation in place of the step (`_detour`). Only a coroutine that shields itself
+continues.
 
 Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
 its tasks, and clean-up there needs a shield of its own. On trio, a nursery that is open around
@@ -35,7 +36,7 @@ otherwise close it, and run its clean-up in the middle of something else (`_keep
 
 Giving up may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
 So it is done at the end of a server only (`DOOMED`). Before that, a coroutine that survives
-MOST_KILLS cancellations is spared: it runs on, and gets no further one.
+MOST_KILLS cancellations is spared: it keeps running, and gets no further one.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ _kept: list[object] = []
 
 
 def _keep_for_ever(coroutine: object) -> None:
-    """Keep a coroutine from being closed, also at the end of the process.
+    """Keep a coroutine from being closed, even at the end of the process.
 
     To close it is to raise GeneratorExit in it. It may catch that, too, and as no event loop runs
     then, an `await` in a loop would fail at once, again and again: the process would never end.
@@ -196,7 +197,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._by_outcome = False
         self._kills = 0
         self.fence: Callable[[], bool] | None = None
-        """The function that interrupts the coroutine, and returns True, if it may not go on."""
+        """The function that interrupts the coroutine, and returns True, if it may not continue."""
         self._detour: Coroutine[Any, Any, None] | None = None
         self._delayed: Any = None  # the value of the step that is not taken
         self.slice_end = 0.0

@@ -13,7 +13,7 @@ from fibaction.words.errors import GoalCanceled
 
 
 class RunningGoal(ABC):
-    """The run of an executor, beside its generator: feedback, and cancels outside of an `await`."""
+    """The run of an executor, beside its generator: feedback, and cancels outside an `await`."""
 
     __slots__ = ("_waits", "home")
 

@@ -23,9 +23,10 @@ goal for a reason of its own (`interrupt`). Each interrupts it once. They differ
 reason, which `_finish` takes from the goal's record. An executor whose clean-up takes too long
 is killed: its goal is finished first, so `_run` does not find it among the active ones any more.
 
-An executor may go on as another goal (`take_over`), whose run gets it. The first one is finished.
+An executor may continue as another goal (`take_over`), whose run gets it. The first one is
+finished.
 
-The dispatcher is told of each goal whose executor is gone (`_leave`), also after a killed one has
+The dispatcher is told of each goal whose executor is gone (`_leave`), even after a killed one has
 ended at last, and for goals that end without one. From then on, the goal takes no place.
 """
 
@@ -233,7 +234,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         return run.execution.phase is ExecutorPhase.INTERRUPTED
 
     def take_over(self, goal_id: GoalID, successor: GoalID) -> None:
-        """Let the executor of a goal go on as its successor, which waits, and end the goal.
+        """Let the executor of a goal continue as its successor, which waits, and end the goal.
 
         Raises:
             RuntimeError: The executor has yielded the result of the goal already.
@@ -288,7 +289,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Kill the executor of a goal that was interrupted, and end the goal, for that reason if it
         has no other.
 
-        An executor that survives this is given up if `for_good`; otherwise it runs on.
+        An executor that survives this is given up if `for_good`; otherwise it keeps running.
         """
         run = self._runs.get(goal_id)
         if run is not None and run.goal.phase.is_open:

@@ -8,9 +8,9 @@ server runs short goals 1.6 times as fast as with a new task for each goal
 (`python -m tests.tools.benchmarks.parts`).
 
 Jobs wait in a `FairQueue`, where the clients take turns. At most one task at a time is on its way
-to the next job (`_is_coming`), so jobs begin in their order. Tasks that finish a job go on with the
-next one, until the pool's slice of time is over; it is one slice for all tasks, as otherwise each
-of them would keep the event loop for that long in the same turn.
+to the next job (`_is_coming`), so jobs begin in their order. Tasks that finish a job continue with
+the next one, until the pool's slice of time is over; it is one slice for all tasks, as otherwise
+each of them would keep the event loop for that long in the same turn.
 
 A job may refuse to end after it was killed. The tasks are therefore in a `DetachedGroup`: some time
 after `close()`, jobs that still run are abandoned, and the owner of the pool ends without them.

@@ -15,7 +15,7 @@ from fibaction.server.execution.fair_queue import FairQueue
 
 EXECUTOR_SLICE = 0.005
 """Seconds that a task may run without awaiting before other tasks run: short for people and for
-heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
+heartbeats, long compared with a turn of the event loop (about 10 microseconds)."""
 
 FEW = 20
 """Executors that may wait with whole slices: 0.1 s until each has had its turn."""
@@ -24,9 +24,9 @@ FEW = 20
 class Turns:
     """The executors of a server that have used their slice up, and wait for the next one.
 
-    In each turn of the event loop one of them goes on: the one that was woken wakes the next, which
-    runs in the next turn. Keys take turns. The more executors wait, the shorter are their slices,
-    so that none waits for long, also for executors of other keys.
+    In each turn of the event loop one of them continues: the one that was woken wakes the next,
+    which runs in the next turn. Keys take turns. The more executors wait, the shorter are their
+    slices, so that none waits for long, also for executors of other keys.
     """
 
     def __init__(self) -> None:

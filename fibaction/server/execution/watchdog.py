@@ -11,8 +11,8 @@ both the `Steps` and its `slice_end` are the same, since each step sets a later 
 
 A step over the limit is named once, with two lines of code: the outermost one that is not
 fibaction's, which is the executor's own, and the innermost one. They are read from the frames of
-the loop's thread (`sys._current_frames`). That thread goes on meanwhile, so the warning is dropped
-if the step has ended by then. The thread also tells the end of a step that it has named.
+the loop's thread (`sys._current_frames`). That thread continues meanwhile, so the warning is
+dropped if the step has ended by then. The thread also tells the end of a step that it has named.
 
 The watchdog runs as long as a server with a limit is open. It waits without a timeout while no
 executor is active (`is_asleep`), and the next one wakes it. The order of the accesses replaces a
@@ -20,7 +20,7 @@ lock: an executor becomes active before it reads `is_asleep`, and the watchdog s
 before it looks for active executors once more.
 
 A call into C that keeps Python's global lock keeps the watchdog from running, too. It is named as
-soon as it returns, before its step goes on.
+soon as it returns, before its step continues.
 """
 
 from __future__ import annotations

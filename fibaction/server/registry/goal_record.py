@@ -81,7 +81,7 @@ class GoalRecord:
         self.parent: Parent | None = None
         """The goal whose executor has sent this one; None if there is none."""
         self.deadline = deadline
-        """Time at which the client gives the goal up, by the event loop's clock."""
+        """Time at which the client gives up the goal, by the event loop's clock."""
         self.attempt = 1
         """Number of the attempt that runs, or that comes next. A server without a store makes one.
         """
@@ -113,7 +113,7 @@ class GoalRecord:
         self.stop_reason = ""
         """The reason for which the server ends the goal by itself; empty if it does not."""
         self.goes_on = False
-        """True if the server interrupts this attempt, and the goal is to go on in another one."""
+        """True if the server interrupts this attempt, and the goal continues in another one."""
         self.is_given_up = False
         """True if the server ends the goal instead of running it again."""
 
@@ -129,7 +129,7 @@ class GoalRecord:
 
     @property
     def is_kept(self) -> bool:
-        """True if this attempt is interrupted and the goal goes on: see `GoalHandle.is_kept`."""
+        """True if this attempt is interrupted and the goal continues: see `GoalHandle.is_kept`."""
         return self.goes_on and self.status is not GoalStatus.CANCELING
 
     def happen(self, event: Event) -> None:

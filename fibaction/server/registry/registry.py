@@ -159,7 +159,7 @@ class GoalRegistry:
 
     @property
     def goals_left(self) -> int:
-        """The number of goals that may be admitted beside those that are undecided or active."""
+        """The number of goals that may be admitted in addition to those undecided or active."""
         return self._max_goals - len(self._undecided) - len(self._active)
 
     @property
@@ -174,7 +174,7 @@ class GoalRegistry:
 
         `stamp` is the wall clock's time in nanoseconds. The goal's own stamp is always later than
         that of every earlier goal, so that "accepted at or before" holds even if the clock is set
-        back. `deadline` is the time, by the clock of `now`, at which the client gives the goal up.
+        back. `deadline` is the time, by the clock of `now`, at which the client gives up the goal.
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
         digest, held = self._undecided[goal_id]
@@ -242,7 +242,7 @@ class GoalRegistry:
         return rejection.error(goal_id)
 
     def withdraw(self, goal_id: GoalID) -> None:
-        """Forget an undecided goal; a retry is decided anew."""
+        """Forget an undecided goal; a retry is decided again."""
         del self._undecided[goal_id]
 
     def is_active(self, goal_id: GoalID) -> bool:

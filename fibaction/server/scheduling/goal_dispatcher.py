@@ -11,7 +11,7 @@ tells it when a goal has `left`, which frees the place.
 With a store, a goal has its place while its acceptance is still being written, and `Runs` does not
 have it yet. Orders for such a goal are held back (`_held`), and carried out when it is accepted. So
 are those that it causes: the interruption of another goal may come later than its kill is due. If
-the goal is not accepted after all, those for other goals are carried out all the same, because the
+the goal is not accepted after all, those for other goals are carried out anyway, because the
 scheduler counts on them.
 
 A goal that another server has taken over keeps its place until its executor is gone, and gets no

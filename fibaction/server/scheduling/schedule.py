@@ -28,7 +28,7 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
         Schedule(concurrency=4, queue=100, priority=lambda goal: goal.urgency)
 
     A goal that waits is ACCEPTED. A goal that is preempted, replaced or too late ends as ABORTED,
-    and the reason says so. If its executor has begun, it is interrupted, also on a server with
+    and the reason says so. If its executor has begun, it is interrupted, even on a server with
     `interrupt_on_cancel=False`. Its place is free when its clean-up has ended.
 
     Servers that have the same object share its limits, for example two actions of one arm.

@@ -25,7 +25,8 @@ A goal that is offered starts if a place is free, and waits if the queue has roo
 
 With `handover`, a predecessor is told of its successor first (`Act.TELL`), and interrupted only
 later. Meanwhile it can take its successor over (`take_over`): it leaves, and its executor and its
-place are the successor's. If the successor gives way or is canceled, the predecessor just goes on.
+place are the successor's. If the successor gives way or is canceled, the predecessor just
+continues.
 
 A place is free again only when its goal has left, so a successor never runs beside the clean-up of
 its predecessor. A goal leaves once, whether it ended, was canceled while it waited, or was killed.
@@ -269,7 +270,7 @@ class Scheduler:
             group.listed = None
 
     def _part(self, entry: Entry) -> None:
-        """Make a goal no successor any more; its predecessor goes on, unless it was interrupted."""
+        """Make a goal no successor any more; its predecessor continues unless interrupted."""
         if entry.predecessor is not None:
             entry.predecessor.successor = None
             self._timed.told.pop(entry.predecessor.goal_id, None)

@@ -122,7 +122,7 @@ class Credits:
         self._ungranted = 0
 
     def restart(self, unread: int) -> int:
-        """Begin anew on a new connection; return the credit, given so many unread messages."""
+        """Begin again on a new connection; return the credit, given so many unread messages."""
         self._ungranted = 0
         self._allowed = self._window - unread
         return self._allowed

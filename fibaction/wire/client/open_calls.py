@@ -87,7 +87,7 @@ class OpenCalls:
     async def send(
         self, action: str, request: GoalRequest, *, on_lost: OnLost | None = None
     ) -> RemoteGoal:
-        """Send a goal. `on_lost` gets it if it has to go on somewhere else: see `RemoteGoal`.
+        """Send a goal. `on_lost` gets it if it has to continue somewhere else: see `RemoteGoal`.
 
         Raises:
             ActionError: As for `ask`.
@@ -206,7 +206,7 @@ class OpenCalls:
         return not (self._calls or self._observed or self._watches)
 
     def adopt(self, goal: RemoteGoal) -> None:
-        """Go on here with a goal that another connection has given up."""
+        """Continue here with a goal that another connection has given up."""
         goal.move_to(self.post)
         self._start(goal)
         if not goal.is_own:
@@ -243,7 +243,7 @@ class OpenCalls:
             try:
                 frame = encode(call.opening())
             except (TypeError, ValueError, OverflowError) as exc:
-                # The caller has given something else than the types say. Other calls go on.
+                # The caller has given something else than the types say. Other calls continue.
                 self._reject(call, f"the message cannot be sent: {exc}")
                 continue
             if len(frame) <= self._max_frame:
@@ -278,7 +278,7 @@ class OpenCalls:
             call.lose(error)
 
     def fail_unanswered(self, error: ActionError) -> None:
-        """End the calls that the server has not answered, and go on with all others."""
+        """End the calls that the server has not answered, and continue with all others."""
         for call in tuple(self._calls.values()):
             if not call.is_answered:
                 self._drop(call)

@@ -6,7 +6,7 @@
 - An open connection that is lost, since it was closed or its server was silent for 4 of its
   heartbeats (4 s by default, see `heartbeat`), is opened again from `FIRST_PAUSE` on. Calls wait
   for it for `reconnect_timeout` seconds, *patience* here, and then end with `ConnectionLost`. The
-  attempts go on after that; meanwhile new calls fail at once, with the error of the last attempt.
+  attempts continue after that; meanwhile new calls fail at once, with the last attempt's error.
 - Without `reconnect`, and after an error that would come again (a rejected token, another protocol,
   an invalid URL), there is no next attempt: the connection is over.
 """

@@ -1,11 +1,11 @@
-"""`RemoteGoal`: a goal that a client follows over a connection, and goes on with on the next.
+"""`RemoteGoal`: a goal that a client follows over a connection, and continues with on the next.
 
 Theory of operation
 -------------------
 
 A `RemoteGoal` is the call by which a client follows one goal, and the stream that the goal's reader
 has. It holds what has arrived and was not read (`UnreadFeedback`, and the statuses), the credit for
-more, and what it takes to go on elsewhere: the number of the last feedback, and its attempt.
+more, and what it takes to continue elsewhere: the number of the last feedback, and its attempt.
 
 Its phases, each of which ends with the next or with an error:
 
@@ -14,9 +14,9 @@ Its phases, each of which ends with the next or with an error:
 - *Following*. The server sends feedback as far as there is credit, and statuses. When a connection
   is lost nothing ends: `opening` is a `Follow` then, from the last feedback that has arrived.
 - *Released*, only with `on_lost`, which a client has that has connections to several servers with
-  shared goals. A goal whose connection or server cannot go on with it is given to that function. It
-  waits there, without messages, until another connection adopts it (`OpenCalls.adopt`), or until it
-  is finished or failed from outside. No caller notices.
+  shared goals. A goal whose connection or server cannot continue with it is given to that function.
+  It waits there, without messages, until another connection adopts it (`OpenCalls.adopt`), or until
+  it is finished or failed from outside. No caller notices.
 - *Ended*, with the outcome, which `Ended` tells, and which is answered by `Received`; or with an
   error (`fail`). If the server does not know the goal any more, the outcome is unknown.
 
@@ -93,7 +93,7 @@ class RemoteGoal(Call, UnreadFeedback):
         self.on_ended: Callable[[], None] | None = None
         """Called when the server has told the end, unless the goal was lost before."""
         self.lost_at: float | None = None
-        """Time at which it was lost, noted by `on_lost`; None when a server goes on with it."""
+        """Time at which it was lost, noted by `on_lost`; None when a server continues with it."""
         self._is_released = False
         self._opening = opening
         self._window = window
@@ -224,14 +224,14 @@ class RemoteGoal(Call, UnreadFeedback):
             self.on_ended = None
             self.on_lost(self, error)
         elif self.is_answered and isinstance(error, UnknownGoal):
-            # The server was started anew, or the result has expired meanwhile.
+            # The server was restarted, or the result has expired meanwhile.
             self._end(UNKNOWN_OUTCOME, self._last)
             self.news.notify()
         else:
             self.fail(error)
 
     def move_to(self, post: Post) -> None:
-        """Go on with another connection, which sends small messages by `post`."""
+        """Continue with another connection, which sends small messages by `post`."""
         self._is_released = False
         self._post = self._credit.post = post
 
@@ -247,7 +247,7 @@ class RemoteGoal(Call, UnreadFeedback):
     def _take_following(self, message: Following) -> None:
         self.lost_at = None
         if self.is_answered and message.stamp != self.stamp:
-            # The server was started anew, and has been sent another goal of that ID.
+            # The server was restarted, and has been sent another goal of that ID.
             self._end(UNKNOWN_OUTCOME, self._last)
             self._post(Close(self.id))
         elif self.is_answered:

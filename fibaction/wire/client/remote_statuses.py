@@ -12,7 +12,7 @@ then gets the changes, as the first one does: if part of the server's list is st
 part counts as known, too. Before it begins, the server is asked for a sign, since it tells what has
 changed by then before that: `AwaitServer`, or `AskPlaces` if a goal may wait, as no change tells
 places. `OpenCalls` makes a new watch in place of one that has missed changes, because the server
-has left some out: such a watch may know goals that the server has forgotten. The followers go on
+has left some out: such a watch may know goals that the server has forgotten. The followers continue
 with the new one.
 
 On a new connection, and with a new watch, the server tells all goals again. They come after what a
@@ -115,7 +115,7 @@ class StatusWatch(Call):
         return statuses
 
     def take_over(self, other: StatusWatch) -> None:
-        """Go on with the followers of another watch, which is closed."""
+        """Continue with the followers of another watch, which is closed."""
         self._followers = other._followers
         for statuses in self._followers:
             statuses.go_on_with(self)

@@ -4,7 +4,7 @@ A server that keeps its goals may have begun another attempt at the goal, whose 
 from 1 again. Feedback of the earlier attempt that was not read yet moves to `_earlier`, and is read
 first; `attempt` and `cursor` are those of the reader. The attempt may also be a lower one, since a
 store that need not outlive a power failure can lose its last writes: each attempt that is not the
-one before begins anew.
+one before begins again.
 
 Sans-I/O, and without messages: `RemoteGoal` is the subclass that takes them.
 """
@@ -53,7 +53,7 @@ class UnreadFeedback(GoalStream):
         return self._dropped + self.cursor - self._start - self._delivered
 
     def _take_attempt(self, attempt: int) -> None:
-        """Begin to count anew: the feedback that arrives from now on is of another attempt."""
+        """Begin to count again: the feedback that arrives from now on is of another attempt."""
         if self._earlier and not self._items:
             # The attempt between the two had no feedback. A server could tell ever more of them.
             self._earlier[-1] = self._earlier[-1]._replace(next_attempt=attempt)
@@ -64,7 +64,7 @@ class UnreadFeedback(GoalStream):
         self._unread_of_earlier()
 
     def _unread_of_earlier(self) -> deque[FeedbackItem]:
-        """Return the unread feedback that comes next; go on to its attempt if it is another one."""
+        """Return the unread feedback that comes next; move to its attempt if it is another one."""
         while self._earlier and not self._earlier[0].items:
             earlier = self._earlier.popleft()
             if self.reads:

@@ -28,7 +28,7 @@ LONGEST_HEARTBEAT = 3600.0
 """Longest heartbeat that a message can contain, in seconds."""
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_HEARTBEAT)]
 LONGEST_TIMEOUT = 1e9
-"""Longest timeout of a goal that a message can contain, in seconds: some 30 years."""
+"""Longest timeout of a goal that a message can contain, in seconds: about 30 years."""
 Timeout: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_TIMEOUT)]
 
 

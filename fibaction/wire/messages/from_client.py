@@ -52,7 +52,7 @@ class SendGoal(WireMessage, tag=17):
     credit: Count | None
     """Feedback messages that the server may send before more credit; nil for the outcome only."""
     timeout: Timeout | None = None
-    """Seconds from now after which the client gives the goal up; nil if it does not."""
+    """Seconds from now after which the client gives up the goal; nil if it does not."""
     meta: dict[str, str] | None = None
     """Text that goes with the goal, for traces: at most 8 keys, and 4096 bytes of keys and values
     together. The keys `traceparent`, `tracestate` and `baggage` are those of the W3C; `detached`

@@ -18,7 +18,7 @@ feedback of the meantime is there when it comes back. One task for each lost con
 - The client comes back and follows its goal again: `own` replaces one of the lost calls. The others
   hold the executor no longer, and wait for the client only to tell it the end.
 - The client comes back after the goal has ended: `ended` gives the stream of a lost call, which
-  still has the feedback and the outcome, also if the server has forgotten the goal. If the client
+  still has the feedback and the outcome, even if the server has forgotten the goal. If the client
   asks more often than there are lost calls, it gets the outcome alone. A goal that is *sent* again
   is compared by its digest, so that another goal of the same ID is rejected.
 - The client does not come back in time: the streams are closed, and the goal runs on without them
@@ -127,7 +127,7 @@ class Owners:
         return True
 
     def _replace(self, owned: _Owned, replaced: GoalSubscription, stream: GoalStream) -> None:
-        """Forget a lost call: its client goes on by another stream, or by the same."""
+        """Forget a lost call: its client continues by another stream, or by the same."""
         owned.calls = tuple(call for call in owned.calls if call is not replaced)
         replaced.held.forget(replaced)
         replaced.leave()

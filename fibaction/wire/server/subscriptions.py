@@ -10,8 +10,8 @@ statuses and the end take none, so a client that reads no feedback still hears o
 
 A goal is told in this order: `Following` with the state from which its stream begins, then what the
 stream gives, then the end or an error. Another attempt of the goal begins with a `Following` of its
-own, since feedback is counted anew. Feedback that does not fit the client's frames is left out, and
-the client sees it from the numbers. Whatever an endpoint's stream raises ends this goal only.
+own, since feedback is counted again. Feedback that does not fit the client's frames is left out,
+and the client sees it from the numbers. Whatever an endpoint's stream raises ends this goal only.
 
 When its connection is lost, a subscription stays in `HeldGoals` with what the client was told last;
 the next connection takes the stream over, from which moment `news` calls the new subscription.
@@ -255,7 +255,7 @@ class GoalSubscription(Subscription):
                 opening, self._opening = self._opening, None
                 return [self._opening_frame(opening) if opening.goal else encode(opening)]
             updates = stream.take(min(self.credit, self._piece))
-            # The numbers of the feedback may begin anew, at a gateway whose server was restarted.
+            # The numbers of the feedback may begin again, at a gateway whose server was restarted.
             begins = self._begin_attempt(stream) if stream.attempt != self._attempt else []
             if not updates:
                 return begins
@@ -320,7 +320,7 @@ class GoalSubscription(Subscription):
         return [encode(self._following(stream, 0))]
 
     def _goes_back(self, stream: GoalStream, number: int) -> bool:
-        """Let the stream go on behind that number, if it can; return whether it does."""
+        """Let the stream continue after that number, if it can; return whether it does."""
         stream.seek(number)
         return stream.cursor == number
 

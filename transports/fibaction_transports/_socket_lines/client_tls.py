@@ -18,7 +18,7 @@ class ClientTls:
 
     The handshake of a session that is resumed has no certificates and no signatures, which are most
     of its cost for both ends. A server that does not know the session, for example because it was
-    started anew, shakes hands as with a new client.
+    restarted, shakes hands as with a new client.
     """
 
     def __init__(self, given: TlsFiles | ssl.SSLContext) -> None:
@@ -28,7 +28,7 @@ class ClientTls:
         self._last: ssl.SSLObject | None = None
 
     def context(self) -> ssl.SSLContext:
-        """Return the context. It is made anew, without a session, when a file has changed.
+        """Return the context. It is made again, without a session, when a file has changed.
 
         Raises:
             TransportError: The files cannot be used.

@@ -33,7 +33,7 @@ NOTHING = memoryview(b"")
 
 class LineTurns:
     """The lines that have frames left to handle: together they have one slice of each turn of the
-    event loop, and go on one after another.
+    event loop, and continue one after another.
 
     However many lines there are, they delay the others together as little as one would. So they do
     if many have news in one turn: after `NEWS` seconds each handles one frame, and waits.
@@ -57,7 +57,7 @@ class LineTurns:
         self.used = 0.0
 
     def add(self, line: ProtocolLine) -> None:
-        """Let the line go on in a later turn."""
+        """Let the line continue in a later turn."""
         self._waiting[line] = None
         self._schedule()
 

@@ -63,7 +63,7 @@ async def shake_hands(
     receive: Callable[[], Awaitable[bytes]],
     send: Callable[[bytes], Awaitable[None]],
 ) -> bytes:
-    """Shake hands with the peer, and return what has arrived behind the handshake.
+    """Shake hands with the peer, and return what has arrived after the handshake.
 
     Raises:
         ssl.SSLError: The peer does not speak TLS, or one side rejects the other.

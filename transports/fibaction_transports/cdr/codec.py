@@ -6,7 +6,7 @@ or in several. Arrays of messages have a row of their own, which is used for eac
 
 Two libraries do the same, and neither is used. rosbags 0.11 has values of its own, with arrays of
 numpy, which would be copied into our structs and checked. It runs Python that it writes at run
-time, and needs numpy and five other packages, which take some 90 MB. ros2-pyterfaces 0.3 knows no
+time, and needs numpy and five other packages, which take about 90 MB. ros2-pyterfaces 0.3 knows no
 actions, and its codec compiles C at run time, 35 s for the first message. In microseconds, on two
 busy cores:
 

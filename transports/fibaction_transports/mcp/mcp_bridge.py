@@ -21,7 +21,7 @@ class McpBridge:
 
     Each action is a tool, with the schema of its goals. `server` is the server of the official SDK,
     to be run over stdio, HTTP or in memory. Goals whose tool a client cancels, or whose client goes
-    while it waits, are canceled; those of `send_goal` go on.
+    while it waits, are canceled; those of `send_goal` continue.
 
     For example:
 
@@ -77,7 +77,7 @@ class McpBridge:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Leave the servers; goals that run there go on."""
+        """Leave the servers; goals that run there continue."""
         await self._block.__aexit__(exc_type, exc, traceback)
 
     async def run_stdio(self) -> None:

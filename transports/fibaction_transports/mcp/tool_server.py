@@ -111,7 +111,7 @@ class ToolServer:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Follow the goals no longer; they go on at their servers."""
+        """Follow the goals no longer; they continue at their servers."""
         await self._block.__aexit__(exc_type, exc, traceback)
 
     async def _tell_changes(self) -> None:

@@ -18,7 +18,7 @@ MANY = 3
 LEASE, LEASE_OF_MANY = 5.0, 15.0
 """Seconds of a lease with one broker, and with three or more."""
 LEAST_LEASE, LEAST_LEASE_OF_MANY = 2.0, 12.0
-"""The shortest leases. When one of three brokers fails, all writes wait some 7 seconds."""
+"""The shortest leases. When one of three brokers fails, all writes wait about 7 seconds."""
 LONGEST_LEASE = 3600.0
 LONGEST_NAME = 100
 """Characters of the names of fleets and workers, as tokens; names of streams are limited."""

@@ -85,7 +85,7 @@ class DdsTransport(RosTransport):
             lease: Seconds without a sign of life after which a server counts as silent.
             reconnect: False ends waiting calls with `ConnectionLost` as soon as their server is
                 silent.
-            reconnect_timeout: Seconds that a client waits for a silent server to be there again.
+            reconnect_timeout: Seconds that a client waits for a silent server to come back.
             services_qos: The quality of service of the three services.
             feedback_qos: That of the feedback topic.
             status_qos: That of the status topic.

@@ -77,7 +77,7 @@ class Ros2Transport(RosTransport):
                 server's gets no signs of life.
             reconnect: False ends waiting calls with `ConnectionLost` as soon as their server is
                 silent. It has no effect for a server.
-            reconnect_timeout: Seconds that a client waits for a silent server to be there again.
+            reconnect_timeout: Seconds that a client waits for a silent server to come back.
             services_qos: The quality of service of the three services, as words of ROS with commas:
                 `reliable` or `best_effort`, `volatile` or `transient_local`. What is left out is as
                 `rcl_action` has it.

@@ -63,7 +63,7 @@ class EndSettings(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def grace(self) -> float:
-        """Seconds for which waiting calls go on after their server has fallen silent."""
+        """Seconds for which waiting calls continue after their server has fallen silent."""
         return self.reconnect_timeout if self.reconnect else 0.0
 
 

@@ -183,7 +183,7 @@ class ParticipantNetwork:
         self.settle()
 
     async def send_later(self) -> None:
-        """Go on sending when the system has room again, until it is canceled."""
+        """Continue sending when the system has room again, until it is canceled."""
         while True:
             await self._is_blocked.wait()
             await self._send_rest()

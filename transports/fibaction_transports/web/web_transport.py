@@ -56,8 +56,8 @@ class WebTransport(WireTransport):
         """Take the settings of a server.
 
         Args:
-            hosts: Names of the server, beside all addresses and the names of its machine; `*`
-                permits all. They are not needed with TLS.
+            hosts: Names of the server, in addition to all addresses and the names of its machine;
+                `*` permits all. They are not needed with TLS.
             origins: Pages that may use the server, for example `https://robot.example`, beside
                 those that come from its own address; `*` permits all.
             console: Serve the console as a page.

@@ -74,8 +74,8 @@ class WebSocketTransport(HostTransport):
             path: The path of the server; it begins with `/`.
             tls: The files to make TLS from, or a context for the half that is used.
             insecure: Permit a server without TLS at an address that other machines can reach.
-            hosts: Names of the server, beside its addresses and the names of its machine; `*`
-                permits all.
+            hosts: Names of the server, in addition to its addresses and the names of its machine;
+                `*` permits all.
             origins: Pages that may use the server, for example `https://robot.example`, beside
                 those that come from its own address; `*` permits all.
             settings: See the table of settings.

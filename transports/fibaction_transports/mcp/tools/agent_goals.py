@@ -67,7 +67,7 @@ class AgentGoal:
         """Count of feedback that was read. Unlike the number, it never decreases."""
         self.outcome: Outcome[Any] | None = None
         self.error: ActionError | None = None
-        """The reason why the goal cannot be followed any more; it may go on."""
+        """The reason why the goal cannot be followed any more; it may continue."""
         self.ended = anyio.Event()
         """Set when there is an outcome, or an error."""
         self.news = Notifier()

@@ -213,7 +213,7 @@ async def _cancel(goal: AgentGoal) -> None:
     """Ask the server to cancel a goal.
 
     Raises:
-        ToolError: The goal goes on.
+        ToolError: The goal continues.
     """
     try:
         answer = await goal.cancel()

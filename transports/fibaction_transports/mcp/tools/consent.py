@@ -70,7 +70,7 @@ class Consents:
     async def ask(
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams, question: str
     ) -> InputRequiredResult | None:
-        """Ask the user whether the call of a tool may go on; return None if it may.
+        """Ask the user whether the call of a tool may continue; return None if it may.
 
         Otherwise return the answer to this call, after which the client asks and calls again.
 
@@ -102,7 +102,7 @@ class Consents:
                 raise _cannot_ask("the client has not answered the question")
             _check(answer)
             return None
-        # The first call; or an answer to another question, or to one of long ago: it is asked anew.
+        # The first call, or an answer to another question, or to an old one: it is asked again.
         state = secrets.token_urlsafe(16)
         while len(self._questions) >= MOST_QUESTIONS:
             del self._questions[next(iter(self._questions))]

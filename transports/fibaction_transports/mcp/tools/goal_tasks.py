@@ -96,7 +96,7 @@ class GoalTasks:
         """Cancel the goal of a task.
 
         Raises:
-            MCPError: There is none of that ID, or it may not be canceled so, or goes on.
+            MCPError: There is none of that ID, or it may not be canceled so, or continues.
         """
         goal = await self._find(context, params.task_id)
         if goal.outcome is not None:

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from hashlib import blake2b
 
 SEND, STATUS, CANCEL = "send_goal", "goal_status", "cancel_goal"
-"""The tools that the bridge has beside one for each action."""
+"""The tools that the bridge has in addition to one for each action."""
 LONGEST = 64
 """Characters of a name."""
 

@@ -97,7 +97,7 @@ def _resolved(schema: dict[str, Any], definitions: Mapping[str, Any]) -> dict[st
 
 
 def _used(schema: Any, definitions: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the definitions that a schema refers to, also through others."""
+    """Return the definitions that a schema refers to, even through others."""
     used: dict[str, Any] = {}
     todo = [schema]
     while todo:

@@ -103,8 +103,8 @@ class BrokerWatch(ABC):
         """Return the next records, in the order of their sequences; None once, when all records
         that were there at first have been returned.
 
-        It never ends by itself. If changes were missed, it begins anew: all records come again, and
-        None again after them. Records that were forgotten meanwhile do not come.
+        It never ends by itself. If changes were missed, it begins again: all records come again,
+        and None again after them. Records that were forgotten meanwhile do not come.
         """
 
 

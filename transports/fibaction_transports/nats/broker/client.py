@@ -72,7 +72,7 @@ class _Outgoing(NamedTuple):
 
 
 class _Subscribed(BrokerSubscription):
-    """A subscription, on each connection anew."""
+    """A subscription, renewed on each connection."""
 
     def __init__(self, client: NatsClient, number: int, subject: str, queue: str) -> None:
         self.number = number

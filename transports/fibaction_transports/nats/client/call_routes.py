@@ -5,7 +5,8 @@ Theory of operation
 
 A client follows a goal on the line to its owner. The goal is lost there if the lease of the worker
 has ended, if the worker says that another one has taken the goal, or if the line does not come back
-in time. A line that only flickers does not lose it: the connection goes on with it on the next one.
+in time. A line that only flickers does not lose it: the connection continues with it on the next
+one.
 
 A lost goal waits here, and its record is read, again and again, until one of these is true:
 
@@ -17,7 +18,7 @@ A lost goal waits here, and its record is read, again and again, until one of th
 - `reconnect_timeout` seconds have passed since the line was lost: `ConnectionLost`.
 
 A worker that has just come to own a goal may not know it yet, and the former one may not know that
-it was lost. So a goal that is lost again before its owner has gone on with it waits, longer each
+it was lost. So a goal that is lost again before its owner has continued with it waits, longer each
 time, before the next look.
 """
 
@@ -110,8 +111,8 @@ class CallRoutes:
             await self._workers.news.wait()
 
     def lose(self, goal: RemoteGoal, error: ActionError, since: float | None) -> None:
-        """Lead a goal to its owner that its connection cannot go on with, or could not since that
-        time.
+        """Lead a goal to its owner that its connection cannot continue with, or could not since
+        that time.
         """
         if self._is_closed:
             goal.fail(error)

@@ -19,7 +19,7 @@ record no worker has accepted it, and any worker is tried.
 *How a goal moves.* When the lease of a worker ends, when it lets go of a goal, or when a goal waits
 there and another worker could run it, that other worker writes itself into the record: see
 `takeover`. The client takes no part in it. `CallRoutes` reads the record until the owner lives, and
-moves the same `RemoteGoal` to the connection to that worker, where it goes on after the last
+moves the same `RemoteGoal` to the connection to that worker, where it continues after the last
 feedback that has arrived.
 
 *What a client follows.* A goal is followed at its owner, which `feedback` finds by the record, and
@@ -62,7 +62,7 @@ from fibaction_transports.nats.client.parts import FleetParts, Placement, RetryT
 T = TypeVar("T")
 
 RECORD_OVERHEAD = 4096
-"""Bytes of a record beside the goal, at most."""
+"""Bytes of a record in addition to the goal, at most."""
 
 
 class FleetEndpoint(Endpoint):

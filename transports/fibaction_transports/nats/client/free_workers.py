@@ -9,7 +9,7 @@ at once cost few questions.
 An offer tells that a worker has room. For `OFFER_LIFE` seconds after it, the place of a goal that
 has ended there is used again without another question, so goals that are quick need few questions,
 too. If the worker has given the room to another goal meanwhile, it rejects this one as busy, and
-then a question finds a place. As offers end soon, a client that goes on comes to all workers.
+then a question finds a place. As offers end soon, a client that continues comes to all workers.
 
 A worker that is frozen, or whose machine was switched off, still gets its share of the questions
 until the broker notices, and does not answer. So the first wait is short, and the next ones are

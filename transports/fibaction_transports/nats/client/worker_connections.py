@@ -31,8 +31,8 @@ IDLE = 30.0
 
 
 OnLost: TypeAlias = Callable[[RemoteGoal, ActionError, float | None], None]
-"""Takes a goal that a connection cannot go on with, and the time at which its line was lost; None
-if it was not lost."""
+"""Takes a goal that a connection cannot continue with, and the time at which its line was lost;
+None if it was not lost."""
 
 
 class Lines(Protocol):
@@ -71,7 +71,7 @@ class _Opened:
         """True if it was not used when it was last looked at."""
 
     def lose(self, goal: RemoteGoal, error: ActionError) -> None:
-        """Give a goal to the routes that this connection cannot go on with."""
+        """Give a goal to the routes that this connection cannot continue with."""
         self._on_lost(goal, error, self.connection.lost_at)
 
     async def _dial(self) -> Line:
@@ -101,7 +101,7 @@ class WorkerConnections:
         self, worker: str, action: str, request: GoalRequest, *, is_kept: bool
     ) -> RemoteGoal:
         """Send a goal to a worker, as `OpenCalls.send` does. A goal that is kept in a record goes
-        to `on_lost` when the connection cannot go on with it.
+        to `on_lost` when the connection cannot continue with it.
         """
         opened = self._of(worker)
         return await opened.connection.calls.send(
@@ -123,7 +123,7 @@ class WorkerConnections:
         )
 
     def adopt(self, worker: str, goal: RemoteGoal) -> None:
-        """Go on with a goal at its owner."""
+        """Continue with a goal at its owner."""
         opened = self._of(worker)
         goal.on_lost = opened.lose
         opened.connection.calls.adopt(goal)

@@ -196,7 +196,7 @@ class PieceLine(Line):
             self.wake_writer()
             while self._error is None:
                 if self._rest:
-                    async with turn:  # in a later turn, also if the lock is free
+                    async with turn:  # in a later turn, even if the lock is free
                         self._go_on()
                 else:
                     await self._changed.wait()

@@ -3,11 +3,12 @@
 Theory of operation
 -------------------
 
-A worker joins by storing a `LeaseEntry` with a time to live, and stores it anew three times in that
-time. The brokers judge the time to live: when it is over, the other workers see a marker, and take
-over the goals. So a worker must stop before that. It *fences* itself at `valid_until`: a margin
-before the end of the lease, counted from the moment before the last successful renewal was sent, by
-the monotonic clock of the event loop. No clock is ever compared with that of another machine.
+A worker joins by storing a `LeaseEntry` with a time to live, and stores it again three times in
+that time. The brokers judge the time to live: when it is over, the other workers see a marker, and
+take over the goals. So a worker must stop before that. It *fences* itself at `valid_until`: a
+margin before the end of the lease, counted from the moment before the last successful renewal was
+sent, by the monotonic clock of the event loop. No clock is ever compared with that of another
+machine.
 
 A fence makes all goals of the worker lost for it: `on_fence` lets go of them. Then the worker joins
 again, with a new incarnation, as soon as the brokers answer. A process that was frozen finds in its
@@ -101,7 +102,7 @@ class Membership:
         return bool(self.incarnation)
 
     def note_change(self) -> None:
-        """Store the lease anew soon, because something in it has changed."""
+        """Store the lease again soon, because something in it has changed."""
         self._wanted += 1
         self._changes.notify()
 
@@ -112,7 +113,7 @@ class Membership:
         self.note_change()
 
     async def update(self) -> None:
-        """Store the lease anew at once, and wait until it is stored."""
+        """Store the lease again at once, and wait until it is stored."""
         self._last_put = -math.inf
         self.note_change()
         wanted = self._wanted
@@ -243,7 +244,7 @@ class Membership:
             pause = min(2 * pause, LONGEST_PAUSE)
 
     async def _renewed(self, incarnation: bytes) -> bool:
-        """Store the lease anew; return whether that is done, or in vain."""
+        """Store the lease again; return whether that is done, or in vain."""
         change = self._wanted
         self._term.sent(current_time())
         stored = await self._put(self._entry(incarnation), self._sequence)

@@ -9,7 +9,7 @@ for the streams several times in a lease, so that it can store its lease again b
 fence itself. It makes those that are missing, and writes again what is its own:
 
 - its lease, so that other workers do not take its goals over;
-- the records of its goals, which go on meanwhile;
+- the records of its goals, which continue meanwhile;
 - the notes of goals that wait at it, and of those that a scan finds without a worker;
 - the places of keys that its goals have, if it has opened their stream (`open_keys`).
 

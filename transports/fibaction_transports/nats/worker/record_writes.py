@@ -137,7 +137,7 @@ class HeldGoal:
         if record.sequence == self.sequence or (is_mine and write.kind != "accept"):
             return record.sequence
         has_ended = entry.goal.status.is_terminal and is_mine
-        # The server has forgotten its outcome, so the goal may be sent anew.
+        # The server has forgotten its outcome, so the goal may be sent again.
         return record.sequence if write.kind == "accept" and has_ended else None
 
 

@@ -132,7 +132,7 @@ class Takeover:
             try:
                 record = await self._lost.record_of(worker)
                 if record is not None and record.data:
-                    return  # it has joined again, has left in good order, or is cleared up after
+                    return  # it has joined again, has left cleanly, or is cleared up after
                 me = self._membership
                 entry = LeaseEntry(worker, b"", lease=me.lease, cleared_by=me.worker)
                 stored = await self._put(subject, entry, record.sequence if record else 0)
@@ -219,7 +219,7 @@ class Takeover:
     ) -> None:
         limit = CapacityLimiter(AT_ONCE)
         async with aclosing(self._broker.notes(self._names.left(journal.action))) as notes:
-            async for note in notes:  # pragma: no branch  # they go on until the task is canceled
+            async for note in notes:  # pragma: no branch  # they continue until a cancel
                 await limit.acquire_on_behalf_of(note)
                 tasks.start_soon(self._take_one_left, journal, others, note, limit)
 

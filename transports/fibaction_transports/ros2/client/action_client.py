@@ -26,7 +26,7 @@ of all statuses; the streams of the goals are told here.
 stream of statuses is pending. `Presence` knows by the graph, and by signs of life, whether there is
 a server. If it has fallen silent, it is waited for; when it is there again, requests whose answers
 are missing are sent again. If there is none, everything that is pending ends with `ConnectionLost`,
-after `LAST_WORDS` seconds for what is still on its way. A server that was started anew has another
+after `LAST_WORDS` seconds for what is still on its way. A server that was restarted has another
 ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
 
 *A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
@@ -309,7 +309,7 @@ class RosActionClient:
 
     def _resume(self) -> None:
         """Request again what may have been lost while the server was silent. If it was started
-        anew meanwhile, the new one says whether it knows the goals.
+        again meanwhile, the new one says whether it knows the goals.
         """
         logger.info("%s: its server is there again", self._action)
         for stream in self._followed:

@@ -10,12 +10,12 @@ a longer pause, so that requests do not pile up at a busy server.
 A server of fibaction publishes the feedback, then the number of its messages (`feedback_counts`),
 then the terminal status, and then it answers with the result. Feedback may still arrive after the
 result, if the middleware had to send it again. If the server tells the number, the stream of a goal
-goes on until all messages are there, for `LATE_FEEDBACK` seconds (4) at most; what is missing then
-is lost, and is counted. Another server tells none. Then the middleware is asked whether messages
-are missing that were published before (`TopicSubscription.when_caught_up`): over DDS without ROS
-the stream goes on until they are there, and with rclpy, feedback after the result is dropped.
-Where several servers run the goal, it goes on until it is known which of them has accepted it, for
-`LATE` seconds at most.
+continues until all messages are there, for `LATE_FEEDBACK` seconds (4) at most; what is missing
+then is lost, and is counted. Another server tells none. Then the middleware is asked whether
+messages are missing that were published before (`TopicSubscription.when_caught_up`): over DDS
+without ROS the stream continues until they are there, and with rclpy, feedback after the result is
+dropped. Where several servers run the goal, it continues until it is known which of them has
+accepted it, for `LATE` seconds at most.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ class RosGoalStream(GoalStream):
                 self.news.notify()
 
     def set_outcome(self, outcome: Outcome[bytes]) -> None:
-        """Note the goal's outcome. Its feedback goes on until `finish`."""
+        """Note the goal's outcome. Its feedback continues until `finish`."""
         if self._outcome is None and self._error is None:
             self._outcome = outcome
             self._status = outcome.status

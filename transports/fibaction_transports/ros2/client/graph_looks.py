@@ -12,7 +12,7 @@ is complete
 
 A node that has been there for long has found the others: a look at it takes no time, unless a
 participant has just come. With rclpy, which does not tell what is missing, a new node has a scout
-beside it (`on_dds.scout`).
+next to it (`on_dds.scout`).
 """
 
 from __future__ import annotations

@@ -36,9 +36,9 @@ class Presence:
     """Tells if an action has a server that can be reached.
 
     A server that leaves is removed from the graph at once. One that is killed is removed when the
-    lease of its node has run out, after some 20 s. Servers of fibaction give signs of life on their
-    status topic, too, and count as silent after `lease` seconds without one. With a middleware that
-    may tell nothing of signs of life, this begins with the first one that it tells.
+    lease of its node has run out, after about 20 s. Servers of fibaction give signs of life on
+    their status topic, too, and count as silent after `lease` seconds without one. With a
+    middleware that may tell nothing of signs of life, this begins with the first one that it tells.
 
     A silent server may be there again: it was stopped, or its line was. So it is missed only after
     a grace time. A server that leaves while it is not silent is missed at once.
@@ -135,10 +135,10 @@ class Presence:
 
     def servers(self) -> frozenset[bytes]:
         """Return the servers, as ROS identifies the ends of the status topic (by GIDs). A server
-        that is started anew has another GID.
+        that is restarted has another GID.
 
         They are looked up when their number has changed, or after `WATCH_PAUSE`, and not for each
-        of many status lists: a look takes some 0.1 ms.
+        of many status lists: a look takes about 0.1 ms.
         """
         now = current_time()
         count = self._status.publisher_count()

@@ -143,7 +143,7 @@ class MessageKind(Kind):
             text: Its name, for example `geometry_msgs/Point`.
             cls: Makes a message with ROS's defaults.
             fields: Its fields, in order. The attribute of a message that holds a field has a `_`
-                behind the name if that is a keyword of Python.
+                after the name if that is a keyword of Python.
             default: A struct with these fields, for users without a type of their own.
         """
         self.text = text

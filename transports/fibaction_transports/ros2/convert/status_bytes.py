@@ -29,7 +29,7 @@ _BILLION = 10**9
 _HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
 _START = len(_HEADER) + 4  # the number of lines follows the header
 # A line is a UUID, the stamp's seconds and nanoseconds, and the status. The numbers of the stamp
-# are aligned to 4 bytes, so all lines but the first have a gap of 3 behind the UUID.
+# are aligned to 4 bytes, so all lines but the first have a gap of 3 after the UUID.
 _ID = 16
 _GAP = slice(_ID, _ID + 3)
 _LINE = struct.Struct("<16s3xiIb")

@@ -2,8 +2,9 @@
 
 A client of ROS cannot tell whether it has all feedback: the messages carry no numbers, and what the
 middleware sends again to a new reader may arrive after the result. So a server of fibaction tells
-the number on a topic of its own, beside those of the action. Its name is hidden, so that the tools
-of ROS do not list it, and only clients of fibaction subscribe to it, if a server publishes it.
+the number on a topic of its own, in addition to those of the action. Its name is hidden, so that
+the tools of ROS do not list it, and only clients of fibaction subscribe to it, if a server
+publishes it.
 
 A message is an `rcl_interfaces/msg/Parameter`, a type that every node of rclpy has: its name is the
 goal's ID, its value the number. It is published before the result, and the topic keeps the last

@@ -27,7 +27,7 @@ class EndInfo(NamedTuple):
     """A publisher or a subscription of any node, as the graph describes it."""
 
     gid: bytes
-    """Its ID. An end that is made anew has another one."""
+    """Its ID. An end that is made again has another one."""
     node: str
     """The full name of its node, for example `/robot/arm`; empty if it is not known yet."""
     qos: EndQos

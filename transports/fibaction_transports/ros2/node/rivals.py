@@ -1,4 +1,4 @@
-"""Servers of the same action beside each other: each of them runs every goal.
+"""Servers of the same action next to each other: each of them runs every goal.
 
 ROS does not tell a client which of them has answered. But each server publishes the stamp of the
 goal by its own clock, and the client was told the stamp in the acceptance. So the server whose

@@ -1,4 +1,5 @@
-"""The graph as a node sees it, and a scout beside the node, which tells how far discovery has come.
+"""The graph as a node sees it, and a scout next to the node, which tells how far discovery has
+come.
 
 A scout counts only if it sees the node, too: another middleware or security may hide the graph from
 it. Then the node's own view is all there is.

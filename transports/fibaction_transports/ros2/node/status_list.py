@@ -126,7 +126,7 @@ class ReceivedStatuses:
     """The goals of the last status list that was received.
 
     Readers get the list in its latest version only, so some statuses are never seen. The statuses
-    that a goal must have had are reported all the same, so that every change is a legal one.
+    that a goal must have had are reported anyway, so that every change is a legal one.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A scout: a participant that looks at the graph beside a node of another middleware.
+"""A scout: a participant that looks at the graph next to a node of another middleware.
 
 rclpy tells what it knows of the graph, and not what it knows to be missing: Fast DDS takes one or
 two seconds to find ten nodes, with pauses longer than one. Our RTPS knows of each participant

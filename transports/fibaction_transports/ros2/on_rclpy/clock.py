@@ -10,7 +10,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import Duration, InvalidHandle, Jump
 
 
 class NodeClock(RosClock):
-    """The clock of a node, and the number of times that it has begun anew."""
+    """The clock of a node, and the number of times that it has begun again."""
 
     def __init__(self, node: Any) -> None:
         self._clock = node.get_clock()

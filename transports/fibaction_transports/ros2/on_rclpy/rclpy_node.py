@@ -271,7 +271,7 @@ class RclpyNode(RosNode):
         self._lost.append(call)
 
     def wake(self) -> None:
-        """Make the executor collect anew what it waits for."""
+        """Make the executor collect again what it waits for."""
         executor = self.node.executor
         if executor is not None:
             executor.wake()

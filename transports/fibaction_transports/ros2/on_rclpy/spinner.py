@@ -3,7 +3,7 @@
 Theory of operation
 -------------------
 
-rclpy's executor collects everything of a node anew each time that it wakes, in Python, and wraps
+rclpy's executor collects everything of a node again each time that it wakes, in Python, and wraps
 what is ready in a task of its own. That took a quarter of the time of a goal, while the event loop
 waited for the interpreter. So the thread has a wait set of its own, which lasts until the handles
 change, and takes from the sources of the node's `RosWaitable` directly.

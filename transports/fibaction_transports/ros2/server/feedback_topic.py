@@ -23,7 +23,7 @@ LOOK_PAUSE = 0.05
 """Seconds after which readers are looked up again although their number has not changed."""
 PACE = 0.1
 """The least number of seconds for half a queue of feedback: 5,000 messages in a second with the
-default depth. A reader of fibaction may be late by some 0.2 s."""
+default depth. A reader of fibaction may be late by about 0.2 s."""
 FIRST_PACE = 0.5
 """The same for a new reader: its first messages are often sent again, which takes time."""
 PIECES = 10
@@ -156,7 +156,7 @@ class FeedbackPublisher:
         """Publish feedback.
 
         Feedback that does not fit its ROS type is left out, with one error for each goal in ROS's
-        log. The goal goes on: its executor has already continued.
+        log. The goal continues: its executor has already continued.
         """
         try:
             self._message.feedback = self._topic.convert(payload)

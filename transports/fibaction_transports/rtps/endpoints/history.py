@@ -61,7 +61,7 @@ class History:
         return self._samples.get(number)
 
     def is_full(self, sample: StoredSample) -> bool:
-        """Return whether another sample has no room beside those that are kept."""
+        """Return whether another sample has no room in addition to those that are kept."""
         size = self.bytes + len(sample.payload)
         return size > self._limits.history or len(self._samples) >= self._limits.history_samples
 

@@ -95,7 +95,7 @@ class DataReader:
         """Ask every writer for its newest samples, without waiting for its heartbeat.
 
         Fast DDS repeats a lost heartbeat only after three seconds. If you wait for an answer, ask
-        after some 30 ms, and again after twice the time.
+        after about 30 ms, and again after twice the time.
         """
         for proxy in self._writers.values():
             proxy.ask(now)

@@ -57,7 +57,7 @@ class Asset:
 
     @property
     def headers(self) -> tuple[tuple[str, str], ...]:
-        """The headers of the answer, beside those of every answer."""
+        """The headers of the answer, in addition to those of every answer."""
         headers: tuple[tuple[str, str], ...] = (
             ("ETag", self.tag),
             ("Cache-Control", "no-cache"),  # a browser asks whether its copy is up to date

@@ -101,7 +101,7 @@ class Exchange:
         self.has_begun = False
         """True if the answer has begun."""
         self.more_headers: list[tuple[str, str]] = []
-        """Headers that the answer has beside its own."""
+        """Headers that the answer has next to its own."""
         query: str = scope.get("query_string", b"").decode("latin-1")
         self._query = parse_qs(query, keep_blank_values=True)
         self._receive = receive

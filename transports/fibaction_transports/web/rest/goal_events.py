@@ -85,7 +85,7 @@ class GoalEvents:
         return event("status", _json({"status": update.name}))
 
     def failure(self, problem: Problem) -> str:
-        """Return the last event of a stream that cannot go on."""
+        """Return the last event of a stream that cannot continue."""
         return event("failure", problem.body.decode())
 
     def outcome_members(self, outcome: Outcome[bytes]) -> dict[str, object]:

@@ -6,7 +6,7 @@ is another client each time, so it observes a goal that it sends again.
 
 A goal whose stream of events is the answer to the request that sent it ends with that answer: if
 the client goes, the goal is canceled, as if it had left the block of `send_goal`. All other goals
-run on.
+keep running.
 """
 
 from __future__ import annotations

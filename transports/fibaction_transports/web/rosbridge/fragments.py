@@ -15,7 +15,7 @@ from fibaction_transports.web.rosbridge.operations import ClientID, Fragment
 LEAST_FRAGMENT = 1024
 """Characters of the smallest fragments: smaller ones would consist of their names."""
 OVERHEAD = 100
-"""Bytes that a fragment costs beside its own text."""
+"""Bytes that a fragment costs next to its own text."""
 
 
 def size_of(text: str) -> int:

@@ -148,7 +148,7 @@ class OperationReader:
     """A reader of the operations that one side serves."""
 
     def __init__(self, *served: type[msgspec.Struct], accepts_nan: bool = False) -> None:
-        """Serve these operations; with `accepts_nan`, also with values that are not numbers, as
+        """Serve these operations; with `accepts_nan`, even with values that are not numbers, as
         Python's JSON writes them.
         """
         self._type: Any = Union[served]  # noqa: UP007  # it is not written out here

@@ -12,7 +12,7 @@ from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
 from fibaction_transports.ros2.on_dds.messages.node_messages import node_message
 
 LARGEST_DESCRIPTION: Final = 2**20
-"""Bytes of an answer; the description of an action has some 6,000 with its sources."""
+"""Bytes of an answer; the description of an action has about 6,000 with its sources."""
 _MESSAGES = "type_description_interfaces/msg"
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 

@@ -1,4 +1,4 @@
-"""The messages that a node has beside those of its actions: parameters, and the time."""
+"""The messages that a node has in addition to those of its actions: parameters, and the time."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ Theory of operation
 -------------------
 
 The link belongs to one WebSocket, and ends with it. Whatever waits then ends with an error: a
-rosbridge server forgets which client has sent a goal, so another connection could not go on.
+rosbridge server forgets which client has sent a goal, so another connection could not continue.
 
 Requests are written in their order. `send` returns when its message has been written, so a slow
 server makes its callers wait, and nothing piles up here. What arrives is handled at once: feedback

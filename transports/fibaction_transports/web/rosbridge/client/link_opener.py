@@ -1,6 +1,6 @@
 """`LinkKeeper`: the link of a client to a rosbridge server, opened whenever it is needed.
 
-A client has at most one `ServerLink`. It is opened by the first request, and opened anew by the
+A client has at most one `ServerLink`. It is opened by the first request, and opened again by the
 first request after it was lost; goals and calls of the lost one have ended with it.
 
 rosbridge has no goal IDs. Those of the goals that were sent are remembered here: the stream of such

@@ -85,7 +85,7 @@ class RosbridgeAsgiChannel(_RosbridgeChannel):
 
     @property
     def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
-        """True if `send` is to be called also without frames: for answers that belong to none."""
+        """True if `send` is to be called even without frames: for answers that belong to none."""
         return self.translator.has_texts
 
     async def send(self, frames: Sequence[bytes]) -> None:

@@ -220,7 +220,7 @@ class Topics:
         return texts
 
     def _end(self, watched: WatchedAction, message: Done | Finished | Ended | Failed) -> None:
-        """Go on after the last frame of a request."""
+        """Continue after the last frame of a request."""
         if message.id != watched.request:
             watched.leave(message.id)
         elif isinstance(message, Done):
