@@ -253,7 +253,7 @@ class _Harmless:
         if not self._has_failed:
             self._has_failed = True
             logger.error(
-                "a span of a client failed, and goals go on; later errors are not logged: %s",
+                "a span of a client failed, and goals continue; later errors are not logged: %s",
                 text_of(exc),
                 exc_info=exc,
             )

@@ -133,7 +133,7 @@ class WatcherGroup(Watchers):
             return
         self._failed.add(watcher)
         logger.error(
-            "action %r: %s.%s failed, and goals go on; later errors of it are not logged: %s",
+            "action %r: %s.%s failed, and goals continue; later errors of it are not logged: %s",
             self._action,
             type(watcher).__qualname__,
             name,

@@ -35,8 +35,8 @@ WHAT_TO_DO = {
     sqlite3.SQLITE_READONLY: "the file or its folder is read-only; allow this process to write",
     sqlite3.SQLITE_NOTADB: "it is not a store of goals; use another file",
     sqlite3.SQLITE_CORRUPT: (
-        "the file is damaged; restore it and the files beside it from a copy, or remove all of them"
-        " to start without its goals"
+        "the file is damaged; restore it and the files next to it from a copy, or remove all of"
+        " them to start without its goals"
     ),
 }
 """The text for each of SQLite's errors that people can do something about."""

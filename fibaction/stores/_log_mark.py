@@ -30,8 +30,8 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 LOG_IS_MISSING = (
-    "the file beside it that ends in -wal is missing, and with it the newest goals; put it back,"
-    " restore both files from a copy, or make it an empty file to go on without those goals"
+    "the file next to it that ends in -wal is missing, and with it the newest goals; put it back,"
+    " restore both files from a copy, or make it an empty file to continue without those goals"
 )
 
 

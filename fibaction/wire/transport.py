@@ -188,7 +188,7 @@ def without_user(parts: SplitResult) -> str:
 def _surplus(parts: SplitResult, what: str) -> ValueError:
     return ValueError(
         f"it has a {what}, and the URL of a server is like"
-        f" {parts.scheme}://host:port, with settings behind ? such as token="
+        f" {parts.scheme}://host:port, with settings after ? such as token="
     )
 
 

@@ -216,7 +216,7 @@ def test_the_log_is_above_the_line_that_changes(
 
     assert shown.ends() == ExitCode.INTERRUPTED
     assert f"\nfibaction: {robot.tcp} closed its side\nCanceling goal..." in shown.text
-    assert "was left, and may go on." in shown.text
+    assert "was left, and may continue." in shown.text
     assert "step 0" not in shown.text
 
 
@@ -340,7 +340,7 @@ def test_a_goal_that_is_not_canceled_is_left_when_its_time_is_up(invoke: Invoke,
 
     assert result.exit_code == ExitCode.TIMED_OUT
     assert "The server does not cancel it: it is never canceled\n" in result.stderr
-    assert result.stderr.endswith("was left, and may go on.\n")
+    assert result.stderr.endswith("was left, and may continue.\n")
 
 
 def test_a_server_that_is_silent_is_not_waited_for(invoke: Invoke) -> None:
@@ -603,7 +603,7 @@ async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
     assert codes == [ExitCode.INTERRUPTED]
     asking, left = capsys.readouterr().err.splitlines()
     assert asking.startswith("Canceling goal...")
-    assert left.endswith("was left, and may go on.")
+    assert left.endswith("was left, and may continue.")
 
 
 @pytest.mark.asyncio
@@ -686,8 +686,8 @@ async def lost(*_: object) -> None:
 @pytest.mark.parametrize(
     ("calls", "text"),
     [
-        ({}, "was left, and may go on.\n"),  # the goal does not end
-        ({"cancel_goals": silent}, "was left, and may go on.\n"),
+        ({}, "was left, and may continue.\n"),  # the goal does not end
+        ({"cancel_goals": silent}, "was left, and may continue.\n"),
         ({"cancel_goals": lost}, "It could not be canceled: no server listens: start the server\n"),
     ],
 )

@@ -133,4 +133,4 @@ def test_a_store_without_its_log_is_not_copied(here: Run, store: Path, tmp_path:
     found = here("store", "backup", str(alone))
 
     assert found.code == 7
-    assert ": the file beside it that ends in -wal is missing, and" in found.err
+    assert ": the file next to it that ends in -wal is missing, and" in found.err

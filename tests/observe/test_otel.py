@@ -504,7 +504,7 @@ async def test_a_processor_that_fails_is_logged_once_for_each_end_and_goals_go_o
         await anext(goal.feedback)
 
     texts = [one.getMessage() for one in caplog.records if one.levelno >= logging.WARNING]
-    assert sum("a span of a client failed, and goals go on" in text for text in texts) == 1
+    assert sum("a span of a client failed, and goals continue" in text for text in texts) == 1
     assert sum("Tracing." in text for text in texts) == 2  # each server logs it once
     assert len(texts) == 3
 

@@ -299,7 +299,7 @@ async def test_a_watcher_that_fails_is_logged_once_and_goals_and_other_watchers_
     # On a busy machine, a call may be slow as well, which is a warning.
     (record,) = (one for one in caplog.records if one.levelno >= logging.ERROR)
     assert record.getMessage() == (
-        "action 'fibonacci': Broken.opened failed, and goals go on; later errors of it are not"
+        "action 'fibonacci': Broken.opened failed, and goals continue; later errors of it are not"
         " logged: OSError: disk full"
     )
 

@@ -301,7 +301,7 @@ def test_a_log_that_is_removed_before_the_first_write_is_an_error(path: Path) ->
 
 def test_a_log_that_was_removed_after_a_kill_is_an_error(left: Path) -> None:
     left.with_name("goals.db-wal").unlink()
-    assert why_not(left).startswith("the file beside it that ends in -wal is missing, and with it")
+    assert why_not(left).startswith("the file next to it that ends in -wal is missing, and with it")
 
 
 def test_a_damaged_log_without_its_file_does_not_hinder_a_new_start(path: Path) -> None:
@@ -412,8 +412,8 @@ def test_a_row_that_has_changed_is_damage(path: Path) -> None:
     write(path, 3)
     flipped(path, path.read_bytes().index(b"\x02" * 100))
     assert why_not(path) == (
-        "the file is damaged; restore it and the files beside it from a copy, or remove all of them"
-        " to start without its goals (row 3 is not what was written)"
+        "the file is damaged; restore it and the files next to it from a copy, or remove all of"
+        " them to start without its goals (row 3 is not what was written)"
     )
 
 

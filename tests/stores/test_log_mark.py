@@ -24,8 +24,8 @@ from tests.stores.made import a_goal
 from tests.stores.test_sqlite_store import KILLED
 
 MISSING = (
-    "the file beside it that ends in -wal is missing, and with it the newest goals; put it back,"
-    " restore both files from a copy, or make it an empty file to go on without those goals"
+    "the file next to it that ends in -wal is missing, and with it the newest goals; put it back,"
+    " restore both files from a copy, or make it an empty file to continue without those goals"
 )
 
 

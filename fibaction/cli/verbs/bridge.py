@@ -75,7 +75,8 @@ def bridge_command(
     With --namespace, a NAME or OLD without a slash in front is relative to the namespace, and with
     --into, NEW is relative to that one.
 
-    Ctrl-C or SIGTERM ends the bridge; the goals go on at their server. A second one ends at once.
+    Ctrl-C or SIGTERM ends the bridge; the goals continue at their server. A second one ends it at
+    once.
     """
     if from_url == to_url:
         raise Failure("FROM_URL and TO_URL are the same: a bridge needs two", ExitCode.USAGE)

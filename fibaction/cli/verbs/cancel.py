@@ -83,7 +83,7 @@ def cancel_command(
         raise click.UsageError("--all and --before cannot be combined")
     many = everything or before is not None
     if len(words) > (1 if many else 2):
-        raise click.UsageError("there is more than NAME and GOAL_ID, or a GOAL_ID beside --all")
+        raise click.UsageError("there is more than NAME and GOAL_ID, or a GOAL_ID with --all")
     if not words and not many:
         raise click.UsageError("no goal is named: give a GOAL_ID, --all or --before STAMP")
     if many:

@@ -59,7 +59,7 @@ def console_command(context: click.Context, url: str | None, port: int, no_open:
 
     The page is served on this machine only, with a token of its own in the address.
 
-    Ctrl-C or SIGTERM ends it; the goals go on at their server. A second one ends at once.
+    Ctrl-C or SIGTERM ends it; the goals continue at their server. A second one ends at once.
     """
     there = url or url_of(context)
     reject_inproc(there)

@@ -332,7 +332,7 @@ class _GoalSender:
     def _left(self) -> ExitCode:
         """Print what is left behind, and return the exit code."""
         if self._phase == "accepted":
-            note(f"The goal {self._goal_id} was left, and may go on.")
+            note(f"The goal {self._goal_id} was left, and may continue.")
             return ExitCode.TIMED_OUT if self._late else ExitCode.INTERRUPTED
         if self._late:
             what = "accepted the goal" if self._phase == "sent" else "answered"

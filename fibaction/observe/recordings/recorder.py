@@ -186,7 +186,7 @@ class Recorder(Watcher):
                 self.error = exc
                 queue.clear()
                 logger.error(
-                    "the recording %s ends here, and goals go on: it cannot be written to: %s",
+                    "the recording %s ends here, and goals continue: it cannot be written to: %s",
                     self.path,
                     exc.strerror,
                 )

@@ -183,8 +183,8 @@ async def test_a_full_disk_ends_the_recording_with_one_line_in_the_log_and_goals
     assert disk.is_closed
     (line,) = (one for one in caplog.records if one.levelno >= logging.WARNING)
     assert line.getMessage() == (
-        f"the recording {path} ends here, and goals go on: it cannot be written to: No space left"
-        " on device"
+        f"the recording {path} ends here, and goals continue: it cannot be written to: No space"
+        " left on device"
     )
 
 

@@ -58,7 +58,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Gated:
-    """An executor that waits after its feedback, until it may go on."""
+    """An executor that waits after its feedback, until it may continue."""
 
     def __init__(self) -> None:
         self.go_on = anyio.Event()

@@ -243,7 +243,7 @@ async def test_a_cancel_that_cannot_be_asked_for_is_an_error(
         await robot.waits.wait()
         monkeypatch.setattr(AgentGoal, "cancel", cancel)
         code, text = await error_of(client, "tasks/cancel", task)
-        assert (code, text) == (INTERNAL_ERROR, "the goal may go on: it is away")
+        assert (code, text) == (INTERNAL_ERROR, "the goal may continue: it is away")
 
 
 async def test_a_canceled_goal_without_a_result_is_a_task_without_one() -> None:

@@ -373,7 +373,7 @@ async def test_a_goal_that_was_lost_is_found_again_when_it_is_asked_about(
         monkeypatch.setattr(agent_goals, "goals_of", no_goals)
         text = await made.error("goal_status", goal_id=sent["goal_id"])
         assert text.startswith(
-            "The goal cannot be followed any more, and may go on: the line was cut. Call"
+            "The goal cannot be followed any more, and may continue: the line was cut. Call"
         )
 
 
@@ -398,7 +398,7 @@ async def test_a_goal_that_ends_badly_for_the_bridge_says_so(
         with monkeypatch.context() as patch:
             patch.setattr(ClientGoal, "cancel", lost)
             text = await made.error("cancel_goal", goal_id=str(other.goal_id))
-            assert text == "The goal was not canceled, and may go on: the line was cut"
+            assert text == "The goal was not canceled, and may continue: the line was cut"
         await other.cancel()
 
 
@@ -422,7 +422,7 @@ async def test_a_cancel_of_a_call_while_the_server_is_away_is_logged(
         assert not robot.stopped.is_set()
         await robot.drive.cancel_goals()
     (record,) = caplog.records
-    assert record.getMessage().endswith("was not canceled, and goes on: the line was cut")
+    assert record.getMessage().endswith("was not canceled, and continues: the line was cut")
 
 
 async def test_an_unknown_outcome_is_an_error() -> None:

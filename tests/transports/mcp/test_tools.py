@@ -188,7 +188,7 @@ async def test_a_cancel_that_is_rejected_says_why(mode: Mode) -> None:
         await robot.waits.wait()
         robot.is_stubborn = True
         assert await made.error("cancel_goal", goal_id=sent["goal_id"]) == (
-            "The server rejects the cancel, and the goal goes on: it is on a slope"
+            "The server rejects the cancel, and the goal continues: it is on a slope"
         )
         assert not robot.stopped.is_set()
 

@@ -156,7 +156,7 @@ async def test_what_a_url_says_besides_is_refused_and_not_left_out_silently(
         connect(url)
     assert str(caught.value) == (
         f"{what}, and the URL of a server is like {url[:3]}://host:port,"
-        f" with settings behind ? such as token="
+        f" with settings after ? such as token="
     )
     assert TcpTransport.from_url("tcp://robot:7400/").url == "tcp://robot:7400"
 

@@ -26,7 +26,7 @@ PORT = 4222
 """The default port of a broker."""
 SERVERS = (f"127.0.0.1:{PORT}",)
 """The default brokers: one on this machine."""
-LIKE = "nats://host:4222/fleet, with settings behind ? such as worker="
+LIKE = "nats://host:4222/fleet, with settings after ? such as worker="
 
 
 class NatsTransport(ConfiguredTransport):

@@ -660,7 +660,7 @@ async def test_bytes_of_a_typed_client_cross_without_rosapi() -> None:
 
 async def test_without_rosapi_there_is_no_list() -> None:
     async with serving(has_rosapi=False) as server, connect(server.url) as connection:
-        with pytest.raises(TransportError, match=r"start rosapi beside rosbridge.*does not exist"):
+        with pytest.raises(TransportError, match=r"start rosapi next to rosbridge.*does not exist"):
             await connection.actions()
         assert await connection.client(FIBONACCI).call(Goal(3)) == Result([3])
 

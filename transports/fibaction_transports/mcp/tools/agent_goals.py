@@ -143,7 +143,7 @@ class AgentGoal:
             try:
                 await self.cancel()
             except ActionError as exc:
-                logger.warning("goal %s was not canceled, and goes on: %s", self.goal_id, exc)
+                logger.warning("goal %s was not canceled, and continues: %s", self.goal_id, exc)
 
 
 class AgentGoals:

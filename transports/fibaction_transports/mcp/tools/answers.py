@@ -109,8 +109,8 @@ def goal_answer(goal: AgentGoal, *, cancel_wanted: bool = False) -> CallToolResu
         data |= {"feedback_count": goal.number, "feedback": feedback}
     if goal.error is not None:
         sentence = (
-            f"The goal cannot be followed any more, and may go on: {goal.error}. Call {STATUS} with"
-            f" its goal_id to try again."
+            f"The goal cannot be followed any more, and may continue: {goal.error}. Call {STATUS}"
+            f" with its goal_id to try again."
         )
         return data_answer(data, sentence, error=True, images=images.found)
     if outcome is None:

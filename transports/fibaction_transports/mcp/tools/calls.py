@@ -218,7 +218,7 @@ async def _cancel(goal: AgentGoal) -> None:
     try:
         answer = await goal.cancel()
     except ActionError as exc:
-        raise ToolError(f"The goal was not canceled, and may go on: {exc}") from exc
+        raise ToolError(f"The goal was not canceled, and may continue: {exc}") from exc
     if answer.return_code is CancelCode.REJECTED:
         reason = answer.reason or "it gives no reason"
-        raise ToolError(f"The server rejects the cancel, and the goal goes on: {reason}")
+        raise ToolError(f"The server rejects the cancel, and the goal continues: {reason}")

@@ -113,7 +113,7 @@ class GoalTasks:
         try:
             answer = await goal.cancel()
         except ActionError as exc:
-            raise MCPError(INTERNAL_ERROR, f"the goal may go on: {exc}") from exc
+            raise MCPError(INTERNAL_ERROR, f"the goal may continue: {exc}") from exc
         if answer.return_code is CancelCode.REJECTED:
             reason = answer.reason or "it gives no reason"
             raise MCPError(INTERNAL_ERROR, f"the server rejects the cancel: {reason}")

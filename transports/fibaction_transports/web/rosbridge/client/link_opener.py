@@ -102,7 +102,7 @@ class LinkKeeper:
             values = await self.call("/rosapi/action_servers", {})
         except CallFailed as exc:
             raise CallFailed(
-                f"{self.url} cannot list its actions: start rosapi beside rosbridge ({exc})"
+                f"{self.url} cannot list its actions: start rosapi next to rosbridge ({exc})"
             ) from exc
         return _converted(values, _ActionServers).action_servers
 
