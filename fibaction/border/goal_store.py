@@ -118,7 +118,8 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     def drop_request(self) -> None:
         """Forget what is needed only to run the goal; of the meta, the parent is left."""
         self.goal, self.checkpoint = b"", None
-        self.meta = meta_after_end(self.meta)
+        if self.meta is not None:
+            self.meta = meta_after_end(self.meta)
 
     def as_new(self, stamp: int) -> StoredGoal:
         """Return a goal that was given up as a new one, to run from its last checkpoint.

@@ -135,7 +135,10 @@ class Writer:
         try:
             self._try(self._open)
             while last is None:
-                last = self._handle(self._next_items())  # which it has no longer while it waits
+                # Those that come meanwhile are for the next commit.
+                items = [self._queue.get()]
+                items += [self._queue.get_nowait() for _ in range(self._queue.qsize())]
+                last = self._handle(items)
         except RuntimeError:
             pass  # the event loop has ended without closing the store: there is nothing to tell
         if self._file is not None:
@@ -144,18 +147,13 @@ class Writer:
             with suppress(RuntimeError):  # the event loop has ended meanwhile
                 self._call(last.is_done.set)
 
-    def _next_items(self) -> list[Batch | _WriterCommand]:
-        """Wait for something to do. What comes afterwards is for the next commit."""
-        items = [self._queue.get()]
-        items += [self._queue.get_nowait() for _ in range(self._queue.qsize())]
-        return items
-
     def _handle(self, items: list[Batch | _WriterCommand]) -> _WriterCommand | None:
         """Do everything in order; return the command to close, after which nothing comes."""
         batch: Batch = []
         for item in items:
             if isinstance(item, list):
                 batch += item
+                item.clear()  # the event loop is the last that has them: see `_tell`
                 continue
             self._commit(batch)
             batch = []
@@ -239,6 +237,11 @@ class _WriterCommand:
 
 
 def _tell(batch: Batch, error: str) -> None:
-    """Call the function of each record, on the event loop."""
-    for _, then, _ in batch:
-        then(StoreError(error) if error else None)
+    """Call the function of each record, on the event loop, and let go of them there: each holds a
+    goal, whose end is counted where no other thread counts.
+    """
+    try:
+        for _, then, _ in batch:
+            then(StoreError(error) if error else None)
+    finally:
+        batch.clear()

@@ -440,6 +440,30 @@ def test_the_thread_ends_with_a_write_that_outlives_the_event_loop(
     assert not thread.is_alive()
 
 
+async def test_what_is_told_of_a_write_is_let_go_in_the_thread_of_the_event_loop(
+    path: Path,
+) -> None:
+    threads: list[int] = []
+
+    class Told:
+        def __init__(self, event: anyio.Event) -> None:
+            self.event = event
+
+        def __call__(self, error: StoreError | None) -> None:
+            self.event.set()
+
+        def __del__(self) -> None:
+            threads.append(threading.get_ident())
+
+    async with opened(SqliteStore(path)) as kept:
+        for number in range(1, 21):
+            told = anyio.Event()
+            kept.journal.accept(a_goal(number), Told(told))
+            await told.wait()
+
+    assert threads == [threading.get_ident()] * 20
+
+
 async def test_what_one_turn_of_the_event_loop_writes_is_one_commit(path: Path) -> None:
     async with opened(SqliteStore(path)) as kept:
         for number in range(1, 100):

@@ -221,14 +221,10 @@ class _Connection:
                 if is_upgrade(request):
                     await self._upgrade(request)
                     return
+                send = partial(self._server.write, self._stream, self._place.address)
+                scheme, root = self._server.scheme, self._root
                 exchange = HttpExchange(
-                    self._http,
-                    self._stream,
-                    partial(self._server.write, self._stream, self._place.address),
-                    request,
-                    self._peer,
-                    self._server.scheme,
-                    self._root,
+                    self._http, self._stream, send, request, self._peer, scheme, root
                 )
             except h11.RemoteProtocolError as exc:
                 await self._refuse(Refused(exc.error_status_hint, str(exc)))
