@@ -129,7 +129,7 @@ def ended(action: str, goal: StoredGoal) -> EndRecord:
         goal.feedback_count,
         goal.ended_at,
         goal.keep_until,
-        goal.is_given_up,
+        bool(goal.goal),  # its request, which only a goal that was given up has still
     )
 
 
