@@ -79,6 +79,10 @@ UNITS = {
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
     "fibaction/wire/transport.py": ["tests/transports/tcp"],
     "transports/fibaction_transports/cdr": ["tests/transports/cdr"],
+    "transports/fibaction_transports/_agents": [
+        "tests/transports/a2a",
+        "tests/transports/mcp",
+    ],
     "transports/fibaction_transports/mcp": ["tests/transports/mcp"],
     "transports/fibaction_transports/nats": ["tests/transports/nats"],
     "transports/fibaction_transports/_socket_lines": [

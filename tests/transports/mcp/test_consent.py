@@ -23,10 +23,9 @@ from mcp_types import (
 
 from fibaction import serve
 from fibaction.schema.payload import JsonCodec
+from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
 from fibaction_transports.mcp import AgentPolicy, McpBridge
 from fibaction_transports.mcp.tools import consent
-from fibaction_transports.mcp.tools.consent import goal_text
-from fibaction_transports.mcp.tools.tool_error import ToolError
 from tests.transports.mcp.robot import (
     MODES,
     Drive,
@@ -295,7 +294,7 @@ async def test_a_goal_with_many_parts_is_shown_on_one_line() -> None:
 
 
 async def test_a_goal_that_is_too_long_to_be_shown_is_not_sent() -> None:
-    with pytest.raises(ToolError, match="has 5014 characters, and the user, who must agree"):
+    with pytest.raises(HiddenGoal, match="has 5014 characters, and the user, who must agree"):
         goal_text({"to": "x" * 4998 + "\n"}, ANYTHING)
-    with pytest.raises(ToolError, match="because the user cannot see it"):
+    with pytest.raises(HiddenGoal, match="because the user cannot see it"):
         goal_text({"to": object()}, ANYTHING)

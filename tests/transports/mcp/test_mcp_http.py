@@ -20,8 +20,8 @@ from fibaction import InvalidURL, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.tls_files import TlsFiles
+from fibaction_transports._agents.http_server import is_loopback
 from fibaction_transports.mcp import McpHttpTransport
-from fibaction_transports.mcp.mcp_http import is_loopback
 from tests.support.certificates import pems
 from tests.transports.mcp.robot import DRIVE, MODES, PATIENCE, Drive, Mode, Robot, Talk
 

@@ -28,9 +28,10 @@ from fibaction.client.goal import ClientGoal
 from fibaction.observe import followed_servers
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
+from fibaction_transports._agents import robot_actions
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import AgentPolicy, McpBridge
-from fibaction_transports.mcp.tools import agent_goals, robot_actions
+from fibaction_transports.mcp.tools import agent_goals
 from fibaction_transports.mcp.tools.answers import goal_answer
 from fibaction_transports.mcp.tools.goal_overview import overview
 from tests.cli.served import Served, counter
@@ -241,7 +242,7 @@ async def test_only_so_many_actions_become_tools(
         assert bridge.tools[0] == "one"
         assert len(bridge.tools) == 4
     texts = [record.getMessage() for record in caplog.records]
-    assert texts == ["action two is left out: only 1 actions can be tools"]
+    assert texts == ["action two is left out: only 1 actions are shown"]
 
 
 async def test_names_that_clash_get_digits() -> None:
@@ -388,7 +389,7 @@ async def test_a_goal_that_ends_badly_for_the_bridge_says_so(
             raise ConnectionLost("the line was cut")
 
         with monkeypatch.context() as patch:
-            (action, _) = made.bridge._tools._actions.tools.values()
+            (action, _) = made.bridge._tools._actions.by_label.values()
             patch.setattr(action.client, "attach", lost)
             text = await made.error("goal_status", goal_id=str(other.goal_id))
             assert text == "The goal cannot be followed: the line was cut"
@@ -435,7 +436,7 @@ async def test_an_unknown_outcome_is_an_error() -> None:
 
 async def test_a_goal_is_reported_with_its_client_if_that_is_known() -> None:
     async with robot_and_talk("auto") as (_, made):
-        (action, _) = made.bridge._tools._actions.tools.values()
+        (action, _) = made.bridge._tools._actions.by_label.values()
         info = GoalInfo(GoalID.random(), 10**18, GoalStatus.EXECUTING, client="kitchen")
         told = overview({}, [action], {action: [info]})
         assert told["actions"][0]["goals"][0]["client"] == "kitchen"
@@ -445,7 +446,7 @@ async def test_a_goal_is_reported_with_its_client_if_that_is_known() -> None:
 
 async def test_a_child_is_reported_with_its_parent_and_its_step() -> None:
     async with robot_and_talk("auto") as (_, made):
-        (action, _) = made.bridge._tools._actions.tools.values()
+        (action, _) = made.bridge._tools._actions.by_label.values()
         parent = Parent(GoalID(bytes(16)), "lift\n")
         info = GoalInfo(GoalID.random(), 10**18, GoalStatus.EXECUTING, parent=parent)
         told = overview({}, [action], {action: [info]})

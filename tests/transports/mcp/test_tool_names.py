@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from fibaction_transports.mcp.tools.tool_names import LONGEST, tool_name
+from fibaction_transports._agents.action_names import LONGEST, action_name
 
 VALID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
@@ -22,13 +22,13 @@ VALID = re.compile(r"[A-Za-z0-9_-]{1,64}")
     ],
 )
 def test_a_tool_has_the_name_of_its_action(server: str, action: str, name: str) -> None:
-    assert tool_name(server, action, ()) == name
+    assert action_name(server, action, ()) == name
 
 
 @pytest.mark.parametrize("action", ["x" * (LONGEST + 1), "send_goal", "", "/"])
 def test_a_name_that_cannot_be_taken_ends_with_digits_that_are_always_the_same(action: str) -> None:
-    name = tool_name("", action, {"send_goal"})
+    name = action_name("", action, {"send_goal"})
     assert VALID.fullmatch(name)
     assert name != action
-    assert name == tool_name("", action, {"send_goal", "other"})
-    assert name != tool_name("", f"{action}y", {"send_goal"})
+    assert name == action_name("", action, {"send_goal", "other"})
+    assert name != action_name("", f"{action}y", {"send_goal"})

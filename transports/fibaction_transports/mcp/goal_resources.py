@@ -26,7 +26,7 @@ from fibaction.words.goals import GoalID
 from fibaction_transports.mcp.list_changes import ListChanges
 from fibaction_transports.mcp.tools.agent_goals import AgentGoals, goals_of
 from fibaction_transports.mcp.tools.answers import goal_answer, json_text
-from fibaction_transports.mcp.tools.robot_actions import RobotActions
+from fibaction_transports.mcp.tools.tool_actions import ToolActions
 from fibaction_transports.mcp.tools.tool_error import ToolError
 
 SCHEME = "goal://"
@@ -40,13 +40,13 @@ JSON = "application/json"
 class GoalResources:
     """The resources of one bridge."""
 
-    def __init__(self, actions: RobotActions, goals: AgentGoals) -> None:
+    def __init__(self, actions: ToolActions, goals: AgentGoals) -> None:
         self._actions = actions
         self._goals = goals
 
     async def running(self) -> ListResourcesResult:
         """List the goals that run."""
-        found = await goals_of(list(self._actions.tools.values()))
+        found = await goals_of(list(self._actions.by_label.values()))
         running = [
             (info.stamp, action, info)
             for action, infos in found.items()
@@ -57,7 +57,7 @@ class GoalResources:
         resources = [
             Resource(
                 uri=f"{SCHEME}{info.goal_id}",
-                name=f"{action.tool} {str(info.goal_id)[:8]}",
+                name=f"{action.label} {str(info.goal_id)[:8]}",
                 title=f"A goal of {action.title}",
                 description=f"{info.status.name}; {info.feedback_count} feedback messages so far.",
                 mime_type=JSON,
@@ -87,7 +87,7 @@ class GoalResources:
             if not uri.startswith(SCHEME):
                 raise ValueError(f"the address of a goal is {SCHEME}ID")
             goal_id = GoalID.parse(uri.removeprefix(SCHEME))
-            goal = await self._goals.find(goal_id, list(self._actions.tools.values()))
+            goal = await self._goals.find(goal_id, list(self._actions.by_label.values()))
         except (ValueError, ToolError) as exc:
             raise MCPError(INVALID_PARAMS, f"there is no such resource: {exc}") from exc
         text = json_text(goal_answer(goal).structured_content)

@@ -13,7 +13,7 @@ from mcp.server import Server
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
-from fibaction_transports.mcp.mcp_keywords import PolicyKeywords
+from fibaction_transports._agents.agent_keywords import PolicyKeywords
 from fibaction_transports.mcp.mcp_transport import McpTransport
 from fibaction_transports.mcp.stdio_streams import stdio_streams
 
@@ -31,7 +31,7 @@ class McpStdioTransport(McpTransport):
     """
 
     def __init__(self, **settings: Unpack[PolicyKeywords]) -> None:
-        """Take the rules for what a model may do: see `AgentPolicy`.
+        """Take the rules for what an agent may do: see `AgentPolicy`.
 
         Raises:
             TypeError: There is no such setting.

@@ -24,14 +24,15 @@ from mcp_types import (
 from fibaction import __version__
 from fibaction.border.event_loop import Background
 from fibaction.border.gateway import ServerGroup
-from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports.mcp.goal_resources import GoalResources
 from fibaction_transports.mcp.list_changes import ListChanges
 from fibaction_transports.mcp.tools.agent_goals import AgentGoals
 from fibaction_transports.mcp.tools.calls import ToolCalls
 from fibaction_transports.mcp.tools.goal_tasks import EXTENSION, GoalTasks, UpdateTaskParams
-from fibaction_transports.mcp.tools.robot_actions import RobotActions
+from fibaction_transports.mcp.tools.tool_actions import ToolAction, ToolActions
 from fibaction_transports.mcp.tools.tool_list import instructions, tool_list
+from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
 
 Context = ServerRequestContext[Any, Any]
 
@@ -57,7 +58,7 @@ class ToolServer:
 
     def __init__(self, group: ServerGroup, policy: AgentPolicy) -> None:
         self._policy = policy
-        self._actions = RobotActions(group, policy)
+        self._actions = ToolActions(group, policy, ToolAction, (SEND, STATUS, CANCEL))
         self._changes = ListChanges()
         self._calls: ToolCalls
         self._tasks: GoalTasks
@@ -89,7 +90,7 @@ class ToolServer:
     @property
     def names(self) -> list[str]:
         """The names of the tools, in the order of the list."""
-        return [tool.name for tool in tool_list(self._actions.tools, self._policy)]
+        return [tool.name for tool in tool_list(self._actions.by_label, self._policy)]
 
     async def __aenter__(self) -> Self:
         """Begin to follow the goals that are sent, and the list of tools."""
@@ -123,7 +124,7 @@ class ToolServer:
         self, context: Context, _: PaginatedRequestParams | None
     ) -> ListToolsResult:
         self._changes.note(context)
-        return ListToolsResult(tools=tool_list(self._actions.tools, self._policy))
+        return ListToolsResult(tools=tool_list(self._actions.by_label, self._policy))
 
     async def _call_tool(
         self, context: Context, params: CallToolRequestParams

@@ -21,7 +21,7 @@ from fibaction.client.goal import ClientGoal
 from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.mcp.tools.robot_actions import RobotAction
+from fibaction_transports.mcp.tools.tool_actions import ToolAction
 from fibaction_transports.mcp.tools.tool_error import ToolError
 from fibaction_transports.mcp.tools.tool_names import STATUS
 
@@ -49,7 +49,7 @@ class AgentGoal:
 
     def __init__(
         self,
-        action: RobotAction,
+        action: ToolAction,
         goal: ClientGoal[Any, Any],
         *,
         own: bool,
@@ -173,7 +173,7 @@ class AgentGoals:
         self._is_other_list |= is_new or goal.ended.is_set()
         self.news.notify()
 
-    async def send(self, action: RobotAction, message: Any) -> AgentGoal:
+    async def send(self, action: ToolAction, message: Any) -> AgentGoal:
         """Send a goal.
 
         Raises:
@@ -198,7 +198,7 @@ class AgentGoals:
             raise ToolError(f"The goal was not sent: {exc}") from exc
         return self._add(AgentGoal(action, goal, own=True, on_change=self._note_change))
 
-    async def find(self, goal_id: GoalID, actions: list[RobotAction]) -> AgentGoal:
+    async def find(self, goal_id: GoalID, actions: list[ToolAction]) -> AgentGoal:
         """Return a goal that is followed already, or follow a goal of these actions from now on.
 
         Raises:
@@ -220,7 +220,7 @@ class AgentGoals:
             f" goal_id for a list."
         )
 
-    async def _attach(self, action: RobotAction, info: GoalInfo, *, own: bool) -> AgentGoal:
+    async def _attach(self, action: ToolAction, info: GoalInfo, *, own: bool) -> AgentGoal:
         after = max(info.feedback_count - 1, 0)
         try:
             goal = await action.client.attach(info.goal_id, after=after, attempt=info.attempt)
@@ -241,11 +241,11 @@ class AgentGoals:
         return goal
 
 
-async def goals_of(actions: list[RobotAction]) -> dict[RobotAction, list[GoalInfo]]:
+async def goals_of(actions: list[ToolAction]) -> dict[ToolAction, list[GoalInfo]]:
     """Return the goals that the servers of these actions know, of those that answer soon."""
-    found: dict[RobotAction, list[GoalInfo]] = {}
+    found: dict[ToolAction, list[GoalInfo]] = {}
 
-    async def ask(action: RobotAction) -> None:
+    async def ask(action: ToolAction) -> None:
         with suppress(ActionError):
             found[action] = await action.client.goals()
 

@@ -99,7 +99,7 @@ def goal_answer(goal: AgentGoal, *, cancel_wanted: bool = False) -> CallToolResu
     """
     data: dict[str, Any] = {
         "goal_id": str(goal.goal_id),
-        "action": goal.action.tool,
+        "action": goal.action.label,
         "status": goal.status.name,
     }
     outcome = goal.outcome

@@ -13,7 +13,8 @@ from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.schema.turns import in_turn
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import CancelCode, GoalID
-from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
 from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals, goals_of
 from fibaction_transports.mcp.tools.answers import (
     ProgressReports,
@@ -21,10 +22,10 @@ from fibaction_transports.mcp.tools.answers import (
     error_answer,
     goal_answer,
 )
-from fibaction_transports.mcp.tools.consent import Consents, goal_text
+from fibaction_transports.mcp.tools.consent import Consents
 from fibaction_transports.mcp.tools.goal_overview import overview
 from fibaction_transports.mcp.tools.goal_tasks import created, wants_task
-from fibaction_transports.mcp.tools.robot_actions import RobotAction, RobotActions
+from fibaction_transports.mcp.tools.tool_actions import ToolAction, ToolActions
 from fibaction_transports.mcp.tools.tool_error import ToolError
 from fibaction_transports.mcp.tools.tool_list import tool_list
 from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
@@ -40,7 +41,7 @@ Answer = CallToolResult | InputRequiredResult | dict[str, Any]
 class ToolCalls:
     """The calls of the tools of one bridge."""
 
-    def __init__(self, actions: RobotActions, goals: AgentGoals, policy: AgentPolicy) -> None:
+    def __init__(self, actions: ToolActions, goals: AgentGoals, policy: AgentPolicy) -> None:
         self._actions = actions
         self._goals = goals
         self._policy = policy
@@ -97,7 +98,7 @@ class ToolCalls:
         """Tell about one goal, or about everything."""
         given = await self._input(params)
         if "goal_id" not in given:
-            actions = list(self._actions.tools.values())
+            actions = list(self._actions.by_label.values())
             return data_answer(overview(self._actions.problems, actions, await goals_of(actions)))
         goal = await self._goal(given["goal_id"])
         await self._wait(context, goal, given["wait"])
@@ -128,7 +129,7 @@ class ToolCalls:
         self,
         context: ServerRequestContext[Any, Any],
         params: CallToolRequestParams,
-        action: RobotAction,
+        action: ToolAction,
         message: Any,
     ) -> InputRequiredResult | None:
         """Ask the user before a goal, if that is the policy; return the answer if it is a question.
@@ -138,7 +139,10 @@ class ToolCalls:
         """
         if not self._policy.asks(action.server, action.info.name):
             return None
-        text = goal_text(message, action.goals)
+        try:
+            text = goal_text(message, action.goals)
+        except HiddenGoal as exc:
+            raise ToolError(str(exc)) from exc
         question = f"Send this goal to the action {action.title}?\n\n{text}"
         return await self._consents.ask(context, params, question)
 
@@ -148,7 +152,7 @@ class ToolCalls:
         reports = ProgressReports(context.session.report_progress)
         await goal.wait(seconds, reports.report)
 
-    def _action(self, tool: str) -> RobotAction:
+    def _action(self, tool: str) -> ToolAction:
         """Return the action of a tool.
 
         Raises:
@@ -156,7 +160,7 @@ class ToolCalls:
         """
         if self._policy.read_only:
             raise ToolError("Nothing was sent: this bridge is read-only. Only goal_status is here.")
-        tools = self._actions.tools
+        tools = self._actions.by_label
         if tool in tools:
             return tools[tool]
         text = f"There is no tool {tool!r} now; there are {', '.join(sorted(tools)) or 'none'}."
@@ -175,7 +179,7 @@ class ToolCalls:
             goal_id = GoalID.parse(text)
         except ValueError as exc:
             raise ToolError(f"{exc}.") from exc
-        return await self._goals.find(goal_id, list(self._actions.tools.values()))
+        return await self._goals.find(goal_id, list(self._actions.by_label.values()))
 
     async def _input(self, params: CallToolRequestParams) -> dict[str, Any]:
         """Return the input of one of the bridge's own tools, with its defaults.
@@ -193,7 +197,7 @@ class ToolCalls:
         return given
 
 
-async def _message(action: RobotAction, arguments: dict[str, Any]) -> Any:
+async def _message(action: ToolAction, arguments: dict[str, Any]) -> Any:
     """Return the goal in the arguments of a call, with its defaults.
 
     Raises:

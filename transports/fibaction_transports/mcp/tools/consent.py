@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import anyio
@@ -38,18 +37,12 @@ from mcp_types import (
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
-from fibaction.border.peer_text import with_escapes
-from fibaction.schema.payload import JsonCodec, PayloadError, to_json
 from fibaction_transports.mcp.tools.tool_error import ToolError
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""
 MOST_QUESTIONS = 1000
 """Questions that wait for their answers at once; the oldest of more is forgotten."""
-LONGEST_GOAL = 4000
-"""Characters of a goal that a user is asked about. The user must see all of what is sent."""
-MOST_LINES = 40
-"""Lines of a goal that is shown with one field on a line."""
 
 _KEY = "consent"
 _SCHEMA: dict[str, Any] = {"type": "object", "properties": {}}
@@ -144,31 +137,3 @@ def _check(answer: ElicitResult) -> None:
 def _call_of(params: CallToolRequestParams) -> str:
     """Return the text that is the same for the same call only."""
     return json.dumps([params.name, params.arguments], sort_keys=True)
-
-
-def goal_text(message: Mapping[str, Any] | Any, goals: JsonCodec) -> str:
-    """Return a goal as the user is to see it: JSON, and the names of the fields that are left to
-    the server, without characters that could deceive.
-
-    Raises:
-        ToolError: It is too long to be shown, or cannot be.
-    """
-    try:
-        line = to_json(message)
-    except PayloadError as exc:
-        raise ToolError(f"The goal was not sent, because the user cannot see it: {exc}") from exc
-    lines = json.dumps(json.loads(line), indent=2, ensure_ascii=False).split("\n")
-    shown = [line] if len(lines) > MOST_LINES else lines
-    text = _without_deceit(shown)
-    if len(text) > LONGEST_GOAL:
-        raise ToolError(
-            f"The goal was not sent: it has {len(text)} characters, and the user, who must agree to"
-            f" it, can be shown {LONGEST_GOAL}. Send a shorter one."
-        )
-    if left_out := goals.left_out(message):
-        text += "\n\n" + _without_deceit([f"The server fills in: {', '.join(left_out)}"])
-    return text
-
-
-def _without_deceit(lines: Iterable[str]) -> str:
-    return "\n".join(with_escapes(line, lambda c: json.dumps(c)[1:-1]) for line in lines)

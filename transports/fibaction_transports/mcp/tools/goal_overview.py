@@ -8,7 +8,7 @@ from typing import Any
 
 from fibaction.border.peer_text import excerpt
 from fibaction.words.goals import GoalInfo
-from fibaction_transports.mcp.tools.robot_actions import RobotAction
+from fibaction_transports.mcp.tools.tool_actions import ToolAction
 
 MOST_GOALS = 20
 """Goals of one action that are listed: the newest ones."""
@@ -16,8 +16,8 @@ MOST_GOALS = 20
 
 def overview(
     problems: Mapping[str, str],
-    actions: Iterable[RobotAction],
-    goals: Mapping[RobotAction, list[GoalInfo]],
+    actions: Iterable[ToolAction],
+    goals: Mapping[ToolAction, list[GoalInfo]],
 ) -> dict[str, Any]:
     """Return the servers with their problems, and the actions with their newest goals."""
     return {
@@ -32,8 +32,8 @@ def _server(name: str, problem: str) -> dict[str, Any]:
     return {**told, "problem": problem} if problem else told
 
 
-def _action(action: RobotAction, goals: list[GoalInfo] | None) -> dict[str, Any]:
-    told: dict[str, Any] = {"tool": action.tool, "action": excerpt(action.info.name)}
+def _action(action: ToolAction, goals: list[GoalInfo] | None) -> dict[str, Any]:
+    told: dict[str, Any] = {"tool": action.label, "action": excerpt(action.info.name)}
     if action.server:
         told["server"] = action.server
     if goals is None:

@@ -38,10 +38,10 @@ from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from fibaction.words.errors import ActionError, UnknownGoal
 from fibaction.words.goals import CancelCode, GoalID
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.mcp.agent_policy import AgentPolicy
+from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports.mcp.tools.answers import feedback_text, goal_answer
-from fibaction_transports.mcp.tools.robot_actions import RobotActions
+from fibaction_transports.mcp.tools.tool_actions import ToolActions
 from fibaction_transports.mcp.tools.tool_error import ToolError
 from fibaction_transports.mcp.tools.tool_names import CANCEL
 
@@ -70,7 +70,7 @@ def wants_task(context: Context) -> bool:
 class GoalTasks:
     """The tasks of one bridge."""
 
-    def __init__(self, actions: RobotActions, goals: AgentGoals, policy: AgentPolicy) -> None:
+    def __init__(self, actions: ToolActions, goals: AgentGoals, policy: AgentPolicy) -> None:
         self._actions = actions
         self._goals = goals
         self._policy = policy
@@ -124,7 +124,7 @@ class GoalTasks:
             raise MCPError(METHOD_NOT_FOUND, "tasks need the protocol 2026-07-28 or later")
         try:
             goal_id = GoalID.parse(task_id)
-            return await self._goals.find(goal_id, list(self._actions.tools.values()))
+            return await self._goals.find(goal_id, list(self._actions.by_label.values()))
         except ValueError as exc:
             raise MCPError(INVALID_PARAMS, f"there is no task of this ID: {exc}") from exc
         except ToolError as exc:

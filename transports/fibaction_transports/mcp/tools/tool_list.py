@@ -8,8 +8,8 @@ from typing import Any
 from mcp_types import Tool, ToolAnnotations
 
 from fibaction.border.peer_text import excerpt, shortened
-from fibaction_transports.mcp.agent_policy import AgentPolicy
-from fibaction_transports.mcp.tools.robot_actions import RobotAction
+from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports.mcp.tools.tool_actions import ToolAction
 from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
 from fibaction_transports.mcp.tools.tool_schema import GOAL
 
@@ -32,7 +32,7 @@ def instructions(policy: AgentPolicy) -> str:
     return READ_ONLY if policy.read_only else INSTRUCTIONS.format(patience=policy.patience)
 
 
-def tool_list(actions: Mapping[str, RobotAction], policy: AgentPolicy) -> list[Tool]:
+def tool_list(actions: Mapping[str, ToolAction], policy: AgentPolicy) -> list[Tool]:
     """Return all tools, in an order that does not change."""
     if policy.read_only:
         return [_status_tool(policy)]
@@ -40,7 +40,7 @@ def tool_list(actions: Mapping[str, RobotAction], policy: AgentPolicy) -> list[T
     return [*own, _send_tool(sorted(actions)), _status_tool(policy), _cancel_tool(policy)]
 
 
-def _action_tool(action: RobotAction, policy: AgentPolicy) -> Tool:
+def _action_tool(action: ToolAction, policy: AgentPolicy) -> Tool:
     info = action.info
     kind = f", of the type {excerpt(info.type_name)}" if info.type_name else ""
     text = f"Send a goal to the action {action.title}{kind}, and wait for its result."
@@ -50,7 +50,7 @@ def _action_tool(action: RobotAction, policy: AgentPolicy) -> Tool:
     if policy.asks(action.server, info.name):
         text += " The user is asked before the goal is sent."
     return Tool(
-        name=action.tool,
+        name=action.label,
         title=action.title,
         description=text,
         input_schema=action.input.schema,

@@ -1,4 +1,4 @@
-"""The keyword arguments of the transports of MCP, for type checkers."""
+"""The keyword arguments of the transports for agents, for type checkers."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class PolicyKeywords(TypedDict, total=False):
     patience: float
 
 
-class McpHttpKeywords(PolicyKeywords, total=False):
-    """The keyword arguments that an `McpHttpTransport` has in addition to its address."""
+class AgentHttpKeywords(PolicyKeywords, total=False):
+    """The keyword arguments that an `AgentHttpTransport` has beside its address."""
 
     token: str
     tokens: Mapping[str, str] | None

@@ -1,4 +1,4 @@
-"""`AgentPolicy`: the rules for what a language model may do with the actions of a robot."""
+"""`AgentPolicy`: the rules for what an agent may do with the actions of a robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 
 
 class AgentPolicy(msgspec.Struct, frozen=True):
-    """The rules for what a language model may do.
+    """The rules for what an agent may do: a language model, or a program that has one.
 
     By default it may send goals to all actions, and the user is asked before each goal. A client
     that cannot ask its user gets an error in place of the goal.
@@ -24,14 +24,14 @@ class AgentPolicy(msgspec.Struct, frozen=True):
     """
 
     allow: tuple[str, ...] = ("*",)
-    """Patterns of the actions that are shown to the model; all others do not exist for it."""
+    """Patterns of the actions that are shown to the agent; all others do not exist for it."""
     unasked: tuple[str, ...] = ()
     """Patterns of the actions whose goals are sent without a question to the user."""
     read_only: bool = False
     """Show the actions and their goals, and let nothing be sent or canceled."""
     patience: float = 50.0
-    """Seconds after which a tool answers that its goal still runs. Many clients give up a tool
-    after 60 s, and that would cancel the goal."""
+    """Seconds after which a tool, or a message of A2A, is answered that its goal still runs. Many
+    clients give up after 60 s, and that would cancel the goal of a tool."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -45,7 +45,7 @@ class AgentPolicy(msgspec.Struct, frozen=True):
             raise ValueError("a pattern is the name of an action, and cannot be empty")
 
     def allows(self, server: str, action: str) -> bool:
-        """Return whether the model may know the action."""
+        """Return whether the agent may know the action."""
         return _matches(self.allow, server, action)
 
     def asks(self, server: str, action: str) -> bool:

@@ -1,5 +1,5 @@
-"""The connections of MCP over HTTP, which uvicorn does not limit: all of them and those of one
-address.
+"""The connections of a server for agents, which uvicorn does not limit: all of them, and those of
+one address.
 
 A connection that waits for a request makes room for a new one, as at the other doors, and one that
 does not send its first request in time is closed.
@@ -19,7 +19,7 @@ from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.wire.settings import Limits
 from fibaction.wire.wire_server import too_many
 
-logger = clean_logger("fibaction.mcp")
+logger = clean_logger("fibaction.agents")
 
 
 class ConnectionPlaces:

@@ -1,0 +1,47 @@
+"""The text of a goal for the user who is asked whether it may be sent."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from fibaction.border.peer_text import with_escapes
+from fibaction.schema.payload import JsonCodec, PayloadError, to_json
+
+LONGEST_GOAL = 4000
+"""Characters of a goal that a user is asked about. The user must see all of what is sent."""
+MOST_LINES = 40
+"""Lines of a goal that is shown with one field on a line."""
+
+
+class HiddenGoal(Exception):
+    """A goal that cannot be shown to the user, so that it is not sent; the text says why."""
+
+
+def goal_text(message: Mapping[str, Any] | Any, goals: JsonCodec) -> str:
+    """Return a goal as the user is to see it: JSON, and the names of the fields that are left to
+    the server, without characters that could deceive.
+
+    Raises:
+        HiddenGoal: It is too long to be shown, or cannot be.
+    """
+    try:
+        line = to_json(message)
+    except PayloadError as exc:
+        raise HiddenGoal(f"The goal was not sent, because the user cannot see it: {exc}") from exc
+    lines = json.dumps(json.loads(line), indent=2, ensure_ascii=False).split("\n")
+    shown = [line] if len(lines) > MOST_LINES else lines
+    text = _without_deceit(shown)
+    if len(text) > LONGEST_GOAL:
+        raise HiddenGoal(
+            f"The goal was not sent: it has {len(text)} characters, and the user, who must agree to"
+            f" it, can be shown {LONGEST_GOAL}. Send a shorter one."
+        )
+    if left_out := goals.left_out(message):
+        text += "\n\n" + _without_deceit([f"The server fills in: {', '.join(left_out)}"])
+    return text
+
+
+def _without_deceit(lines: Iterable[str]) -> str:
+    return "\n".join(with_escapes(line, lambda c: json.dumps(c)[1:-1]) for line in lines)
