@@ -19,6 +19,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 MODULES = {
+    "a2a": ("a2a",),
     "cli": ("click", "rich", "yaml"),
     "mcap": ("mcap",),
     "mcp": ("mcp",),
@@ -55,14 +56,20 @@ MCP = [
     (f"transport_for('{scheme}://127.0.0.1:1')", f"{scheme}:// needs mcp: {{mcp}}")
     for scheme in ("mcp+http", "mcp+https", "mcp+stdio")
 ]
+A2A = [
+    (f"transport_for('{scheme}://127.0.0.1:1')", f"{scheme}:// needs a2a: {{a2a}}")
+    for scheme in ("a2a+http", "a2a+https")
+]
 IN_PYTHON = [
     *WEB,
     *MCP,
+    *A2A,
     ("import_module('fibaction_transports.web')", "fibaction_transports.web needs h11: {web}"),
     (
         "import_module('fibaction_transports.web.rest.openapi')",
         "fibaction_transports.web needs h11: {web}",
     ),
+    ("import_module('fibaction_transports.a2a')", "fibaction_transports.a2a needs a2a: {a2a}"),
     ("import_module('fibaction_transports.mcp')", "fibaction_transports.mcp needs mcp: {mcp}"),
     ("Tracing()", "Tracing needs opentelemetry: {otel}"),
     ("Metrics()", "Metrics needs prometheus_client: {metrics}"),
@@ -99,6 +106,7 @@ USES = {
     "web": r"^from fibaction_transports\.web\b",
     "metrics": r"^from fibaction\.metrics\b",
     "otel": r"^from fibaction\.otel\b",
+    "a2a": r"^from fibaction_transports\.a2a\b",
     "mcp": r"^from fibaction_transports\.mcp\b",
 }
 """The text of a page by which it needs an extra, or a library."""

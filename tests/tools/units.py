@@ -78,6 +78,7 @@ UNITS = {
     "fibaction/wire/settings.py": ["tests/wire", "tests/transports/tcp"],
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
     "fibaction/wire/transport.py": ["tests/transports/tcp"],
+    "transports/fibaction_transports/a2a": ["tests/transports/a2a"],
     "transports/fibaction_transports/cdr": ["tests/transports/cdr"],
     "transports/fibaction_transports/_agents": [
         "tests/transports/a2a",

@@ -58,6 +58,14 @@ def _program(name: str, *arguments: str) -> str:
     return done.stdout
 
 
+def _a2a() -> None:
+    async def card() -> None:
+        async with serve(drive, "a2a+http://127.0.0.1:0?token=secret") as (address,):
+            assert address.startswith("http://")
+
+    anyio.run(card)
+
+
 def _broker() -> None:
     assert _program("nats-server", "--version").startswith("nats-server: v2.")
 
@@ -161,6 +169,7 @@ def _web() -> None:
 
 
 CHECKS: dict[str, Callable[[], None]] = {
+    "a2a": _a2a,
     "broker": _broker,
     "cli": _cli,
     "mcap": _mcap,

@@ -83,6 +83,17 @@ async def test_a_client_that_cannot_ask_sends_nothing_but_what_is_permitted(mode
 
 
 @both
+async def test_a_tool_sends_no_goal_that_is_too_long_to_be_shown(
+    mode: Mode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction_transports._agents.goal_text.LONGEST_GOAL", 10)
+    async with robot_and_talk(mode, answer="accept") as (robot, made):
+        assert "can be shown 10" in await made.error("arm-drive", meters=3)
+        assert made.asked == []
+        assert robot.sent == []
+
+
+@both
 async def test_what_would_be_rejected_at_once_is_not_asked_about(mode: Mode) -> None:
     async with robot_and_talk(mode, answer="accept") as (_, made):
         await made.error("arm-drive", meters="far")

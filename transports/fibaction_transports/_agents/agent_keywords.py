@@ -18,7 +18,7 @@ class PolicyKeywords(TypedDict, total=False):
 
 
 class AgentHttpKeywords(PolicyKeywords, total=False):
-    """The keyword arguments that an `AgentHttpTransport` has beside its address."""
+    """The keyword arguments that an `AgentHttpTransport` has in addition to its address."""
 
     token: str
     tokens: Mapping[str, str] | None

@@ -18,6 +18,8 @@ from fibaction.words.errors import TransportError
 from fibaction_transports._agents.http_guard import App
 from fibaction_transports._agents.places import ConnectionPlaces, LimitedConnection
 
+SEND_BUFFER = 2**16
+"""Bytes of a connection that the system may hold, so that little is lost with a connection."""
 LAST_ANSWERS = 1
 """Seconds that clients have for their last answers at the end."""
 
@@ -86,7 +88,9 @@ def _listening(host: str, port: int) -> socket.socket:
     """
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        return socket.create_server((host, port), family=family)
+        listener = socket.create_server((host, port), family=family)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        return listener
     except OSError as exc:
         raise TransportError(f"cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
 

@@ -1,4 +1,4 @@
-"""Names of the tools that a bridge has beside one for each action."""
+"""Names of the tools that a bridge has in addition to one for each action."""
 
 from __future__ import annotations
 

@@ -1,0 +1,13 @@
+"""Short pauses for the tests of the agents' server."""
+
+from __future__ import annotations
+
+import pytest
+
+from fibaction.observe import followed_servers
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(followed_servers, "PERIOD", 0.01)
+    monkeypatch.setattr(followed_servers, "NEXT_CONNECTION", 0.01)

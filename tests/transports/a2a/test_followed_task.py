@@ -1,0 +1,209 @@
+"""A goal that agents follow: what is kept for them, and how long the goal waits for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+import anyio
+import pytest
+
+from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate, Notifier
+from fibaction.words.errors import ActionError, ConnectionLost
+from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.a2a.tasks import followed_task
+from fibaction_transports.a2a.tasks.feedback_position import FeedbackPosition
+from fibaction_transports.a2a.tasks.followed_task import FollowedTask
+
+pytestmark = pytest.mark.asyncio
+PATIENCE = 20.0
+
+
+class Scripted(GoalStream):
+    """A stream whose updates a test gives."""
+
+    def __init__(self) -> None:
+        self.goal_id = GoalID.random()
+        self.stamp = 1
+        self.latest = False
+        self.cursor = 0
+        self.reads = True
+        self.news = Notifier()
+        self.script: list[GoalUpdate | ActionError] = []
+        self.taken = 0
+
+    @property
+    def status(self) -> GoalStatus:
+        return GoalStatus.EXECUTING
+
+    @property
+    def dropped(self) -> int:
+        return 0
+
+    def give(self, *updates: GoalUpdate | ActionError) -> None:
+        self.script.extend(updates)
+        self.news.notify()
+
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
+        if not self.script:
+            return ()
+        self.taken += 1
+        update = self.script.pop(0)
+        if isinstance(update, ActionError):
+            raise update
+        return (update,)
+
+    def known_outcome(self) -> Outcome[bytes] | None:
+        return None
+
+    def hold(self, wanted: bool) -> None:
+        """Do nothing: nothing waits for it."""
+
+    def fail(self, error: ActionError) -> None:
+        """Do nothing: it is not asked to."""
+
+    def close(self) -> None:
+        self.reads = False
+
+
+def feedback(first: int, last: int, attempt: int = 1) -> list[FeedbackItem]:
+    return [FeedbackItem(number, b"abcd", attempt) for number in range(first, last + 1)]
+
+
+END: Outcome[bytes] = Outcome(GoalStatus.SUCCEEDED, b"\x01")
+
+
+def followed() -> tuple[Scripted, FollowedTask]:
+    stream = Scripted()
+    return stream, FollowedTask(cast("Any", None), stream, "", own=True)
+
+
+async def numbers(goal: FollowedTask, after: FeedbackPosition | None = None) -> list[Any]:
+    updates = goal.updates() if after is None else goal.updates(after)
+    return [
+        entry.update.number if isinstance(entry.update, FeedbackItem) else entry.update.name
+        async for entry in updates
+    ]
+
+
+async def test_the_last_updates_are_kept_in_number_and_in_bytes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(followed_task, "MOST_KEPT", 5)
+    stream, goal = followed()
+    stream.give(*feedback(1, 9), END)
+    await goal.follow()
+    assert await numbers(goal) == [5, 6, 7, 8, 9]
+    assert goal.outcome is END
+    assert not stream.reads
+    monkeypatch.setattr(followed_task, "MOST_BYTES", 8)
+    stream, goal = followed()
+    stream.give(*feedback(1, 9), END)
+    await goal.follow()
+    assert await numbers(goal) == [8, 9]
+    monkeypatch.setattr(followed_task, "MOST_BYTES", 1)
+    stream, goal = followed()
+    stream.give(*feedback(1, 9), END)
+    await goal.follow()
+    assert await numbers(goal) == [9]
+
+
+async def test_a_position_is_in_an_attempt() -> None:
+    stream, goal = followed()
+    stream.give(*feedback(1, 3), *feedback(1, 2, attempt=2), END)
+    await goal.follow()
+    assert await numbers(goal, FeedbackPosition(number=2)) == [3, 1, 2]
+    assert await numbers(goal, FeedbackPosition(attempt=2, number=1)) == [2]
+    assert await numbers(goal, FeedbackPosition(has_result=True)) == []
+
+
+async def test_of_the_statuses_only_new_ones_are_told_to_who_comes_back() -> None:
+    stream, goal = followed()
+    stream.give(GoalStatus.EXECUTING, *feedback(1, 1), GoalStatus.CANCELING, *feedback(2, 2), END)
+    await goal.follow()
+    assert await numbers(goal) == [1, 2]
+    everything = [entry.update async for entry in goal.updates(statuses=True)]
+    assert everything[0] is GoalStatus.EXECUTING
+    assert everything[2] is GoalStatus.CANCELING
+
+
+async def test_a_goal_that_cannot_be_followed_any_more_has_an_error() -> None:
+    stream, goal = followed()
+    stream.give(*feedback(1, 1), ConnectionLost("the line is down"))
+    await goal.follow()
+    assert await numbers(goal) == [1]
+    assert str(goal.error) == "the line is down"
+    assert goal.outcome is None
+
+
+async def test_the_goal_waits_for_an_agent_that_reads_slowly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(followed_task, "MOST_KEPT", 4)
+    stream, goal = followed()
+    with anyio.fail_after(PATIENCE):
+        async with anyio.create_task_group() as tasks:
+            stream.give(*feedback(1, 1))
+            tasks.start_soon(goal.follow)
+            updates = goal.updates()
+            assert (await anext(updates)).update == feedback(1, 1)[0]
+            stream.give(*feedback(2, 9), END)
+            await anyio.wait_all_tasks_blocked()
+            assert stream.taken == 4
+            rest = [cast("Any", entry.update).number async for entry in updates]
+            assert rest == [2, 3, 4, 5, 6, 7, 8, 9]
+
+
+async def test_the_goal_waits_for_an_agent_that_is_bytes_behind(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(followed_task, "MOST_BYTES", 16)
+    stream, goal = followed()
+    with anyio.fail_after(PATIENCE):
+        async with anyio.create_task_group() as tasks:
+            stream.give(*feedback(1, 1))
+            tasks.start_soon(goal.follow)
+            updates = goal.updates()
+            await anext(updates)
+            stream.give(*feedback(2, 9), END)
+            await anyio.wait_all_tasks_blocked()
+            assert stream.taken == 4
+            rest = [cast("Any", entry.update).number async for entry in updates]
+            assert rest == [2, 3, 4, 5, 6, 7, 8, 9]
+
+
+async def test_the_place_of_an_agent_that_has_gone_is_kept_until_one_comes_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(followed_task, "MOST_KEPT", 4)
+    stream, goal = followed()
+    with anyio.fail_after(PATIENCE):
+        async with anyio.create_task_group() as tasks:
+            stream.give(*feedback(1, 1))
+            tasks.start_soon(goal.follow)
+            updates = goal.updates()
+            await anext(updates)
+            await updates.aclose()
+            stream.give(*feedback(2, 9), END)
+            await anyio.wait_all_tasks_blocked()
+            assert stream.taken == 4
+            assert await numbers(goal, FeedbackPosition(number=1)) == [2, 3, 4, 5, 6, 7, 8, 9]
+
+
+async def test_an_agent_that_does_not_come_back_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(followed_task, "MOST_KEPT", 4)
+    monkeypatch.setattr(followed_task, "LONGEST_WAIT", 0.01)
+    stream, goal = followed()
+    with anyio.fail_after(PATIENCE):
+        async with anyio.create_task_group() as tasks:
+            stream.give(*feedback(1, 1))
+            tasks.start_soon(goal.follow)
+            updates = goal.updates()
+            await anext(updates)
+            stream.give(*feedback(2, 9), END)
+            await goal.ended.wait()
+            rest = [cast("Any", entry.update).number async for entry in updates]
+            assert rest == [6, 7, 8, 9]

@@ -1,0 +1,93 @@
+"""`CardMaker`: the agent card, with one skill for each action.
+
+The card without a token tells how to get in, and no skills: the names and types of a robot's
+actions are for its clients. With the token, the same path has the whole card, which is also what
+`GetExtendedAgentCard` answers.
+"""
+
+from __future__ import annotations
+
+from a2a.types import (
+    AgentCapabilities,
+    AgentCard,
+    AgentExtension,
+    AgentInterface,
+    AgentSkill,
+    HTTPAuthSecurityScheme,
+    SecurityRequirement,
+    SecurityScheme,
+    StringList,
+)
+from a2a.utils.constants import PROTOCOL_VERSION_1_0, TransportProtocol
+
+from fibaction import __version__
+from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports.a2a.tasks.a2a_values import struct_of
+from fibaction_transports.a2a.tasks.skills import JSON, Skills
+
+EXTENSION = "urn:fibaction:goals:1"
+"""The identifier of the extension that the card declares: goals as tasks."""
+BEARER = "token"
+
+_DESCRIPTION = (
+    "Actions of robots, devices and long jobs. A goal may move something. A task is one goal: send"
+    " a message with one data part, and the ID of the skill in its metadata as 'skill'."
+)
+_READ_ONLY = " Only the tasks of others can be followed here: nothing is sent or canceled."
+_HIDDEN = "The skills are in the card that is sent with the token."
+_RESUMING = (
+    "Updates have a number and an event_id in their metadata; SubscribeToTask with the last"
+    " event_id in the header Last-Event-ID goes on behind it, also after the end of the task."
+)
+
+
+class CardMaker:
+    """The cards of one server."""
+
+    def __init__(self, skills: Skills, policy: AgentPolicy) -> None:
+        self._skills = skills
+        self._policy = policy
+
+    def card(self, url: str, *, is_known: bool) -> AgentCard:
+        """Return the card for a server at that URL, for a client that is known or not."""
+        scheme = SecurityScheme(http_auth_security_scheme=HTTPAuthSecurityScheme(scheme="Bearer"))
+        read_only = _READ_ONLY if self._policy.read_only else ""
+        card = AgentCard(
+            name="fibaction",
+            description=_DESCRIPTION + read_only,
+            version=__version__,
+            supported_interfaces=[
+                AgentInterface(
+                    url=url,
+                    protocol_binding=TransportProtocol.JSONRPC,
+                    protocol_version=PROTOCOL_VERSION_1_0,
+                )
+            ],
+            capabilities=AgentCapabilities(
+                streaming=True, push_notifications=False, extended_agent_card=True
+            ),
+            security_schemes={BEARER: scheme},
+            security_requirements=[SecurityRequirement(schemes={BEARER: StringList()})],
+            default_input_modes=[JSON],
+            default_output_modes=[JSON],
+        )
+        if is_known:
+            self._add_skills(card)
+        if not card.skills:  # a card has at least one
+            text = "No action is served now." if is_known else _HIDDEN
+            card.skills.append(
+                AgentSkill(id="none", name="Actions", description=text, tags=["action"])
+            )
+        return card
+
+    def _add_skills(self, card: AgentCard) -> None:
+        schemas: dict[str, object] = {}
+        for name, skill in sorted(self._skills.by_label.items()):
+            info = skill.info
+            asks = self._policy.asks(skill.server, info.name)
+            card.skills.append(skill.in_card(is_asked=asks))
+            schemas[name] = {"goal": info.goal, "feedback": info.feedback, "result": info.result}
+        extension = AgentExtension(
+            uri=EXTENSION, description=_RESUMING, params=struct_of({"schemas": schemas})
+        )
+        card.capabilities.extensions.append(extension)

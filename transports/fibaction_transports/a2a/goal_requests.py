@@ -1,0 +1,312 @@
+"""`GoalRequests`: the requests of A2A, as the SDK reads them.
+
+Theory of operation
+-------------------
+
+The SDK has the framing: JSON-RPC, server-sent events, errors and the types. Here each request is
+about one goal, and the task that it gets is a view of that goal:
+
+    SendMessage             sends a goal, and waits for its end for as long as the policy says
+    SendStreamingMessage    sends a goal, and tells its updates
+    SubscribeToTask         tells the updates behind the one in the header Last-Event-ID
+    GetTask, ListTasks      ask the servers of the actions
+    CancelTask              cancels the goal
+
+The ID of a task is the ID of its goal, so other doors and a second client know it as well. There is
+no store of tasks: see `followed_task` for what is remembered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import aclosing
+from time import time
+from typing import Any, NoReturn, TypeAlias
+
+import anyio
+import msgspec
+from a2a.server.context import ServerCallContext
+from a2a.server.request_handlers.request_handler import RequestHandler
+from a2a.types import (
+    AgentCard,
+    CancelTaskRequest,
+    GetExtendedAgentCardRequest,
+    GetTaskRequest,
+    ListTasksRequest,
+    ListTasksResponse,
+    SendMessageRequest,
+    SubscribeToTaskRequest,
+    Task,
+    TaskArtifactUpdateEvent,
+    TaskState,
+    TaskStatusUpdateEvent,
+)
+from a2a.utils.errors import (
+    InternalError,
+    InvalidParamsError,
+    PushNotificationNotSupportedError,
+    TaskNotCancelableError,
+    TaskNotFoundError,
+    UnsupportedOperationError,
+)
+from a2a.utils.proto_utils import validate_proto_required_fields
+
+from fibaction.words.errors import ActionError, GoalRejected
+from fibaction.words.goals import CancelCode, GoalID
+from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
+from fibaction_transports.a2a.agent_card import CardMaker
+from fibaction_transports.a2a.asked_request import asked_request
+from fibaction_transports.a2a.tasks.feedback_position import START, FeedbackPosition, position_of
+from fibaction_transports.a2a.tasks.followed_task import FollowedTask
+from fibaction_transports.a2a.tasks.goal_messages import goal_id_of, goal_of, skill_of
+from fibaction_transports.a2a.tasks.questions import Question, Questions, answer_in
+from fibaction_transports.a2a.tasks.skills import Skill, Skills
+from fibaction_transports.a2a.tasks.task_list import page_of
+from fibaction_transports.a2a.tasks.task_table import TaskTable
+from fibaction_transports.a2a.tasks.task_views import (
+    artifact_event,
+    ended_event,
+    listed_task,
+    status_of,
+    task_of,
+    update_event,
+)
+
+CANCEL_WAIT = 5.0
+"""Seconds that the answer to a cancel waits for the end of the goal."""
+
+Update: TypeAlias = Task | TaskStatusUpdateEvent | TaskArtifactUpdateEvent
+
+
+class GoalRequests(RequestHandler):
+    """The requests to one server."""
+
+    def __init__(
+        self, skills: Skills, goals: TaskTable, cards: CardMaker, policy: AgentPolicy
+    ) -> None:
+        self._skills = skills
+        self._goals = goals
+        self._cards = cards
+        self._policy = policy
+        self._questions = Questions()
+
+    async def on_message_send(self, params: SendMessageRequest, context: ServerCallContext) -> Task:
+        """Send a goal, and wait for its end unless the agent does not want to."""
+        validate_proto_required_fields(params)
+        goal = await self._send(params)
+        if isinstance(goal, Task):
+            return goal
+        if not params.configuration.return_immediately:
+            with anyio.move_on_after(self._policy.patience):
+                await goal.ended.wait()
+        return task_of(goal)
+
+    async def on_message_send_stream(
+        self, params: SendMessageRequest, context: ServerCallContext
+    ) -> AsyncGenerator[Update, None]:
+        """Send a goal, and tell its updates."""
+        validate_proto_required_fields(params)
+        goal = await self._send(params)
+        if isinstance(goal, Task):
+            yield goal
+            return
+        async for update in _updates(goal, START, statuses=True):
+            yield update
+
+    async def on_subscribe_to_task(
+        self, params: SubscribeToTaskRequest, context: ServerCallContext
+    ) -> AsyncGenerator[Update, None]:
+        """Tell the updates of a task behind the position that the agent has seen last."""
+        validate_proto_required_fields(params)
+        headers = context.state["headers"]
+        after = position_of(headers["last-event-id"]) if "last-event-id" in headers else None
+        goal_id = _goal_id(params.id)
+        if (question := self._questions.find(goal_id)) is not None:
+            yield _asking(question)
+            return
+        goal = await self._goals.find(goal_id)
+        if after is None and goal.status.is_terminal:
+            raise UnsupportedOperationError(
+                "the task has ended: GetTask tells its result; to read its updates, send the header"
+                " Last-Event-ID, with 0 for all"
+            )
+        async for update in _updates(goal, after or START):
+            yield update
+
+    async def on_get_task(self, params: GetTaskRequest, context: ServerCallContext) -> Task:
+        """Return a task as it is now."""
+        validate_proto_required_fields(params)
+        goal_id = _goal_id(params.id)
+        if (question := self._questions.find(goal_id)) is not None:
+            return _asking(question)
+        return task_of(await self._goals.find(goal_id))
+
+    async def on_list_tasks(
+        self, params: ListTasksRequest, context: ServerCallContext
+    ) -> ListTasksResponse:
+        """Return a page of the goals of all clients."""
+        tasks = [
+            listed_task(skill, info, self._goals.context_of(info.goal_id))
+            for skill, infos in (await self._goals.listed()).items()
+            for info in infos
+        ]
+        return page_of(tasks, params)
+
+    async def on_cancel_task(self, params: CancelTaskRequest, context: ServerCallContext) -> Task:
+        """Cancel the goal of a task, and wait a moment for its end."""
+        validate_proto_required_fields(params)
+        goal_id = _goal_id(params.id)
+        if (question := self._questions.find(goal_id)) is not None:
+            self._questions.close(question)
+            return _task(
+                question, TaskState.TASK_STATE_CANCELED, "it was canceled before it was sent"
+            )
+        goal = await self._goals.find(goal_id)
+        self._check_cancel(goal)
+        try:
+            answer = await goal.skill.endpoint.cancel_goals(goal_id)
+        except ActionError as exc:
+            raise InternalError(f"the goal may go on: {exc}") from exc
+        if answer.return_code is CancelCode.REJECTED:
+            reason = answer.reason or "it gives no reason"
+            raise TaskNotCancelableError(f"the server rejects the cancel: {reason}")
+        with anyio.move_on_after(CANCEL_WAIT):
+            await goal.ended.wait()
+        return task_of(goal)
+
+    async def on_get_extended_agent_card(
+        self, params: GetExtendedAgentCardRequest, context: ServerCallContext
+    ) -> AgentCard:
+        """Return the card with the skills."""
+        return self._cards.card(asked_request().url, is_known=True)
+
+    # Without push notifications
+
+    async def on_create_task_push_notification_config(self, params: Any, context: Any) -> NoReturn:
+        raise PushNotificationNotSupportedError
+
+    async def on_get_task_push_notification_config(self, params: Any, context: Any) -> NoReturn:
+        raise PushNotificationNotSupportedError
+
+    async def on_list_task_push_notification_configs(self, params: Any, context: Any) -> NoReturn:
+        raise PushNotificationNotSupportedError
+
+    async def on_delete_task_push_notification_config(self, params: Any, context: Any) -> NoReturn:
+        raise PushNotificationNotSupportedError
+
+    # Their parts
+
+    async def _send(self, params: SendMessageRequest) -> FollowedTask | Task:
+        """Send the goal of a message, and return it; or the task, if there is no goal yet, or none
+        any more.
+        """
+        message = params.message
+        if message.task_id:
+            return await self._answer(params)
+        if self._policy.read_only:
+            raise UnsupportedOperationError("nothing was sent: this server is read-only")
+        skill = skill_of(params, self._skills)
+        goal = await goal_of(message, skill)
+        goal_id = goal_id_of(message)
+        if not self._policy.asks(skill.server, skill.info.name):
+            return await self._send_goal(skill, goal_id, goal, message.context_id)
+        try:
+            text = goal_text(goal, skill.goals)
+        except HiddenGoal as exc:
+            raise InvalidParamsError(str(exc)) from exc
+        text = f"Send this goal to the action {skill.title}?\n\n{text}"
+        return _asking(self._questions.ask(goal_id, skill, goal, message.context_id, text))
+
+    async def _answer(self, params: SendMessageRequest) -> FollowedTask | Task:
+        """Take the answer to a question."""
+        goal_id = _goal_id(params.message.task_id)
+        question = self._questions.find(goal_id)
+        if question is None:
+            goal = await self._goals.find(goal_id)
+            state = "has ended" if goal.status.is_terminal else "takes no messages while it runs"
+            raise UnsupportedOperationError(
+                f"the task {state}: send a message without a task ID for another goal"
+            )
+        answer = answer_in(params.message)
+        if answer is None:
+            return _asking(question)
+        self._questions.close(question)
+        if not answer:
+            text = "nothing was sent: the user has declined"
+            return _task(question, TaskState.TASK_STATE_REJECTED, text)
+        return await self._send_goal(question.skill, goal_id, question.goal, question.context_id)
+
+    async def _send_goal(
+        self, skill: Skill, goal_id: GoalID, goal: Any, context_id: str
+    ) -> FollowedTask | Task:
+        payload = msgspec.msgpack.encode(goal)
+        try:
+            return await self._goals.send(skill, goal_id, payload, context_id)
+        except GoalRejected as exc:
+            status = status_of(TaskState.TASK_STATE_REJECTED, time(), exc.reason)
+            return Task(id=str(goal_id), context_id=context_id or str(goal_id), status=status)
+        except ActionError as exc:
+            raise InternalError(f"the goal may not have been sent: {exc}") from exc
+
+    def _check_cancel(self, goal: FollowedTask) -> None:
+        """Check whether an agent may cancel a goal.
+
+        Raises:
+            TaskNotCancelableError: It may not, or the goal has ended.
+        """
+        skill = goal.skill
+        if goal.status.is_terminal:
+            raise TaskNotCancelableError("the task has ended")
+        if self._policy.read_only:
+            raise TaskNotCancelableError("this server is read-only: nothing can be canceled")
+        if not goal.own and self._policy.asks(skill.server, skill.info.name):
+            raise TaskNotCancelableError(
+                "another program has sent the goal, or this server before a restart, and a user"
+                " would have to agree: cancel it there"
+            )
+
+
+def _goal_id(task_id: str) -> GoalID:
+    try:
+        return GoalID.parse(task_id)
+    except ValueError as exc:
+        raise TaskNotFoundError(f"there is no such task: {exc}") from exc
+
+
+def _asking(question: Question) -> Task:
+    text = f"{question.text}\n\nAsk your user, and answer this task with the text yes or no."
+    return _task(question, TaskState.TASK_STATE_INPUT_REQUIRED, text)
+
+
+def _task(question: Question, state: TaskState, text: str) -> Task:
+    return Task(
+        id=str(question.goal_id),
+        context_id=question.context_id,
+        status=status_of(state, time(), text),
+    )
+
+
+async def _updates(
+    goal: FollowedTask, after: FeedbackPosition, *, statuses: bool = False
+) -> AsyncGenerator[Update, None]:
+    """Iterate over the updates of a task, the task itself first, up to its end.
+
+    Raises:
+        InternalError: The goal cannot be followed any more.
+    """
+    task = task_of(goal, is_whole=False)
+    if statuses:  # all that has happened since is told
+        task.status.state = TaskState.TASK_STATE_SUBMITTED
+    yield task
+    async with aclosing(goal.updates(after, statuses=statuses)) as entries:
+        async for entry in entries:
+            yield update_event(goal, entry)
+    if goal.error is not None:
+        raise InternalError(
+            f"the task cannot be followed now, and may go on: {goal.error}; subscribe to it again"
+        )
+    artifact = artifact_event(goal)
+    if artifact is not None and not after.has_result:
+        yield artifact
+    yield ended_event(goal)

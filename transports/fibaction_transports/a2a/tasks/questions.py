@@ -1,0 +1,80 @@
+"""`Questions`: the consent of a user before a goal is sent.
+
+A question is a task that requires input. Its ID is that of the goal, which is sent once the agent
+has answered with a message to the task: the text `yes`, or the data `{"consent": true}`. A goal
+that the user declines is a rejected task. An agent that answers in place of its user is not
+noticed: that is a matter of trust, as with every protocol for agents.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import anyio
+from a2a.types import Message
+
+from fibaction.words.goals import GoalID
+from fibaction_transports.a2a.tasks.a2a_values import plain_of
+from fibaction_transports.a2a.tasks.skills import Skill
+
+QUESTION_TIMEOUT = 600.0
+"""Seconds that a user has to answer a question."""
+MOST_QUESTIONS = 1000
+"""Questions that wait for their answers at once; the oldest of more is forgotten."""
+
+_ANSWERS = {"yes": True, "no": False}
+
+
+class Question(NamedTuple):
+    """A goal about which a user is asked."""
+
+    goal_id: GoalID
+    skill: Skill
+    goal: Any
+    context_id: str
+    text: str
+    """The question, for the user."""
+    expires: float
+
+
+class Questions:
+    """The questions of one server that wait for their answers."""
+
+    def __init__(self) -> None:
+        self._questions: dict[GoalID, Question] = {}
+
+    def ask(self, goal_id: GoalID, skill: Skill, goal: Any, context_id: str, text: str) -> Question:
+        """Begin to wait for an answer."""
+        expires = anyio.current_time() + QUESTION_TIMEOUT
+        question = Question(goal_id, skill, goal, context_id or str(goal_id), text, expires)
+        self._questions.pop(goal_id, None)
+        while len(self._questions) >= MOST_QUESTIONS:
+            del self._questions[next(iter(self._questions))]
+        self._questions[goal_id] = question
+        return question
+
+    def find(self, goal_id: GoalID) -> Question | None:
+        """Return the question about a goal; None if there is none, or it was asked too long ago."""
+        question = self._questions.get(goal_id)
+        if question is not None and question.expires <= anyio.current_time():
+            del self._questions[goal_id]
+            return None
+        return question
+
+    def close(self, question: Question) -> None:
+        """Wait for the answer no longer."""
+        self._questions.pop(question.goal_id, None)
+
+
+def answer_in(message: Message) -> bool | None:
+    """Return the answer in a message; None if it is not one."""
+    if len(message.parts) != 1:
+        return None
+    (part,) = message.parts
+    kind = part.WhichOneof("content")
+    if kind == "text":
+        return _ANSWERS.get(part.text.strip().strip(".!").lower())
+    if kind == "data" and part.data.WhichOneof("kind") == "struct_value":
+        consent = plain_of(part.data).get("consent")
+        return consent if isinstance(consent, bool) else None
+    return None
