@@ -71,8 +71,8 @@ class AgentHttpTransport(AgentTransport):
                 `serve` gives.
             tls: The files to make TLS from, or a context.
             insecure: Permit a server without TLS at an address that other machines can reach.
-            hosts: Names of the server, in addition to its addresses and the names of its machine; `*`
-                permits all.
+            hosts: Names of the server, in addition to its addresses and the names of its machine;
+                `*` permits all.
             origins: Pages that may use the server, for example `https://robot.example`, besides
                 those that come from its own address; `*` permits all.
             settings: `allow`, `unasked`, `read_only` and `patience` are those of `AgentPolicy`.
