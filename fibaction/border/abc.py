@@ -25,6 +25,7 @@ from fibaction.border.goal_store import GoalStore, StoredGoal
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import StoreError, TransportError
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import ActionPeers, GoalID, WorkerInfo
 from fibaction.words.meta import Meta
 
@@ -34,11 +35,13 @@ __all__ = [
     "Endpoint",
     "FeedbackItem",
     "ForwardingEndpoint",
+    "GoalQuery",
     "GoalRequest",
     "GoalStream",
     "GoalUpdate",
     "Meta",
     "Notifier",
+    "PastPage",
     "Startable",
     "StatusStream",
     "Transport",

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable
 from copy import copy
 from typing import TypeVar
 
+from anyio import Lock
+
 from fibaction._runtime.log import clean_logger
 from fibaction.border.goal_store import StoredGoal, Then
 from fibaction.stores._history_table import HistoryTable
@@ -30,6 +32,7 @@ class HistoryWriter(Writer):
         self._bounds = bounds
         self._table: HistoryTable
         self._is_full = False
+        self._turn = Lock()
         super().__init__(path, sync)
 
     async def part(self, action: str, page: PastPage) -> tuple[list[GoalInfo], Place | None]:
@@ -50,8 +53,6 @@ class HistoryWriter(Writer):
 
     async def _ask(self, look: Callable[[], FoundT]) -> FoundT:
         """Return what a function finds. Its error concerns nobody else: later writes go on."""
-        if self._is_closing:
-            raise self._closed()
         answers: list[FoundT] = []
         errors: list[StoreError] = []
 
@@ -61,12 +62,15 @@ class HistoryWriter(Writer):
             except StoreError as exc:
                 errors.append(exc)
 
-        failed = await self._do(work)
+        async with self._turn:  # one at a time, so that a commit waits for one of them at most
+            if self._is_closing:
+                raise self._closed()
+            failed = await self._do(work)
         if failed:
             raise StoreError(failed)
         for error in errors:
             raise error
-        return answers[0]
+        return answers.pop()  # the thread has the list until its next command
 
     # In the thread
 
@@ -120,12 +124,13 @@ class HistoryJournal(SqliteJournal):
         found: list[GoalInfo] = []
         limit = min(page.limit, MOST_PAST)
         after: Place | None = page.after
-        while True:
+        while len(found) < limit:
             left = page._replace(limit=limit - len(found), after=after)
             more, after = await self._writer.part(self._action, left)
             found += more
-            if after is None or len(found) == limit:
-                return found
+            if after is None:
+                break
+        return found
 
     async def past_goal(self, goal_id: GoalID) -> StoredGoal | None:
         return await self._writer.find(self._action, goal_id)

@@ -78,6 +78,15 @@ class PastPage(NamedTuple):
     newest_first: bool = True
     """True for the order from the newest acceptance to the oldest, False for the other one."""
 
+    def has(self, info: GoalInfo) -> bool:
+        """Return whether a goal is on this page or on one after it."""
+        if not (info.status.is_terminal and self.wanted.has(info)):
+            return False
+        if self.after is None:
+            return True
+        place = (info.stamp, bytes(info.goal_id))
+        return place < self.after if self.newest_first else place > self.after
+
 
 def time_of(text: str, now: int, *, is_local: bool) -> int:
     """Return the time that a text means, in nanoseconds since 1970: a time of ISO 8601, a stamp, or

@@ -14,16 +14,19 @@ from fibaction import (
     GoalStatus,
     ServerNotFound,
 )
+from fibaction.border.abc import Endpoint, ForwardingEndpoint
+from fibaction.cli.arguments import goal_lookup
 from fibaction.cli.arguments.goal_lookup import (
     ActionClients,
     GoalChoice,
     find_goal,
     goal_digits,
     goals_of,
+    with_past,
 )
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.process.exit_codes import ExitCode, Failure
-from fibaction.words.goal_query import GoalQuery
+from fibaction.words.goal_query import GoalQuery, PastPage
 from tests.cli.served import Altered, Served, counter
 
 A = GoalID.parse("aaaaaaaa" + "0" * 24)
@@ -218,3 +221,35 @@ async def test_a_connection_that_is_lost_is_no_empty_list() -> None:
     one = Altered(counter("one"), status=lost)
     with pytest.raises(ConnectionLost):
         await goals_of(await ActionClients(Served(one).connection).now())
+
+
+class Past(ForwardingEndpoint):
+    """An endpoint whose history has these goals, and which gives two of them at once."""
+
+    def __init__(self, inner: Endpoint, *infos: GoalInfo) -> None:
+        super().__init__(inner)
+        self.infos = infos
+
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        return [info for info in self.infos if page.has(info)][:2]
+
+
+@pytest.mark.asyncio
+async def test_goals_of_the_past_are_listed_beside_those_that_are_remembered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(goal_lookup, "MOST_PAST", 2)
+    past = [
+        GoalInfo(GoalID(bytes([number] * 16)), number, GoalStatus.SUCCEEDED)
+        for number in (4, 3, 2, 1)
+    ]
+    remembered = GoalRow("one", replace(past[1], reason="as it is remembered"))
+    active = GoalRow("one", GoalInfo(A, 9, GoalStatus.EXECUTING))
+    async with counter("one") as one, counter("other") as other:
+        served = Served(Past(one, *past), Past(other, past[0]))
+        clients = await ActionClients(served.connection).now()
+        rows = await with_past(clients, [active, remembered], GoalQuery(since=2))
+    assert [(row.action, row.info.stamp) for row in rows] == [
+        *(("one", 2), ("one", 3), ("one", 4), ("other", 4), ("one", 9))
+    ]
+    assert rows[1] is remembered

@@ -9,6 +9,7 @@ import signal
 from collections.abc import AsyncGenerator, Callable
 from contextlib import redirect_stderr
 from functools import partial
+from pathlib import Path
 
 import anyio
 import pytest
@@ -20,9 +21,11 @@ from fibaction import (
     ActionServer,
     ConnectionLost,
     GoalHandle,
+    GoalHistory,
     GoalID,
     GoalInfo,
     GoalStatus,
+    SqliteStore,
     connect,
     serve,
 )
@@ -198,6 +201,8 @@ def test_goals_as_csv_has_a_heading_and_a_line_for_each(here: Run, url: str) -> 
         (["--since", "soon"], "'soon' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m for"),
         (["--since", "1m", "--until", "1h"], "--since is later than --until: no goal is between"),
         (["--sort", "size"], "'size' is not one of 'accepted', 'began', 'ended', 'waited', 'ran'"),
+        (["--past", "--store", "goals.db"], "--past asks a server for its history: leave out"),
+        (["--watch", "--past"], "--watch shows all goals: leave out the options that choose or"),
         (["--json", "--csv"], "--json and --csv cannot be combined"),
         (["--watch", "--csv"], "--watch prints no CSV: use --json"),
         (["--watch", "wait", "stubborn"], "--watch shows one action, or all: give one NAME or"),
@@ -211,6 +216,25 @@ def test_options_that_mean_nothing_are_one_sentence(
 
     assert (found.code, found.out) == (ExitCode.USAGE, "")
     assert text in found.err.splitlines()[-1]
+
+
+@pytest.mark.asyncio
+async def test_goals_of_the_past_are_listed_with_their_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = SqliteStore(tmp_path / "goals.db", history=GoalHistory())
+    server = counter("count", ["twelve"])
+    server.keep_in(store)
+    with anyio.fail_after(30):
+        async with serve(server, "tcp://127.0.0.1:0") as (url,):
+            async with connect(url, server.action) as client:
+                goal = await client.send_goal(1)
+                await goal.outcome()
+                past = GoalChoice(past=True)
+                await list_goals.list_goals(url, choice=past, form=Form.JSON)
+    (line,) = capsys.readouterr().out.splitlines()
+    told = json.loads(line)
+    assert (told["goal_id"], told["result"]) == (str(goal.goal_id), "twelve")
 
 
 def test_goals_limits_itself_to_a_namespace(here: Run, url: str) -> None:

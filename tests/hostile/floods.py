@@ -19,7 +19,9 @@ from fibaction.wire.messages import (
     Ping,
     Received,
     WatchStatus,
+    past_fields,
 )
+from fibaction.words.goal_query import PastPage
 from tests.hostile.attack import MOST, attack, goal_id, sending
 from tests.hostile.raw_client import Raw, Target, each, packed
 from tests.support.fibonacci import FIBONACCI, Goal
@@ -28,6 +30,7 @@ SHORT = FIBONACCI.goal.encode(Goal(1))
 TERMS = FIBONACCI.goal.encode(Goal(20))
 SAME = goal_id()
 WRONG = b"\x81\xa5order\xa3one"
+PAST = past_fields(PastPage())
 MESSAGES = 4000
 """Messages of a wave, over all connections."""
 
@@ -45,6 +48,7 @@ KINDS: dict[str, Callable[[int], Any]] = {
     "CancelGoals of all": lambda id: CancelGoals(id, "forever", None, None),
     "CancelGoals before a stamp": lambda id: CancelGoals(id, "forever", None, 2**63 - 1),
     "WatchStatus": lambda id: WatchStatus(id, "fibonacci", MOST),
+    "WatchStatus of the past": lambda id: WatchStatus(id, "fibonacci", MOST, PAST),
     "Follow of none": lambda id: Follow(id, "fibonacci", goal_id(), None, True, MOST),
     "SendGoal": lambda id: sending(id, "fibonacci", SHORT),
     "SendGoal with feedback": lambda id: sending(id, "fibonacci", TERMS),

@@ -143,7 +143,8 @@ async def test_goals_of_the_past_are_read_as_far_as_there_is_room_for_their_byte
         assert await client.goals() == []
         budget = server._parts.past._budget
         while budget.used:  # its executor and the thread of the store are done with it soon
-            await anyio.lowlevel.checkpoint()
+            await server.past_goals(PastPage())
+            gc.collect()
         goal = await client.attach(goal_id)
         assert budget.used > 0
         budget.limit = 0

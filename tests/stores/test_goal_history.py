@@ -231,7 +231,7 @@ def pasts(draw: st.DrawFn) -> list[StoredGoal]:
     return [
         StoredGoal(
             GoalID(number.to_bytes(16, "big")),
-            draw(st.integers(1, 9)),
+            draw(st.integers(1, 4)),
             Sender(draw(st.sampled_from(CLIENTS))),
             b"",
             b"goal",
@@ -242,7 +242,7 @@ def pasts(draw: st.DrawFn) -> list[StoredGoal]:
     ]
 
 
-times = st.none() | st.integers(-1, 11) | st.just(2**70)
+times = st.none() | st.integers(-1, 6) | st.just(2**70)
 queries = st.builds(
     GoalQuery,
     st.sampled_from([frozenset[GoalStatus](), frozenset([GoalStatus.ABORTED])]),
@@ -286,6 +286,22 @@ def test_the_pages_of_a_list_are_those_of_all_goals_that_are_wanted(
     assert found == expected
 
 
+@pytest.mark.parametrize("newest_first", [True, False])
+async def test_goals_of_the_same_stamp_are_told_by_their_ids_between_parts(
+    path: Path, monkeypatch: pytest.MonkeyPatch, newest_first: bool
+) -> None:
+    monkeypatch.setattr(_history_table, "SCANNED", 1)
+    async with opened(SqliteStore(path, history=FOREVER)) as kept:
+        for number in (2, 3, 1):
+            goal = a_goal(number)
+            goal.stamp = 5
+            await kept(kept.journal.accept, goal)
+            await kept(kept.journal.end, after_end(goal))
+        infos = await kept.journal.past_goals(PastPage(newest_first=newest_first))
+    numbers = [info.goal_id[-1] for info in infos]
+    assert numbers == ([3, 2, 1] if newest_first else [1, 2, 3])
+
+
 async def test_a_page_is_filled_from_several_parts(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -296,6 +312,7 @@ async def test_a_page_is_filled_from_several_parts(
         aborted = GoalQuery(frozenset([GoalStatus.ABORTED]))
         assert await stamps(kept, wanted=aborted) == [9, 6, 3]
         assert await stamps(kept, wanted=aborted, limit=2) == [9, 6]
+        assert await stamps(kept, limit=0) == []
         last = (6, a_goal(6).goal_id)
         assert await stamps(kept, wanted=aborted, limit=2, after=last) == [3]
         assert await stamps(kept, limit=3, newest_first=False) == [1, 2, 3]

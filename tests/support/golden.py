@@ -91,7 +91,7 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     ),
     (
         WatchStatus(4, "fibonacci", 64),
-        "941404a96669626f6e6163636940",
+        "951404a96669626f6e6163636940c0",
     ),
     (
         AwaitServer(5, "fibonacci"),

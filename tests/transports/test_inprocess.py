@@ -21,6 +21,7 @@ from fibaction import (
 )
 from fibaction.border.abc import Endpoint
 from fibaction.border.urls import transport_for
+from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import Sender
 from fibaction_transports import inprocess
 from fibaction_transports.inprocess import InProcessTransport
@@ -175,6 +176,7 @@ async def test_an_endpoint_hands_everything_on() -> None:
             first = await (await endpoint.status()).receive()
             assert first is not None
             assert first.goal_id == stream.goal_id
+            assert await endpoint.past_goals(PastPage()) == []
 
 
 async def test_a_goal_that_is_decided_upon_later_is_open_once_it_is_accepted() -> None:

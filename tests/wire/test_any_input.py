@@ -36,9 +36,11 @@ from fibaction.wire.messages import (
     Received,
     SendGoal,
     WatchStatus,
+    past_fields,
 )
 from fibaction.wire.settings import Limits
 from fibaction.words.errors import ConnectionLost
+from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import GoalID
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
@@ -121,7 +123,9 @@ MESSAGES: dict[type, st.SearchStrategy[Any]] = {
     CancelGoals: st.builds(
         CancelGoals, numbers, actions, st.none() | goal_ids, st.none() | numbers
     ),
-    WatchStatus: st.builds(WatchStatus, numbers, actions, credits_),
+    WatchStatus: st.builds(
+        WatchStatus, numbers, actions, credits_, st.sampled_from([None, past_fields(PastPage())])
+    ),
     AwaitServer: st.builds(AwaitServer, numbers, actions),
     ListActions: st.builds(ListActions, numbers),
     Credit: st.builds(Credit, numbers, credits_),

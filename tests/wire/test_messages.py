@@ -55,8 +55,11 @@ from fibaction.wire.messages import (
     Why,
     parent_fields,
     parent_from,
+    past_fields,
+    past_from,
 )
 from fibaction.words.errors import ProtocolError
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import GoalID, Parent
 from fibaction.words.statuses import GoalStatus
 from tests.support.golden import GOAL_ID, GOLDEN, STAMP
@@ -206,7 +209,15 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     CancelGoals: builds(
         CancelGoals, IDS, TEXT, strategies.none() | GOAL_IDS, strategies.none() | STAMPS
     ),
-    WatchStatus: builds(WatchStatus, IDS, TEXT, COUNTS),
+    WatchStatus: builds(
+        *(WatchStatus, IDS, TEXT, COUNTS),
+        strategies.none()
+        | strategies.tuples(
+            *(strategies.lists(STATUSES), TEXT, strategies.none() | STAMPS),
+            *(strategies.none() | STAMPS, strategies.integers(0, 2**31 - 1)),
+            *(strategies.none() | strategies.tuples(STAMPS, GOAL_IDS), strategies.booleans()),
+        ),
+    ),
     AwaitServer: builds(AwaitServer, IDS, TEXT),
     ListActions: builds(ListActions, IDS),
     Credit: builds(Credit, IDS, COUNTS),
@@ -345,6 +356,7 @@ NULLABLE = {
     (Following, "parent"),
     (GoalChanged, "parent"),
     (GoalChanged, "began_at"),
+    (WatchStatus, "past"),
     (GoalChanged, "ended_at"),
 }
 
@@ -455,6 +467,7 @@ def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, gol
         "parent": (bytes(16), ""),
         "began_at": 1,
         "ended_at": 1,
+        "past": ([5], "", None, None, 9, (1, bytes(16)), True),
     }
     for name in message.__struct_fields__:
         if (type(message), name) in NULLABLE:
@@ -769,3 +782,27 @@ def test_a_parent_comes_back_from_the_field_of_a_message() -> None:
     assert parent_fields(parent) == (bytes(range(16)), "pick")
     assert parent_from(parent_fields(parent)) == parent
     assert parent_from(parent_fields(None)) is None
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        PastPage(),
+        PastPage(
+            GoalQuery(frozenset([GoalStatus.SUCCEEDED, GoalStatus.ABORTED]), "robot", 5, 9),
+            *(7, (6, bytes(15) + b"\1"), False),
+        ),
+    ],
+)
+def test_a_page_is_asked_for_as_it_was_given(page: PastPage) -> None:
+    assert past_from(past_fields(page)) == page
+
+
+def test_numbers_that_cannot_be_sent_keep_their_meaning() -> None:
+    page = PastPage(GoalQuery(since=-5, until=2**70), 10**9, (-1, b""))
+    sent = past_from(past_fields(page))
+    assert sent == PastPage(GoalQuery(since=0, until=2**63 - 1), 1000)
+    assert past_from(past_fields(PastPage(after=(2**64, bytes(16))))).after == (
+        2**63 - 1,
+        bytes(16),
+    )

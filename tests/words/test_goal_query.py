@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction import GoalID, GoalInfo, GoalStatus
-from fibaction.words.goal_query import STATUSES, GoalQuery, time_of
+from fibaction.words.goal_query import STATUSES, GoalQuery, PastPage, time_of
 
 NOW = 1_800_000_000 * 10**9
 NOON = 1_769_860_800 * 10**9
@@ -53,6 +53,21 @@ def test_both_ends_of_a_span_of_time_are_within_it() -> None:
     span = GoalQuery(since=NOW, until=NOW + 2)
     found = [stamp - NOW for stamp in range(NOW - 1, NOW + 4) if span.has(info(stamp=stamp))]
     assert found == [0, 1, 2]
+
+
+def test_a_page_of_the_past_has_the_goals_that_are_wanted_after_its_place() -> None:
+    wanted = GoalQuery(since=NOW)
+    ended = [info(GoalStatus.ABORTED, stamp) for stamp in range(NOW - 1, NOW + 4)]
+
+    def found(page: PastPage) -> list[int]:
+        return [one.stamp - NOW for one in ended if page.has(one)]
+
+    assert found(PastPage(wanted)) == [0, 1, 2, 3]
+    assert not PastPage().has(info(GoalStatus.EXECUTING))
+    place = NOW + 2, b"\x01" * 16
+    assert found(PastPage(wanted, after=place)) == [0, 1]
+    assert found(PastPage(wanted, after=place, newest_first=False)) == [3]
+    assert found(PastPage(wanted, after=(NOW + 2, b"\x02" * 16))) == [0, 1, 2]
 
 
 def test_a_client_is_found_by_its_name_its_address_or_a_part_of_them() -> None:

@@ -15,8 +15,8 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of
 from fibaction.observe.monitor import AnyClient, newest_active_first
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError
-from fibaction.words.goal_query import ANY_GOAL, GoalQuery
-from fibaction.words.goals import GoalID
+from fibaction.words.goal_query import ANY_GOAL, MOST_PAST, GoalQuery, PastPage
+from fibaction.words.goals import GoalID, GoalInfo
 
 MOST_AT_ONCE = 100
 """Actions that are asked at the same time: a server limits the requests of a connection."""
@@ -44,6 +44,8 @@ class GoalChoice(NamedTuple):
     """The most goals; 0 for any number."""
     sort: str = ""
     """The name of their order in `SORTS`; empty for that of their acceptance."""
+    past: bool = False
+    """True for the goals in the histories of the servers as well."""
 
     @property
     def adjective(self) -> str:
@@ -139,6 +141,33 @@ async def goals_of(clients: Mapping[str, AnyClient]) -> list[GoalRow]:
     if errors and len(errors) == len(clients):
         raise errors[0]
     return sorted(rows, key=lambda row: row.info.stamp)
+
+
+async def with_past(
+    clients: Mapping[str, AnyClient], rows: list[GoalRow], wanted: GoalQuery
+) -> list[GoalRow]:
+    """Return the goals that the servers remember and those in their histories that are wanted, each
+    once, in the order in which they were accepted.
+
+    Raises:
+        ActionError: One of them cannot be asked.
+    """
+    found = {
+        (name, info.stamp, info.goal_id): GoalRow(name, info)
+        for name, client in clients.items()
+        for info in await _past_of(client, wanted)
+    }
+    found |= {(row.action, row.info.stamp, row.info.goal_id): row for row in rows}
+    return sorted(found.values(), key=lambda row: row.info.stamp)
+
+
+async def _past_of(client: AnyClient, wanted: GoalQuery) -> list[GoalInfo]:
+    infos = part = await client.endpoint.past_goals(PastPage(wanted))
+    while len(part) == MOST_PAST:
+        after = part[-1].stamp, part[-1].goal_id
+        part = await client.endpoint.past_goals(PastPage(wanted, after=after))
+        infos = infos + part
+    return infos
 
 
 def goal_digits(text: str) -> str:

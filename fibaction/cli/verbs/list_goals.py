@@ -14,7 +14,13 @@ import click
 from fibaction._api import ClientConnection, connect
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION
-from fibaction.cli.arguments.goal_lookup import SORTS, ActionClients, GoalChoice, goals_of
+from fibaction.cli.arguments.goal_lookup import (
+    SORTS,
+    ActionClients,
+    GoalChoice,
+    goals_of,
+    with_past,
+)
 from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import TimeType, json_option, url_option
@@ -90,6 +96,12 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
         help="List so many goals: the active and the newest ones, or the last ones of --sort; 0 for"
         f" all.  [default: {LIMIT}]",
     )
+    @click.option(
+        "--past",
+        is_flag=True,
+        help="List also the goals that the server has forgotten, and has in the history of its"
+        " store.",
+    )
     @wraps(function)
     def choosing(
         words: tuple[str, ...],
@@ -98,13 +110,14 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
         until: int | None,
         sort: str | None,
         limit: int,
+        past: bool,
         **others: Any,
     ) -> None:
         if since is not None and until is not None and since > until:
             raise Failure("--since is later than --until: no goal is between them", ExitCode.USAGE)
         statuses = frozenset[GoalStatus]().union(*(STATUS_WORDS[word] for word in words))
         wanted = GoalQuery(statuses, client, since, until)
-        function(choice=GoalChoice(words, wanted, limit, sort or ""), **others)
+        function(choice=GoalChoice(words, wanted, limit, sort or "", past), **others)
 
     return choosing
 
@@ -117,6 +130,7 @@ Examples:
   fibaction goals fibonacci --watch
   fibaction goals --status active --limit 20
   fibaction goals --since 10m --sort ran
+  fibaction goals --past --since 7d --status aborted
   fibaction goals drive pick --status aborted --since 2026-01-31 --csv
   fibaction goals -n /robot1 --json
   fibaction goals --store goals.db""",
@@ -144,7 +158,8 @@ def goals_command(
     url: str,
 ) -> None:
     """List the goals of the action NAME, of several, or of all actions: those that are active, and
-    those that have ended and that the server remembers.
+    those that have ended and that the server remembers. With --past, those in the history of its
+    store are listed as well.
 
     With --namespace, a NAME without a slash in front is relative to the namespace.
 
@@ -159,6 +174,8 @@ def goals_command(
     names = tuple(namespace.absolute(name) for name in names)
     if watch and store is not None:
         raise Failure("--store lists what is in the file now: leave out --watch", ExitCode.USAGE)
+    if choice.past and store is not None:
+        raise Failure("--past asks a server for its history: leave out --store", ExitCode.USAGE)
     if watch:
         _check_watched(names, choice, form)
         run(watch_goals, url, *names, namespace=namespace, as_json=as_json)
@@ -220,6 +237,8 @@ async def list_goals(
         connection = whole if names else namespace.narrow(whole)
         clients = await ActionClients(connection, *names).now()
         found = await goals_of(clients)
+        if choice.past:  # afterwards, so that what is forgotten meanwhile is in one of them
+            found = await with_past(clients, found, choice.wanted)
         rows, left_out = choice.of(found)
         if form is Form.TABLE:
             rows = await Outcomes().of(clients, rows)

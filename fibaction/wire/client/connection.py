@@ -78,6 +78,7 @@ from fibaction.words.errors import (
     ProtocolError,
     ServerNotFound,
 )
+from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
 
 OPEN_TIMEOUT = 5.0
@@ -276,6 +277,9 @@ class RemoteEndpoint(Endpoint):
 
     async def status(self) -> RemoteStatuses:
         return await self._calls.follow_statuses(self._info.name)
+
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        return await self._calls.past_goals(self._info.name, page)
 
     async def wait_for_server(self) -> None:
         while True:

@@ -29,6 +29,7 @@ from weakref import WeakValueDictionary
 from fibaction.border.abc import GoalRequest
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.calls import Call, PendingRequest
+from fibaction.wire.client.past_page import PastCall
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch
 from fibaction.wire.codec import FromClient, encode
@@ -36,7 +37,8 @@ from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import AskPlaces, AwaitServer, Done, Follow, Places, SendGoal
 from fibaction.words.errors import ActionError, InvalidMessage, copy_of
-from fibaction.words.goals import GoalID
+from fibaction.words.goal_query import PastPage
+from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.meta import checked_meta
 
 BURST = 32
@@ -161,6 +163,18 @@ class OpenCalls:
             statuses.close()
             raise
         return statuses
+
+    async def past_goals(self, action: str, page: PastPage) -> list[GoalInfo]:
+        """Return a page of the history of an action.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        call = PastCall(next(self._ids), action, page)
+        await self._open(call)
+        if self._calls.pop(call.id, None) is not None:  # its last message is still to come
+            self.post(call.giving_up())
+        return call.infos
 
     def _watch_of(self, action: str) -> StatusWatch:
         """Return the open watch of an action, or open one."""

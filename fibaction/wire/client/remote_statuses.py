@@ -175,20 +175,7 @@ class StatusWatch(Call):
         self._credit.grant()
         self._dropped = message.dropped
         self._unlisted = max(0, self._unlisted - 1)
-        info = GoalInfo(
-            GoalID(message.goal_id),
-            message.stamp,
-            message.status,
-            message.feedback_count,
-            excerpt(message.client),
-            message.place,
-            message.queue_length,
-            message.attempt,
-            parent_from(message.parent),
-            began_at=message.began_at,
-            ended_at=message.ended_at,
-            reason=message.reason and shortened(message.reason, LENGTH),
-        )
+        info = info_of(message)
         self._learn(info)
         for statuses in self._followers:
             statuses.put(info)
@@ -201,6 +188,24 @@ class StatusWatch(Call):
             goals[info.goal_id] = info
             if len(goals) > MOST_GOALS:
                 del goals[next(iter(goals))]
+
+
+def info_of(message: GoalChanged) -> GoalInfo:
+    """Return the goal that a message tells of."""
+    return GoalInfo(
+        GoalID(message.goal_id),
+        message.stamp,
+        message.status,
+        message.feedback_count,
+        excerpt(message.client),
+        message.place,
+        message.queue_length,
+        message.attempt,
+        parent_from(message.parent),
+        began_at=message.began_at,
+        ended_at=message.ended_at,
+        reason=message.reason and shortened(message.reason, LENGTH),
+    )
 
 
 class RemoteStatuses(StatusStream):

@@ -19,6 +19,8 @@ from fibaction.wire.messages.fields import (
     Seconds,
     parent_fields,
     parent_from,
+    past_fields,
+    past_from,
 )
 from fibaction.wire.messages.from_client import (
     AskPeers,
@@ -93,4 +95,6 @@ __all__ = [
     "Why",
     "parent_fields",
     "parent_from",
+    "past_fields",
+    "past_from",
 ]

@@ -7,8 +7,10 @@ from typing import Annotated, TypeAlias, final
 import msgspec
 
 from fibaction._runtime.text import shortened
+from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage
 from fibaction.words.goals import GoalID, Parent
 from fibaction.words.meta import LONGEST_STEP
+from fibaction.words.statuses import GoalStatus
 
 VERSION = 1
 """Version of the protocol. A peer of another version is rejected."""
@@ -30,6 +32,14 @@ Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_HEARTBEAT)]
 LONGEST_TIMEOUT = 1e9
 """Longest timeout of a goal that a message can contain, in seconds: about 30 years."""
 Timeout: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_TIMEOUT)]
+
+
+PastFields: TypeAlias = tuple[
+    list[GoalStatus], str, Stamp | None, Stamp | None, Count, tuple[Stamp, GoalBytes] | None, bool
+]
+"""A page of a history: the statuses that are listed, none for any; a part of the client's name;
+earliest and latest stamp; number of goals; stamp and ID of the goal before the first one; and
+whether the newest goals come first."""
 
 
 class WireMessage(msgspec.Struct, array_like=True, gc=False):
@@ -59,3 +69,28 @@ def parent_fields(parent: Parent | None) -> ParentFields | None:
 def parent_from(fields: ParentFields | None) -> Parent | None:
     """Return the parent of a goal that the field of a message names."""
     return None if fields is None else Parent(GoalID(fields[0]), shortened(fields[1], LONGEST_STEP))
+
+
+def past_fields(page: PastPage) -> PastFields:
+    """Return a page of a history as the field of a message."""
+    wanted, after = page.wanted, page.after
+    return (
+        sorted(wanted.statuses),
+        wanted.client,
+        _stamp(wanted.since),
+        _stamp(wanted.until),
+        min(page.limit, MOST_PAST),
+        None if after is None or after[0] < 0 else (min(after[0], LARGEST), bytes(after[1])),
+        page.newest_first,
+    )
+
+
+def past_from(fields: PastFields) -> PastPage:
+    """Return the page of a history that the field of a message asks for."""
+    statuses, client, since, until, limit, after, newest_first = fields
+    wanted = GoalQuery(frozenset(statuses), client, since, until)
+    return PastPage(wanted, limit, after, newest_first)
+
+
+def _stamp(time: int | None) -> int | None:
+    return None if time is None else min(max(time, 0), LARGEST)

@@ -11,6 +11,7 @@ from fibaction.wire.messages.fields import (
     Count,
     FrameSize,
     GoalBytes,
+    PastFields,
     Seconds,
     Stamp,
     Timeout,
@@ -93,7 +94,8 @@ class CancelGoals(WireMessage, tag=19):
 
 @final
 class WatchStatus(WireMessage, tag=20):
-    """Request to follow the statuses of all goals, once for each action and connection at a time.
+    """Request to follow the statuses of all goals, once for each action and connection at a time;
+    or for a page of the history.
 
     Answered by `Watching` or `Failed`.
     """
@@ -101,6 +103,11 @@ class WatchStatus(WireMessage, tag=20):
     id: ID
     action: str
     credit: Count
+    past: PastFields | None = None
+    """Page of the history in place of the statuses: statuses, none for any; a part of the name of
+    the client; earliest and latest stamp; number of goals; stamp and ID of the goal before the
+    first one, in the order of the page; and whether the newest goals come first. Nil for the
+    statuses."""
 
 
 @final

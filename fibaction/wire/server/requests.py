@@ -9,7 +9,8 @@ answer to the one before is under way. The two do not wait for each other, since
 for a decision of the user's.
 
 A client may follow the statuses of an action once on a connection. They are read one by one, as far
-as there is credit, in slices between which other clients have their turn.
+as there is credit, in slices between which other clients have their turn. A page of the history is
+asked for and told in the same way; it is a list, of which each client has one at a time.
 """
 
 from __future__ import annotations
@@ -42,10 +43,11 @@ from fibaction.wire.messages import (
     Watching,
     WatchStatus,
     parent_fields,
+    past_from,
 )
 from fibaction.wire.server.subscriptions import RequestSubscription
 from fibaction.words.errors import ServerNotFound
-from fibaction.words.goals import NO_GOAL, GoalID
+from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 
 Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces
@@ -94,7 +96,7 @@ class RequestHandlers:
         self._watched: dict[str, RequestSubscription] = {}  # by the action
         self._handlers: dict[type, Callable[[Any, RequestSubscription], Awaitable[None]]] = {
             CancelGoals: self._cancel_goals,
-            WatchStatus: self._watch_status,
+            WatchStatus: self._watch,
             AwaitServer: self._await_server,
             ListActions: self._list_actions,
             AskPeers: self._ask_peers,
@@ -103,7 +105,7 @@ class RequestHandlers:
 
     def limit_for(self, request: Request) -> str:
         """Return a sentence about the limit that forbids this request now; empty if none does."""
-        if type(request) is not WatchStatus:
+        if type(request) is not WatchStatus or request.past is not None:
             return ""
         watched = self._watched.get(request.action)
         if watched is None or watched.closed:
@@ -115,7 +117,7 @@ class RequestHandlers:
 
     def begin(self, request: Request, subscription: RequestSubscription) -> None:
         """Count a request, in the order of arrival; `handle` must follow."""
-        if type(request) is WatchStatus:
+        if type(request) is WatchStatus and request.past is None:
             self._watched[request.action] = subscription
 
     async def handle(self, request: Request, subscription: RequestSubscription) -> None:
@@ -150,6 +152,21 @@ class RequestHandlers:
             CancelAnswered(message.id, answer.return_code, goals, sendable(answer.reason))
         )
 
+    async def _watch(self, message: WatchStatus, subscription: RequestSubscription) -> None:
+        if message.past is None:
+            await self._watch_status(message, subscription)
+            return
+        endpoint = await self._find(message.action, Permission.OBSERVE)
+        async with self._listing:
+            infos = await endpoint.past_goals(past_from(message.past))
+            await self._say(Watching(message.id, len(infos)))
+            slices = Slices()
+            for info in infos:
+                if not await self._tell(message.id, info, 0, subscription):
+                    break
+                await slices.pause()
+        await self._say(Finished(message.id))
+
     async def _watch_status(self, message: WatchStatus, subscription: RequestSubscription) -> None:
         try:
             endpoint = await self._find(message.action, Permission.OBSERVE)
@@ -170,28 +187,36 @@ class RequestHandlers:
     ) -> None:
         slices = Slices()
         while (info := await statuses.receive()) is not None:
-            await subscription.wait()
-            if subscription.closed:
+            if not await self._tell(request, info, statuses.dropped, subscription):
                 break
-            subscription.credit -= 1
-            changed = GoalChanged(
-                request,
-                bytes(info.goal_id),
-                info.stamp,
-                info.status,
-                statuses.dropped,
-                info.feedback_count,
-                info.client,
-                info.place,
-                info.queue_length,
-                info.attempt,
-                parent_fields(info.parent),
-                info.began_at,
-                info.ended_at,
-                info.reason and sendable(info.reason),
-            )
-            await self._say(changed)
             await slices.pause()
+
+    async def _tell(
+        self, request: int, info: GoalInfo, dropped: int, subscription: RequestSubscription
+    ) -> bool:
+        """Tell of a goal, when there is credit; return False if the client wants no more."""
+        await subscription.wait()
+        if subscription.closed:
+            return False
+        subscription.credit -= 1
+        changed = GoalChanged(
+            request,
+            bytes(info.goal_id),
+            info.stamp,
+            info.status,
+            dropped,
+            info.feedback_count,
+            info.client,
+            info.place,
+            info.queue_length,
+            info.attempt,
+            parent_fields(info.parent),
+            info.began_at,
+            info.ended_at,
+            info.reason and sendable(info.reason),
+        )
+        await self._say(changed)
+        return True
 
     async def _await_server(self, message: AwaitServer, subscription: RequestSubscription) -> None:
         with CancelScope() as scope:
