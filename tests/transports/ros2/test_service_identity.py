@@ -25,6 +25,7 @@ from fibaction_transports.ros2.on_dds.service_identity import (
     uses_header,
 )
 from fibaction_transports.ros2.on_dds.services import (
+    ANSWERED_REQUESTS,
     OPEN_REQUESTS,
     DdsCaller,
     DdsProvider,
@@ -209,6 +210,19 @@ async def test_requests_that_are_never_answered_are_forgotten() -> None:
     for sent in (first, last):
         client.answer(FAST, sent, RESPONSE)
     assert client.answers == [(OPEN_REQUESTS + 1, [])]
+
+
+async def test_of_answered_requests_only_the_newest_wait_for_answers_of_other_servers() -> None:
+    client = Client(FAST, OWN)
+    for _ in range(ANSWERED_REQUESTS + 1):
+        client.caller.send(REQUEST)
+        client.answer(FAST, client.sent[-1], RESPONSE)
+    assert len(client.answers) == ANSWERED_REQUESTS + 1
+    assert len(client.caller._of_sample) == ANSWERED_REQUESTS
+    client.answers.clear()
+    for sent in (client.sent[0], client.sent[1], client.sent[-1]):
+        client.answer(OWN, sent, RESPONSE)
+    assert client.answers == [(2, []), (ANSWERED_REQUESTS + 1, [])]
 
 
 async def test_a_service_is_available_if_one_server_has_both_of_its_ends() -> None:

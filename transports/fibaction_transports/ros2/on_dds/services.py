@@ -15,7 +15,7 @@ answer of Fast DDS comes after 3 s, with its next heartbeat.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -57,6 +57,8 @@ FIRST_ASK, LONGEST_ASK = 0.03, 2.0
 """Seconds after which a client asks for an answer: the first time, and at most."""
 OPEN_REQUESTS = 10_000
 """Requests whose answers a client still knows; then the oldest is forgotten."""
+ANSWERED_REQUESTS = 256
+"""Answered requests that a client still knows: other servers of the name may answer them, too."""
 
 _SERVICES = EndQos(depth=1000)
 
@@ -98,6 +100,8 @@ class DdsCaller(ServiceCaller):
         """The calls that have no answer yet."""
         self._of_sample: OrderedDict[int, int] = OrderedDict()
         """The calls, by the numbers of their samples."""
+        self._answered: deque[int] = deque()
+        """The samples that are answered, in the order of the answers."""
         self._is_closed = False
         self._sent = Notifier()
         self._pause = FIRST_ASK
@@ -170,7 +174,16 @@ class DdsCaller(ServiceCaller):
         if identity is None or identity.writer != self.ends.reader.guid:
             return None
         known = self._of_sample.get(identity.number)
-        return None if known is None else (known, sample.payload)
+        if known is None:
+            return None
+        self._note_answered(identity.number)
+        return known, sample.payload
+
+    def _note_answered(self, number: int) -> None:
+        """Forget an answered sample when enough others have been answered after it."""
+        self._answered.append(number)
+        if len(self._answered) > ANSWERED_REQUESTS:
+            self._of_sample.pop(self._answered.popleft(), None)
 
     def close(self) -> None:
         """Wait for no answer any more."""
