@@ -67,7 +67,7 @@ SENTENCES = [
     Sentence(
         "docs/cli.md",
         '```console\n$ pip install "$HOME/fibaction[cli]"\n```\n\n'
-        "fibaction is not published yet; this page supposes that you have cloned it to"
+        "fibaction is not published yet; this page assumes that you have cloned it to"
         " `~/fibaction`.\n"
         "The examples on this page talk to `python ~/fibaction/examples/fibonacci_server.py"
         " --period 0.2`.\n",
