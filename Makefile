@@ -237,7 +237,7 @@ audit:  ## Look for known security problems in the libraries of the check, Pytho
 	cd tests/javascript && npm audit
 
 JAVASCRIPT_PACKAGE := transports/fibaction_transports/web/javascript
-EXTRAS = none all $(shell sed -n '/^\[project.optional-dependencies\]/,/^$$/s/^\([a-z-]*\) = .*/\1/p' pyproject.toml)
+EXTRAS = none all $(shell sed -n '/^\[project.optional-dependencies\]/,/^$$/s/^\([a-z0-9-]*\) = .*/\1/p' pyproject.toml)
 extra_of = $(filter-out [none],[$(if $(filter all,$(1)),$(subst $(space),$(comma),$(filter-out none all,$(EXTRAS))),$(1))])
 comma := ,
 space := $() $()

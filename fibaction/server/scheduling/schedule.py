@@ -42,8 +42,8 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
     """The goal that gives way when no place is free to run or to wait: with `reject` the new one,
     with `preempt` the one that has run longest, with `replace` the newest one that waits."""
     key: GoalFunction[Any, Hashable] | None = None
-    """A function that returns the key of a goal, for example the arm that it moves; None for one key. It
-    may have a second parameter, the `Sender` of the goal."""
+    """A function that returns the key of a goal, for example the arm that it moves; None for one
+    key. It may have a second parameter, the `Sender` of the goal."""
     total: int | None = None
     """Executors that run at the same time, for all keys together; None for any number."""
     priority: GoalFunction[Any, float] | None = None

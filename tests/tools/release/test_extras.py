@@ -49,5 +49,5 @@ def test_the_makefile_tries_each_extra() -> None:
         text=True,
         check=True,
     )
-    (named,) = re.findall(r'"fibaction\[([a-z,-]+)\] @ file:', told.stdout)
+    (named,) = re.findall(r'"fibaction\[([a-z0-9,-]+)\] @ file:', told.stdout)
     assert named.split(",") == sorted(PROJECT["optional-dependencies"])
