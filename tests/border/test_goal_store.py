@@ -78,6 +78,8 @@ def test_a_goal_that_was_given_up_is_one_that_has_ended_and_is_kept_whole() -> N
     assert goal.is_given_up
     goal.drop_request()
     assert (goal.goal, goal.checkpoint, goal.meta) == (b"", None, None)
+    goal.drop_request()  # nothing is left to forget
+    assert (goal.goal, goal.checkpoint, goal.meta) == (b"", None, None)
     assert not goal.is_given_up
 
 

@@ -37,7 +37,7 @@ _READ_ONLY = " Only the tasks of others can be followed here: nothing is sent or
 _HIDDEN = "The skills are in the card that is sent with the token."
 _RESUMING = (
     "Updates have a number and an event_id in their metadata; SubscribeToTask with the last"
-    " event_id in the header Last-Event-ID goes on behind it, also after the end of the task."
+    " event_id in the header Last-Event-ID continues after it, even after the end of the task."
 )
 
 

@@ -8,7 +8,7 @@ about one goal, and the task that it gets is a view of that goal:
 
     SendMessage             sends a goal, and waits for its end for as long as the policy says
     SendStreamingMessage    sends a goal, and tells its updates
-    SubscribeToTask         tells the updates behind the one in the header Last-Event-ID
+    SubscribeToTask         tells the updates after the one in the header Last-Event-ID
     GetTask, ListTasks      ask the servers of the actions
     CancelTask              cancels the goal
 
@@ -117,7 +117,7 @@ class GoalRequests(RequestHandler):
     async def on_subscribe_to_task(
         self, params: SubscribeToTaskRequest, context: ServerCallContext
     ) -> AsyncGenerator[Update, None]:
-        """Tell the updates of a task behind the position that the agent has seen last."""
+        """Tell the updates of a task after the position that the agent has seen last."""
         validate_proto_required_fields(params)
         headers = context.state["headers"]
         after = position_of(headers["last-event-id"]) if "last-event-id" in headers else None

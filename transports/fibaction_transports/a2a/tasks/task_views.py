@@ -105,7 +105,7 @@ def update_event(goal: FollowedTask, entry: KeptUpdate) -> TaskStatusUpdateEvent
 
 
 def feedback_event(goal: FollowedTask, item: FeedbackItem, seconds: float) -> TaskStatusUpdateEvent:
-    """Return the update of a feedback: its data, its number, and where to go on behind it."""
+    """Return the update of a feedback: its data, its number, and where to continue after it."""
     where = str(position(item))
     status = status_of(TaskState.TASK_STATE_WORKING, seconds)
     part = data_part(goal.skill.feedback, item.payload)
