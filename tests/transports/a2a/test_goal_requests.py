@@ -249,7 +249,9 @@ async def test_the_goals_of_all_clients_are_listed() -> None:
         )
         assert [text_of(one) for one in failed.tasks] == ["there is a wall"]
         robot.go(100)
-        updates = [told(one) async for one in talk.subscribe(str(goal.goal_id))]
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(goal.outcome)  # or the executor waits until its feedback is read
+            updates = [told(one) async for one in talk.subscribe(str(goal.goal_id))]
         assert updates[-2:] == ["result {'at': 100.0}", "COMPLETED"]
 
 
