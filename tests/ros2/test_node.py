@@ -216,7 +216,7 @@ async def test_a_node_without_waitables_is_an_error_that_says_what_to_use() -> N
         """A node to which no waitable can be added."""
 
     with pytest.raises(
-        TransportError, match=r"type AsyncNode has no add_waitable.*use dds:// besi"
+        TransportError, match=r"type AsyncNode has no add_waitable.*use dds:// alongs"
     ):
         async with users_node(AsyncNode()):
             pass
