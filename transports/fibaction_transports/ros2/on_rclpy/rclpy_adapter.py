@@ -149,7 +149,7 @@ async def users_node(node: Any, scout: ScoutOpener = no_scout) -> AsyncGenerator
     if not hasattr(node, "add_waitable"):
         raise TransportError(
             f"a node of the type {type(node).__name__} has no add_waitable(), which actions need:"
-            " leave node= out, so that fibaction makes a node of its own, or use dds:// alongside it"
+            " leave node= out, so that fibaction makes its own node, or use dds:// alongside it"
         )
     ros = RclpyNode(node, scout)
     try:
