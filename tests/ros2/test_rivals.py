@@ -43,13 +43,15 @@ def tagged(tag: int, tags: dict[int, int]) -> ActionServer[Goal, Feedback, Resul
 
 
 async def both_servers_of(client: ActionClient[Goal, Feedback, Result]) -> None:
-    """Wait until the client has found two servers."""
+    """Wait until the client has found two servers, and the nodes of their topics."""
     presence = client_of(client.endpoint).presence
+    ros, names = presence._ros, presence._names
 
-    async def servers() -> int:
-        return presence.is_there() + len(presence.servers())
+    async def servers() -> tuple[bool, int, int]:
+        ends = [*ros.publishers(names.status), *ros.publishers(names.feedback)]
+        return presence.is_there(), len(presence.servers()), sum(bool(one.node) for one in ends)
 
-    await eventually(servers, lambda number: number == 3)
+    await eventually(servers, lambda found: found == (True, 2, 4))
 
 
 @pytest.mark.parametrize("names", ["one name", "two names"])
@@ -144,7 +146,7 @@ class Node:
 
 class End:
     def __init__(self, topic: str, gid: bytes, node: str = "robot") -> None:
-        self.topic, self.gid, self.node = topic, gid, f"/{node}"
+        self.topic, self.gid, self.node = topic, gid, f"/{node}" if node else ""
 
 
 class Names:
@@ -202,6 +204,28 @@ async def test_without_participants_in_the_ids_the_nodes_tell_servers_apart() ->
     rivals.note_list(two, listed(goal_id, 101))
 
     assert rivals.feedback_of(goal_id, 100) == {b"defghijklmnopqrs"}
+
+
+async def test_before_the_nodes_are_known_no_feedback_is_taken_for_that_of_another_server() -> None:
+    one, two = b"participant1one.", b"participant2two."
+    ends = [
+        End("status", one, ""),
+        End("status", two, ""),
+        End("feedback", b"participant2fb..", ""),
+    ]
+    node: Any = Node(*ends)
+    names: Any = Names()
+    rivals = Rivals(node, "arm", names, 2.0)
+    goal_id = GoalID.random()
+
+    rivals.note(frozenset({one, two}), 2)
+    rivals.note_list(one, listed(goal_id, 90))
+    rivals.note_list(two, listed(goal_id, 105))
+    assert rivals.feedback_of(goal_id, 90) == frozenset()
+
+    ends[0].node = ends[1].node = ends[2].node = "/robot"
+    node._ends = (*ends, End("feedback", b"participant1fb.."))
+    assert rivals.feedback_of(goal_id, 90) == {b"participant1fb.."}
 
 
 async def test_a_second_server_that_is_soon_silent_causes_no_warning(

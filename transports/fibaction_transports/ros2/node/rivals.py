@@ -116,7 +116,8 @@ class Rivals:
 
     def _publishers(self, server: bytes) -> frozenset[bytes]:
         look = self._ros.publishers
-        names = {one.node for one in look(self._names.status) if one.gid == server}
+        # The graph may tell the name of a node after its ends, which belong to no node until then.
+        names = {one.node for one in look(self._names.status) if one.gid == server and one.node}
         found = [one.gid for one in look(self._names.feedback) if one.node in names]
         # Two nodes may have the same name, as two robots with the same program.
         same = [gid for gid in found if gid[PARTICIPANT] == server[PARTICIPANT]]
