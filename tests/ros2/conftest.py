@@ -16,12 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.ipv6 import has_ipv6
 from tests.support.ros_domain import claim_domain, remove_left_ports
 
 NEEDED = ("rclpy", "test_msgs", "geometry_msgs", "arduinobot_msgs", "fibaction_test_msgs")
 MISSING = [name for name in NEEDED if find_spec(name) is None]
-INTERFACES_OF_IPV6 = Path("/proc/net/if_inet6")
-HAS_IPV6 = INTERFACES_OF_IPV6.exists() and bool(INTERFACES_OF_IPV6.read_text())
 REQUIRED = os.environ.get("FIBACTION_ROS") == "required"
 
 ENDING = 30
@@ -29,7 +28,7 @@ ENDING = 30
 OTHERS = 300.0
 """Seconds for which a process of pytest-xdist may wait for the others, whose files take longer."""
 
-collect_ignore_glob = ["*"] if MISSING else [] if HAS_IPV6 else ["test_ipv6.py"]
+collect_ignore_glob = ["*"] if MISSING else [] if has_ipv6() else ["test_ipv6.py"]
 
 
 if MISSING:

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from fibaction_transports.rtps.ports import multicast_port
+
 DOMAINS = 102
 """The number of domain IDs whose UDP ports are below those that Linux assigns by itself."""
-FIRST_PORT, PORTS = 7400, 250
-"""The first UDP port of domain 0, and how many each domain has (RTPS 2.3, section 9.6.1.1).
-Fast DDS numbers its ports in shared memory in the same way."""
 SHARED_MEMORY = Path("/dev/shm")
 PORT = re.compile(r"fast(?:dds|rtps)_port(\d+)")
 
@@ -45,9 +44,10 @@ def remove_left_ports(domain: int) -> None:
     A port counts who has it open. A process that is killed stays counted, and then the port
     outlives the next processes, too, though they close it.
     """
+    numbers = range(multicast_port(domain), multicast_port(domain + 1))  # as those of UDP
     for path in SHARED_MEMORY.glob("fast*_port*"):
         match = PORT.fullmatch(path.name)
-        if match and (int(match[1]) - FIRST_PORT) // PORTS == domain and not is_read(path):
+        if match and int(match[1]) in numbers and not is_read(path):
             for name in (path.name, f"{path.name}_el", f"sem.{path.name}_mutex"):
                 path.with_name(name).unlink(missing_ok=True)
 
