@@ -1,4 +1,5 @@
-"""Which HTTP requests a server lets in: the path, the host, and the page that asks.
+"""Which HTTP requests a server lets in: the path, the host, and the page that asks; and how their
+headers are read, with the token of the client in them.
 
 A browser lets every page open a WebSocket to every address, even to one of this machine, and says
 by `Origin` which page it was. So a page may only use the server that it came from, or one that
@@ -13,7 +14,7 @@ Clients that are not browsers send no `Origin`.
 from __future__ import annotations
 
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from ipaddress import ip_address
 from urllib.parse import urlsplit
@@ -98,6 +99,27 @@ def rules(
         names.add(EVERY)
     named = frozenset(one.lower() for one in origins)
     return HttpRules(path, frozenset(names), named, has_tls)
+
+
+def headers_in(raw: Iterable[tuple[bytes, bytes]]) -> dict[str, str]:
+    """Return the headers of a request, whose names are in lower case.
+
+    A header that comes twice is one with both values, as RFC 9110 (5.3) has it, so a second `Host`
+    or `Origin` fits no rule.
+    """
+    headers: dict[str, str] = {}
+    for key, value in raw:
+        name, text = key.decode("latin-1").lower(), value.decode("latin-1")
+        headers[name] = f"{headers[name]}, {text}" if name in headers else text
+    return headers
+
+
+def bearer_in(headers: Mapping[str, str]) -> str:
+    """Return the access token in the headers of a request; empty if there is none."""
+    scheme, _, text = headers.get("authorization", "").partition(" ")
+    if scheme.lower() != "bearer":
+        return ""
+    return text.strip().encode("latin-1").decode(errors="replace")
 
 
 def _is_address(name: str) -> bool:

@@ -10,6 +10,6 @@ server of HTTP or WebSocket needs these rules. For example:
         answer(exc.status, str(exc))
 """
 
-from fibaction._runtime.http_rules import HttpRules, Refused, rules
+from fibaction._runtime.http_rules import HttpRules, Refused, bearer_in, headers_in, rules
 
-__all__ = ["HttpRules", "Refused", "rules"]
+__all__ = ["HttpRules", "Refused", "bearer_in", "headers_in", "rules"]

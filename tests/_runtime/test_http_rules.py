@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from fibaction._runtime.http_rules import HttpRules, Refused, rules
+from fibaction._runtime.http_rules import HttpRules, Refused, bearer_in, headers_in, rules
 
 
 def made(
@@ -92,3 +92,30 @@ def test_another_path_does_not_exist(target: str) -> None:
 
 def test_what_is_behind_a_question_mark_does_not_matter() -> None:
     assert status(made(), "robot", target="/?token=x") == 101
+
+
+# Headers, and the token in them
+
+
+def test_a_header_that_comes_twice_has_both_values_so_a_second_host_fits_no_rule() -> None:
+    headers = headers_in([(b"Host", b"localhost"), (b"ACCEPT", b"a"), (b"host", b"evil.example")])
+    assert headers == {"host": "localhost, evil.example", "accept": "a"}
+    with pytest.raises(Refused):
+        made().check("/", headers)
+
+
+@pytest.mark.parametrize(
+    ("value", "token"),
+    [
+        ("Bearer s3cret", "s3cret"),
+        ("bearer  s3cret ", "s3cret"),
+        ("Bearer s\xc3\xa9cret", "s\xe9cret"),  # UTF-8, which HTTP reads as Latin-1
+        ("Bearer \xe9", "\ufffd"),
+        ("Basic s3cret", ""),
+        ("Bearer", ""),
+        ("", ""),
+    ],
+)
+def test_the_token_is_what_follows_bearer(value: str, token: str) -> None:
+    assert bearer_in({"authorization": value}) == token
+    assert bearer_in({}) == ""

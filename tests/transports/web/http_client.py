@@ -12,7 +12,7 @@ import anyio
 import h11
 from anyio.abc import SocketStream
 
-from fibaction_transports.web.http.http_exchange import headers_in as headers_of
+from fibaction.border.http_access import headers_in
 from tests.transports.hearing import port_of
 
 PATIENCE = 30.0
@@ -70,7 +70,7 @@ class HttpClient:
     async def head(self) -> tuple[int, dict[str, str]]:
         answer = await self._next()
         assert isinstance(answer, h11.Response)
-        return answer.status_code, headers_of(answer)  # type: ignore[arg-type]  # as a request has
+        return answer.status_code, headers_in(answer.headers)
 
     async def piece(self) -> bytes:
         """The next piece of the body; empty at its end."""

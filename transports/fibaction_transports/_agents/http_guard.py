@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Collection, MutableMapping
 from typing import Any
 
-from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.http_access import HttpRules, Refused, bearer_in, headers_in
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.auth import AccessPolicy, Peer
 
@@ -53,17 +53,11 @@ class Guarded:
         Raises:
             Refused: One of them is not permitted.
         """
-        headers: dict[str, str] = {}
-        for name, value in scope["headers"]:
-            key, text = name.decode("latin-1").lower(), value.decode("latin-1")
-            # A header that comes twice is a trick, and fits nothing.
-            headers[key] = f"{headers[key]}, {text}" if key in headers else text
+        headers = headers_in(scope["headers"])
         self._rules.check_sources(headers, has_tls=scope.get("scheme") == "https")
-        scheme, _, token = headers.get("authorization", "").partition(" ")
         host, port = scope.get("client") or ("a client", 0)
-        bearer = token.strip().encode("latin-1").decode(errors="replace")
-        is_bearer = scheme.lower() == "bearer"
-        peer = self._access.admit(f"{host}:{port}", bearer) if is_bearer else None
+        token = bearer_in(headers)
+        peer = self._access.admit(f"{host}:{port}", token) if token else None
         if peer is None and not (scope["method"] == "GET" and scope["path"] in self._public):
             reason = "the header Authorization must be: Bearer, and the token of the bridge"
             raise Refused(401, reason, ("WWW-Authenticate", "Bearer"))

@@ -28,7 +28,7 @@ import anyio
 from anyio import CancelScope
 
 from fibaction.border.abc import Notifier
-from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.observe.metrics import Metrics
 from fibaction.schema.payload import PayloadError
@@ -42,7 +42,6 @@ from fibaction_transports.web.http.exchange import (
     Receive,
     Scope,
     Send,
-    headers_of,
     path_of,
     peer_of,
 )
@@ -195,7 +194,7 @@ class WebApplication:
             return
         if not scope.get("subprotocols"):
             await send({"type": "websocket.accept"})
-            translator = new_translator(self._server, peer, headers_of(scope))
+            translator = new_translator(self._server, peer, headers_in(scope["headers"]))
             await serve_rosbridge(
                 self._server, RosbridgeAsgiChannel(receive, send, peer, translator)
             )
@@ -206,7 +205,7 @@ class WebApplication:
 
     def _check_socket(self, scope: Scope) -> None:
         has_tls = scope.get("scheme") == "wss"
-        self._rules.check_sources(headers_of(scope), has_tls=has_tls)
+        self._rules.check_sources(headers_in(scope["headers"]), has_tls=has_tls)
         if path_of(scope) not in ("", "/"):
             raise Refused(404, f"there is no WebSocket at {excerpt(path_of(scope))}")
         offered = scope.get("subprotocols")

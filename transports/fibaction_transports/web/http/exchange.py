@@ -9,7 +9,6 @@ from collections.abc import (
     Callable,
     Generator,
     Iterable,
-    Mapping,
     MutableMapping,
 )
 from contextlib import asynccontextmanager, contextmanager, suppress
@@ -21,7 +20,7 @@ from anyio import CancelScope
 from anyio.lowlevel import checkpoint
 
 from fibaction.border.byte_budgets import ByteBudget, CountedBytes
-from fibaction.border.http_access import Refused
+from fibaction.border.http_access import Refused, headers_in
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import UNCOUNTED, FrameMemory
 from fibaction.words.errors import ConnectionLost
@@ -46,23 +45,6 @@ COMMON_HEADERS = (
 """Headers of every answer that does not have its own."""
 
 _NUMBER = re.compile(r"-?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
-
-def headers_of(scope: Scope) -> dict[str, str]:
-    """Return the headers of a request, whose names are in lower case."""
-    headers: dict[str, str] = {}
-    for raw, value in scope["headers"]:
-        name, text = raw.decode("latin-1").lower(), value.decode("latin-1")
-        headers[name] = f"{headers[name]}, {text}" if name in headers else text
-    return headers
-
-
-def bearer_of(headers: Mapping[str, str]) -> str:
-    """Return the access token in the headers of a request; empty if there is none."""
-    scheme, _, text = headers.get("authorization", "").partition(" ")
-    if scheme.lower() != "bearer":
-        return ""
-    return text.strip().encode("latin-1").decode(errors="replace")
 
 
 def peer_of(scope: Scope) -> str:
@@ -95,7 +77,7 @@ class Exchange:
         self.method: str = scope["method"]
         self.path = path_of(scope)
         self.root: str = scope.get("root_path", "").rstrip("/")
-        self.headers = headers_of(scope)
+        self.headers = headers_in(scope["headers"])
         self.peer = peer_of(scope)
         self.has_tls: bool = scope.get("scheme") == "https"
         self.has_begun = False

@@ -11,7 +11,7 @@ import anyio
 import h11
 from anyio.abc import ByteStream
 
-from fibaction.border.http_access import Refused
+from fibaction.border.http_access import Refused, headers_in
 from fibaction.wire.channel import CHUNK
 from fibaction_transports.web.http.exchange import Message, Scope
 
@@ -21,18 +21,9 @@ BROKEN = (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError, anyio.E
 """The errors of a stream whose peer has gone."""
 
 
-def headers_in(request: h11.Request) -> dict[str, str]:
-    """Return the headers of a request, whose names are in lower case."""
-    headers: dict[str, str] = {}
-    for raw, value in request.headers:
-        name, text = raw.decode("ascii"), value.decode("latin-1")
-        headers[name] = f"{headers[name]}, {text}" if name in headers else text
-    return headers
-
-
 def is_upgrade(request: h11.Request) -> bool:
     """Return whether a request asks for WebSocket."""
-    return "websocket" in headers_in(request).get("upgrade", "").lower()
+    return "websocket" in headers_in(request.headers).get("upgrade", "").lower()
 
 
 class HttpExchange:

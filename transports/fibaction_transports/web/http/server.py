@@ -37,7 +37,7 @@ from anyio import CancelScope
 from anyio.abc import ByteStream
 from anyio.streams.buffered import BufferedByteStream
 
-from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import CHUNK, LEAVE, Line, StreamChannel
 from fibaction.wire.server.addresses import Addresses, Candidate
@@ -50,7 +50,6 @@ from fibaction_transports.web.http.handshake import LONGEST_HEAD, ServerHandshak
 from fibaction_transports.web.http.http_exchange import (
     BROKEN,
     HttpExchange,
-    headers_in,
     is_upgrade,
 )
 from fibaction_transports.web.http.websocket_frames import WebSocketFraming
@@ -305,7 +304,7 @@ class _Connection:
         path = request.target.decode("ascii").partition("?")[0]
         if f"{path}/" == rules.path or path == f"{rules.path}/":
             rules = replace(rules, path=path)
-        headers = headers_in(request)
+        headers = headers_in(request.headers)
         server = self._server.server
         if "sec-websocket-protocol" in headers:
             framing = WebSocketFraming("the client", server.new_reader(), ServerHandshake(rules))

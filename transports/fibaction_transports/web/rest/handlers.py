@@ -19,7 +19,7 @@ import anyio
 import msgspec
 
 from fibaction.border.abc import Endpoint
-from fibaction.border.http_access import Refused
+from fibaction.border.http_access import Refused, bearer_in
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
 from fibaction.schema.payload import JsonCodec
@@ -32,7 +32,7 @@ from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import trace_meta
-from fibaction_transports.web.http.exchange import Exchange, bearer_of
+from fibaction_transports.web.http.exchange import Exchange
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
 from fibaction_transports.web.rest.goal_list import listed, members_of, page_of, past_of, wanted_of
@@ -85,7 +85,7 @@ class RestInterface:
         Raises:
             Refused: It does not.
         """
-        token = bearer_of(exchange.headers) if self._has_tokens else ""
+        token = bearer_in(exchange.headers) if self._has_tokens else ""
         session = blake2b(token.encode(), digest_size=16).digest() if token else b""
         client = SessionClient(exchange.peer, self._endpoints, self._settings)
         try:

@@ -9,13 +9,14 @@ import anyio
 from anyio.abc import ByteStream
 
 from fibaction.border.event_loop import Background
+from fibaction.border.http_access import bearer_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import LEAVE, Channel, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.link import PING
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
-from fibaction_transports.web.http.exchange import Receive, Send, bearer_of
+from fibaction_transports.web.http.exchange import Receive, Send
 from fibaction_transports.web.rosbridge.close_codes import (
     BINARY,
     INVALID,
@@ -149,7 +150,7 @@ def new_translator(
     server: WireServer, peer: str, headers: Mapping[str, str]
 ) -> RosbridgeTranslator:
     """Return the translator of a new connection, by the headers of its request."""
-    token = bearer_of(headers)
+    token = bearer_in(headers)
     return RosbridgeTranslator(peer, server.endpoints, server.settings, server.frames, token)
 
 
