@@ -253,7 +253,7 @@ async def test_a_handshake_that_is_never_answered_is_given_up() -> None:
             await anyio.sleep_forever()
 
     async with listening(handle) as address:
-        with anyio.fail_after(4):
+        with anyio.fail_after(30):
             error = await error_of(settings_for(address, tls=ssl.create_default_context()))
     assert str(error) == f"the broker {address} did not answer in 2 s"
 

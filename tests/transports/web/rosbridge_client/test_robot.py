@@ -575,7 +575,7 @@ async def test_a_rosapi_that_ends_while_it_is_asked_is_not_waited_for_again() ->
                 await super().handle(peer, message)
 
     async with serving(Ending) as server:
-        async with connect(server.url, answer_timeout=0.05) as connection:
+        async with connect(server.url, answer_timeout=0.5) as connection:
             infos = await connection.actions()
             assert [info.goal for info in infos] == [{}, {}, {}]
             peer = await server.peer()
