@@ -841,6 +841,29 @@ def test_a_file_that_is_not_a_recording_says_so(
     expect(page.locator("#connection")).to_have_text("notes.jsonl is not a recording, or is empty")
 
 
+def test_the_end_of_the_connection_is_not_told_while_a_recording_is_read(
+    page: Page, robot: RobotProcess, tmp_path: Path
+) -> None:
+    file = tmp_path / "notes.jsonl"
+    file.write_text(("not JSON".ljust(10_000) + "\n") * 1_000)
+    page.goto(robot.url)
+    expect(page.locator("#connection")).to_have_text("connected")
+    page.evaluate(
+        """() => {
+            const status = document.getElementById("connection");
+            window.told = [];
+            const note = () => window.told.push(status.textContent);
+            new MutationObserver(note).observe(status, { childList: true });
+        }"""
+    )
+    with page.expect_file_chooser() as choosing:
+        page.get_by_role("button", name="Open a recording").click()
+    choosing.value.set_files(file)
+    expect(page.locator("#connection")).to_have_text("notes.jsonl is not a recording, or is empty")
+    *earlier, _ = page.evaluate("window.told")
+    assert [text for text in earlier if not text.startswith("recording notes.jsonl, ")] == []
+
+
 # Parents and children
 
 

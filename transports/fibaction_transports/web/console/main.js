@@ -86,10 +86,10 @@ class Console {
   openRecording(file) {
     if (file) {
       this.store.state = "closed"; // it asks no more
-      this.connection.close();
       window.location.hash = "#/";
       setText(document.getElementById("open"), "Close");
       this.use(new RecordedStore(file, file.name, decode));
+      this.connection.close(); // the end is not shown
     }
   }
 
