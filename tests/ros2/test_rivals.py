@@ -10,13 +10,14 @@ import pytest
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, serve
 from fibaction.words.goals import GoalInfo
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.ros2.client import followed_goals
+from fibaction_transports.ros2.client import followed_goals, service_client
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
-from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses
+from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses, stamps_of
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.rivals import Rivals
 from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.server.action_server import RosActionServer
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import PATIENCE, Items, Undecoded, client_of, new_url, tells_publishers
 from tests.ros2.stock.waiting import eventually
@@ -109,6 +110,54 @@ async def test_feedback_waits_a_while_for_status_lists_that_come_after_the_resul
             seen = {one.partial_sequence[0] async for one in goal.feedback}
     assert tags[goal.stamp] in seen
     assert len(seen) == 1 or not tells or lists == "lost"
+
+
+async def test_a_goal_that_was_found_in_a_status_list_gets_the_feedback_of_the_server_of_that_list(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Both answers are lost, and the list of the server with the later stamp arrives first."""
+    if not tells_publishers():
+        return  # nothing tells the two servers apart
+    monkeypatch.setattr(service_client, "FIRST_TIMEOUT", PATIENCE)
+    answer = RosActionServer._answer_goal
+    take = RosActionClient._take_statuses
+    held: list[tuple[int, bytes, bytes]] = []
+    tags: dict[int, int] = {}
+    goals: list[Any] = []
+
+    async def answers_nothing(self: RosActionServer, request: Any) -> None:
+        await answer(self, request)
+
+    def holds(self: RosActionClient, message: bytes, publisher: bytes) -> None:
+        if stamps := stamps_of(message):
+            held.append((max(stamps.values()), message, publisher))
+
+    async def send(client: ActionClient[Goal, Feedback, Result]) -> None:
+        goals.append(await client.send_goal(Goal(1)))
+
+    monkeypatch.setattr(RosActionServer, "_answer_goal", answers_nothing)
+    monkeypatch.setattr(RosActionClient, "_take_statuses", holds)
+    url = new_url()
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(tagged(1, tags), url.replace("//", "//one")),
+            serve(tagged(2, tags), url.replace("//", "//two")),
+            connect(url, FIBONACCI) as client,
+        ):
+            await both_servers_of(client)
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(send, client)
+                while len({publisher for *_, publisher in held}) < 2:
+                    await anyio.lowlevel.checkpoint()
+                latest_first = sorted(held, reverse=True)
+                take(client_of(client.endpoint), *latest_first[0][1:])
+            for _, *item in latest_first:
+                take(client_of(client.endpoint), *item)
+            (goal,) = goals
+            await goal.outcome()
+            seen = {one.partial_sequence[0] async for one in goal.feedback}
+    assert goal.stamp == max(tags)
+    assert seen == {tags[goal.stamp]}
 
 
 def test_unread_feedback_of_another_server_is_dropped_and_the_rest_numbered_anew() -> None:

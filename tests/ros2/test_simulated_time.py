@@ -215,9 +215,18 @@ def test_the_machines_clock_needs_no_translation_and_is_another_era_when_it_is_e
 
     assert [served.to_ros(ONE, 5), served.from_ros(7)] == [5, 7]
     assert [followed.from_ros(ONE, 5), followed.to_ros(7)] == [5, 7]
+    assert followed.stamp_in_ros(ONE, 5) == 5
 
     clock.is_the_machines, clock.era = False, 1
     assert served.from_ros(1) == 5
+
+
+def test_the_stamp_of_a_goal_in_ros_is_the_one_that_was_told_whatever_the_clock_does() -> None:
+    clock: Any = FakeClock(100)
+    followed = FollowedStamps(clock)
+    stamp = followed.from_ros(ONE, 90)
+    clock.time = 10**12
+    assert followed.stamp_in_ros(ONE, stamp) == 90
 
 
 def test_a_client_remembers_a_limited_number_of_stamps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -142,6 +142,7 @@ class RosActionClient:
         try:
             info = await self._accepted(stream, request)
             stream.servers = self.presence.servers()
+            stream.ros_stamp = self.stamps.stamp_in_ros(info.goal_id, info.stamp)
             stream.begin(GoalInfo(info.goal_id, info.stamp, GoalStatus.ACCEPTED))
             if (now := self.known.get(stream.goal_id)) is not None:
                 stream.set_status(now.status)
@@ -175,8 +176,7 @@ class RosActionClient:
             response = call.response
         if not response.accepted:
             raise GoalRejected(NO_REASON, goal_id=goal_id)
-        stream.ros_stamp = stamp_of(response.stamp)
-        stamp = self.stamps.from_ros(goal_id, stream.ros_stamp)
+        stamp = self.stamps.from_ros(goal_id, stamp_of(response.stamp))
         return GoalInfo(goal_id, stamp, GoalStatus.ACCEPTED)
 
     async def _listing(self, goal_id: GoalID, call: ServiceCall) -> None:

@@ -91,6 +91,13 @@ class FollowedStamps:
                 del self._pairs[next(iter(self._pairs))]
         return pair.stamp
 
+    def stamp_in_ros(self, goal_id: bytes, stamp: int) -> int:
+        """Return the stamp that `from_ros` was last given for a goal; `stamp` is what it returned.
+        It is exact, and `to_ros` is not.
+        """
+        pair = self._pairs.get(goal_id)
+        return self.to_ros(stamp) if pair is None else pair.ros
+
     def to_ros(self, stamp: int) -> int:
         """Return the time of ROS for a cancel of the goals up to a stamp. It is that of the last
         such goal, or a later one that is before the next goal.
