@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -10,7 +12,9 @@ from arduinobot_msgs.action import Fibonacci
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
-from fibaction import ActionServer, connect, serve
+from fibaction import ActionServer, TransportError, connect, serve
+from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
+from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.ros2.ends import PATIENCE, new_url
@@ -24,6 +28,10 @@ pytestmark = pytest.mark.anyio
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
+
+
+def over_dds(settings: NodeSettings) -> AbstractAsyncContextManager[DdsNode]:
+    return DdsAdapter(settings, DdsSettings()).open()
 
 
 async def answered(future: Any) -> Any:
@@ -58,6 +66,46 @@ async def test_parameters_of_a_node_can_be_listed_read_and_set_while_it_serves()
             assert set_.successful
             (goal, other) = [await client.send_goal(Goal(1)) for _ in range(2)]
             assert goal.stamp == other.stamp == 0  # the simulation has not said a time yet
+
+
+@pytest.mark.parametrize("opened", [own_node, over_dds], ids=["rclpy", "dds"])
+@pytest.mark.parametrize(
+    ("nodes", "word", "later", "is_simulated"),
+    [
+        ("/robot/arm", "true", "", True),
+        ("robot/arm", "Yes", "", True),
+        ("/**", "on", "", True),
+        ("/*/arm", "Y", "", True),
+        ("/robot/**", "true", "", True),
+        ("arm", "true", "", False),
+        ("/*", "true", "", False),
+        ("/robot/arm", "true", "use_sim_time:=false", False),
+        ("/**", "false", "use_sim_time:=true", True),
+        ("/**", "false", "arm:use_sim_time:=true", False),
+    ],
+)
+async def test_a_file_of_parameters_is_for_the_nodes_that_it_names(
+    opened: Any, nodes: str, word: str, later: str, *, is_simulated: bool, tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"{nodes}: {{ros__parameters: {{use_sim_time: {word}, speed: 2}}}}")
+    words = ["--ros-args", "--params-file", str(file), *(["-p", later] if later else [])]
+    with anyio.fail_after(PATIENCE):
+        async with opened(NodeSettings("arm", "robot", None, words)) as ros:
+            assert ros.clock.is_the_machines is not is_simulated
+
+
+@pytest.mark.parametrize("opened", [own_node, over_dds], ids=["rclpy", "dds"])
+async def test_a_file_of_parameters_that_is_wrong_is_an_error_of_one_line(
+    opened: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("speed: 2")
+    words = ["--ros-args", "--params-file", str(file)]
+    with pytest.raises(TransportError, match=f"--params-file .*{file.name}") as caught:
+        async with opened(NodeSettings("arm", "robot", None, words)):
+            raise AssertionError("there is a node")
+    assert "\n" not in str(caught.value)
 
 
 async def test_a_wake_up_without_a_request_is_ignored() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.ros2.on_dds.arguments import (
+from fibaction_transports.ros2.on_dds.arguments.parameter_overrides import Override
+from fibaction_transports.ros2.on_dds.arguments.ros_arguments import (
     NameResolver,
     RosArguments,
     node_name,
@@ -114,7 +115,10 @@ def test_parameters_are_read_and_what_does_not_concern_a_node_is_left_alone() ->
             "not of ROS",
         ]
     )
-    parameters = (("", "use_sim_time", "true"), ("arm", "speed", "2.5"))
+    parameters = (
+        Override("/**", "use_sim_time", "true", "-p use_sim_time:=true"),
+        Override("/arm", "speed", "2.5", "--param arm:speed:=2.5"),
+    )
     assert arguments == RosArguments((), parameters, has_rosout=False)
     more = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--enable-rosout-logs"]
     assert read_arguments(more) == RosArguments()
@@ -126,10 +130,7 @@ def test_parameters_are_read_and_what_does_not_concern_a_node_is_left_alone() ->
         (["-r", "a"], "-r 'a': expected a rule such as old:=new"),
         (["-r"], "-r '': expected a rule"),
         (["-p", ":=1"], "-p ':=1': expected a rule"),
-        (
-            ["--params-file", "a.yaml"],
-            "'--params-file' is not an argument of ROS that dds:// knows",
-        ),
+        (["--params"], "'--params' is not an argument of ROS that dds:// knows"),
     ],
 )
 def test_an_argument_that_is_not_understood_is_an_error(words: list[str], problem: str) -> None:

@@ -13,7 +13,8 @@ import msgspec
 from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.adapter import RosAdapter
-from fibaction_transports.ros2.on_dds.arguments import (
+from fibaction_transports.ros2.on_dds.arguments.parameter_overrides import overrides_of
+from fibaction_transports.ros2.on_dds.arguments.ros_arguments import (
     NameResolver,
     RosArguments,
     node_name,
@@ -29,7 +30,8 @@ from fibaction_transports.rtps.ports import IP_VERSIONS, DiscoveryRange, DomainS
 DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"
 """The variable of Fast DDS for nodes that find each other by a server."""
 _USUAL = "default"
-_YES_OR_NO = {"true": True, "false": False}
+_YES, _NO = ("true", "yes", "on", "y"), ("false", "no", "off", "n")
+"""The words of rcl."""
 
 
 class DdsSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -148,10 +150,10 @@ def _simulated_time(node: NodeName, arguments: RosArguments) -> bool | None:
     Raises:
         TransportError: It is not a bool.
     """
-    found = None
-    for only, name, text in arguments.parameters:
-        if name == USE_SIM_TIME and only in ("", node.name):
-            if text.lower() not in _YES_OR_NO:
-                raise TransportError(f"-p {name}:={text}: expected true or false")
-            found = _YES_OR_NO[text.lower()]
-    return found
+    given = overrides_of(str(node), arguments.parameters).get(USE_SIM_TIME)
+    if given is None:
+        return None
+    word = str(given.value).lower()
+    if word not in _YES + _NO:
+        raise TransportError(f"{given.origin}: expected true or false")
+    return word in _YES

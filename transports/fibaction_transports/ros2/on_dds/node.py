@@ -27,7 +27,7 @@ from fibaction_transports.ros2.node.parts import (
     ServiceProvider,
 )
 from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.on_dds.arguments import NameResolver
+from fibaction_transports.ros2.on_dds.arguments.ros_arguments import NameResolver
 from fibaction_transports.ros2.on_dds.clock import CLOCK_TOPIC, DdsClock
 from fibaction_transports.ros2.on_dds.descriptions.description_messages import GET_TYPE_DESCRIPTION
 from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeLearner

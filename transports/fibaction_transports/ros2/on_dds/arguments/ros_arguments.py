@@ -11,6 +11,11 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from fibaction.words.errors import TransportError
+from fibaction_transports.ros2.on_dds.arguments.parameter_overrides import (
+    ALL_NODES,
+    Override,
+    read_parameters_file,
+)
 from fibaction_transports.ros2.on_dds.graph import NodeName
 
 _BEGIN, _END = "--ros-args", "--"
@@ -38,8 +43,7 @@ class RosArguments(NamedTuple):
     """The arguments of ROS."""
 
     remaps: tuple[Remap, ...] = ()
-    parameters: tuple[tuple[str, str, str], ...] = ()
-    """Each with its node, which is empty for all, its name, and its value as YAML."""
+    parameters: tuple[Override, ...] = ()
     has_rosout: bool = True
     """True if the log goes to the topic `/rosout`, too."""
 
@@ -48,10 +52,11 @@ def read_arguments(arguments: Sequence[str]) -> RosArguments:
     """Read the arguments between `--ros-args` and `--`, of which there may be several.
 
     Raises:
-        TransportError: An argument is not one of ROS, or has no value.
+        TransportError: An argument is not one of ROS, or has no value; or a file of parameters
+            cannot be read.
     """
     remaps: list[Remap] = []
-    parameters: list[tuple[str, str, str]] = []
+    parameters: list[Override] = []
     has_rosout = True
     words = iter(_of_ros(arguments))
     for word in words:
@@ -59,15 +64,20 @@ def read_arguments(arguments: Sequence[str]) -> RosArguments:
             node, old, new = _rule(word, next(words, ""))
             remaps.append(Remap(node, old, new))
         elif word in ("-p", "--param"):
-            parameters.append(_rule(word, next(words, "")))
+            text = next(words, "")
+            node, name, value = _rule(word, text)
+            nodes = f"/{node.removeprefix('/')}" if node else ALL_NODES
+            parameters.append(Override(nodes, name, value, f"{word} {text}"))
+        elif word == "--params-file":
+            parameters += read_parameters_file(next(words, ""))
         elif word in _IGNORED_WITH_VALUE:
             next(words, None)
         elif word in _ROSOUT_LOGS:
             has_rosout = _ROSOUT_LOGS[word]
         elif word not in (*_STDOUT, *_OTHER_LOGS):
             raise TransportError(
-                f"{word!r} is not an argument of ROS that dds:// knows: use -r OLD:=NEW or"
-                " -p NAME:=VALUE after --ros-args"
+                f"{word!r} is not an argument of ROS that dds:// knows: use -r OLD:=NEW,"
+                " -p NAME:=VALUE or --params-file FILE after --ros-args"
             )
     return RosArguments(tuple(remaps), tuple(parameters), has_rosout)
 
