@@ -68,8 +68,13 @@ test: lint $(VENV)/.docs $(JAVASCRIPT)/.installed chromium promtool  ## Run all 
 	@$(stages) "unit" "imports, types, docs, programs"
 
 # One after the other: tests with ROS 2 wait for real time, and fail beside others on a busy machine.
+# If there are two other Pythons or more, the lowest versions are tested with the first of them, which
+# has no run of its own then: each Python is tested, and the lowest and the newest versions are.
 elsewhere:  ## Run the tests with ROS 2, with the wheel, the other Pythons and the lowest versions
-	@$(stages) "test-ros ROS=kilted, test-ros ROS=jazzy, test-wheel, test-pythons, test-lowest"
+	@$(stages) "test-ros ROS=kilted, test-ros ROS=jazzy, test-wheel, $(if $(word 2,$(OTHERS_HERE)),$(two_in_one),test-pythons, test-lowest)"
+OTHERS_HERE = $(foreach version,$(PYTHONS),$(if $(shell tests/tools/find_python.sh $(version)),$(version)))
+with_lowest = $(firstword $(OTHERS_HERE))
+two_in_one = test-pythons PYTHONS='$(filter-out $(with_lowest),$(PYTHONS))'$(comma) test-lowest PYTHON=$(shell tests/tools/find_python.sh $(with_lowest))
 
 stages = MAKE="$(MAKE)" $(PYTHON) -m tests.tools.stages
 
@@ -202,7 +207,7 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -q -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
-	    -o cache_dir=build/.pytest_cache $(ways_elsewhere) $(addprefix ../,$(OF_A_WHEEL))
+	    -o cache_dir=build/.pytest_cache -k "$(ways_elsewhere)" $(addprefix ../,$(OF_A_WHEEL))
 OF_A_WHEEL := tests/contract/test_accepting.py tests/contract/test_scheduling.py tests/test_examples.py tests/test_init.py tests/test_main.py tests/test_stories.py tests/transports/web/test_assets.py
 
 # Everything but the upload, in a checkout without other changes. What a person does then is in
@@ -259,26 +264,35 @@ PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.ver
 # tracebacks; between those of libraries, what they are called with. So each part that uses one of
 # these is tested with it: the server, the wire, the stores, each transport, the tools, and the command
 # line. Left to `make test` is what would be the same again:
-# - the contract but over one transport of each kind, and trio but over TCP: the rest of its ways
-#   combines parts that have tests of their own;
+# - the contract but in one process, over TCP, HTTP and NATS, and trio but over TCP: the rest of its
+#   ways combines parts that have tests of their own, TLS, WebSockets and stores among them;
 # - rules without I/O, virtual time, and most examples of property tests; of RTPS and CDR, what uses
 #   sockets and the messages of actions stay;
 # - trials, attacks and floods of servers, tests marked `load`, browsers and Node, which load what is
 #   tested already;
+# - programs of others, of Cyclone DDS and rosbridge: they get the same bytes;
+# - verbs of the command line that put together what is tested by itself, a server, a client and
+#   lines or a page: of those that start processes, the ones about signals, files, terminals and the
+#   libraries of an extra stay;
+# - a system that is not Unix, which Linux plays by taking modules away;
 # - pages, pictures, examples, the files of the console, the tests' own support and the project itself.
 test_elsewhere = FIBACTION_EXAMPLES=10 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
-    -o cache_dir=$(1)/.pytest_cache -m "not load" $(ways_elsewhere) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
-ways_elsewhere := -k "(not trio or trio-tcp) and not asyncio-gateway and not asyncio-unix and not asyncio-wss and not asyncio-asgi and not [virtual and not -virtual"
+    -o cache_dir=$(1)/.pytest_cache -m "not load" -k "$(ways_elsewhere) and not (contract and (asyncio-tls or asyncio-ws or store]))" \
+    tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
+ways_elsewhere := (not trio or trio-tcp) and not asyncio-gateway and not asyncio-unix and not asyncio-wss and not asyncio-asgi and not [virtual and not -virtual
+RTPS_WITHOUT_SOCKETS := $(patsubst tests/%,%,$(filter-out %/test_network.py,$(wildcard tests/transports/rtps/test_*.py)))
 NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak support tools \
-    cli/test_hostile.py cli/test_pictures.py interfaces/test_parser.py \
+    cli/test_bridge.py cli/test_console.py cli/test_fleet_commands.py cli/test_hostile.py cli/test_pictures.py \
+    cli/test_recording_verbs.py interfaces/test_parser.py \
     server/test_registry.py server/test_schedule_load.py server/test_scheduler.py server/test_fair_queue.py \
     schema/test_check.py schema/test_keywords.py schema/test_json_schema.py schema/test_steps.py \
     transports/cdr/test_codec.py transports/cdr/test_hostile.py transports/cdr/test_type_hashes.py \
-    transports/mcp/test_page.py $(RTPS_WITHOUT_SOCKETS) transports/web/test_assets.py transports/web/test_openapi.py \
+    transports/cyclone transports/mcp/test_page.py $(RTPS_WITHOUT_SOCKETS) transports/test_forged_lines.py \
+    transports/web/rosbridge/test_libraries.py transports/web/test_assets.py transports/web/test_openapi.py \
     words/test_goals.py words/test_statuses.py \
     test_answers.py test_contributing.py test_cookbook.py test_docs.py test_examples.py test_guarantees.py \
-    test_notebook_page.py test_project.py test_stories.py test_structure.py test_style.py test_way_of_a_goal.py
-RTPS_WITHOUT_SOCKETS := $(patsubst tests/%,%,$(filter-out %/test_network.py,$(wildcard tests/transports/rtps/test_*.py)))
+    test_notebook_page.py test_project.py test_stories.py test_structure.py test_style.py test_way_of_a_goal.py \
+    test_without_unix.py
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
 	@for version in $(PYTHONS); do \
