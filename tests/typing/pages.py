@@ -13,6 +13,7 @@ import json
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,10 +70,13 @@ def run_mypy(folders: list[Path]) -> bool:
     alone = [folder for folder in folders if [*folder.rglob("*.py")] == [*folder.glob("page_*.py")]]
     with_files = [folder for folder in folders if folder not in alone]
     runs = [alone, *([folder] for folder in with_files)]
+    # With other settings than those of the code, mypy would check what the pages import once more.
+    of_the_code = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
     settings = FOLDER.parent / "pages_mypy.ini"
     settings.write_text(
         f"[mypy]\nstrict = true\nmypy_path = {ROOT}:{ROOT / 'transports'}\n"
-        "exclude_gitignore = false\nwarn_unused_ignores = false\n"
+        "exclude_gitignore = false\n"
+        f"enable_error_code = {', '.join(of_the_code['enable_error_code'])}\n"
         "[mypy-roslibpy.*]\nignore_missing_imports = true\n",
         encoding="utf-8",
     )
