@@ -31,7 +31,7 @@ FACADES = {
     "RosbridgeTransport.__init__": 12,
     # Click passes each option of a command as a parameter.
     "mcp_command": 10,
-    "send_goal_command": 11,
+    "send_goal_command": 12,
     "serve_command": 11,
 }
 WIDE_FUNCTIONS: dict[str, int] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Generic
 
 from fibaction._api import ClientConnection
@@ -36,21 +36,26 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         on_feedback: Callable[[FeedbackT], object] | None = None,
         timeout: float | None = None,
         retry: Retry | None = None,
+        labels: Mapping[str, str] | None = None,
     ) -> ResultT:
         """Send a goal, and return its result.
 
         `on_feedback` is called with each feedback, in this thread. Its exception cancels the goal,
-        and so does Ctrl-C. `timeout` and `retry` are those of `ActionClient.call`.
+        and so does Ctrl-C. `timeout`, `retry` and `labels` are those of `ActionClient.call`.
 
         Raises:
             ActionError, TypeError, ValueError: As for `ActionClient.call`.
         """
         client = self._client
         if on_feedback is None:
-            return self._loop.run(lambda: client.call(goal, timeout=timeout, retry=retry))
+            return self._loop.run(
+                lambda: client.call(goal, timeout=timeout, retry=retry, labels=labels)
+            )
 
         async def call(hand_over: Callable[[FeedbackT], Awaitable[None]]) -> ResultT:
-            return await client.call(goal, on_feedback=hand_over, timeout=timeout, retry=retry)
+            return await client.call(
+                goal, on_feedback=hand_over, timeout=timeout, retry=retry, labels=labels
+            )
 
         return self._loop.run_with_callback(call, on_feedback)
 
@@ -60,20 +65,21 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         *,
         goal_id: GoalID | str | None = None,
         timeout: float | None = None,
+        labels: Mapping[str, str] | None = None,
     ) -> BlockingGoal[FeedbackT, ResultT]:
         """Send a goal, and return it: **`with send_goal` cancels, `goal.detach()` prevents it.**
 
         It returns as soon as the server has accepted the goal. `with client.send_goal(...) as goal`
         cancels the goal at the end of the block, if it has not ended. Without a block, the end of
-        the block of `connect` cancels it. Both do not after `goal.detach()`. `goal_id` and
-        `timeout` are those of `ActionClient.send_goal`.
+        the block of `connect` cancels it. Both do not after `goal.detach()`. `goal_id`,
+        `timeout` and `labels` are those of `ActionClient.send_goal`.
 
         Raises:
             ActionError, TypeError, ValueError: As for `ActionClient.send_goal`.
         """
 
         async def send() -> tuple[ClientGoal[FeedbackT, ResultT], SendingGoal[FeedbackT, ResultT]]:
-            sending = self._client.send_goal(goal, goal_id=goal_id, timeout=timeout)
+            sending = self._client.send_goal(goal, goal_id=goal_id, timeout=timeout, labels=labels)
             return await sending.__aenter__(), sending
 
         return BlockingGoal(self._loop, *self._loop.run(send))

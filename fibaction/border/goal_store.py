@@ -38,7 +38,7 @@ from fibaction._runtime.text import LENGTH, shortened
 from fibaction.words.errors import StoreError
 from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import GoalID, GoalInfo, Sender, child_id
-from fibaction.words.meta import meta_after_end, parent_in
+from fibaction.words.meta import labels_in, meta_after_end, parent_in
 from fibaction.words.statuses import GoalStatus
 
 
@@ -82,8 +82,8 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     """The name of the worker that has the goal; empty if the store has one server for each action.
     """
     meta: dict[str, str] | None = None
-    """The small text map that came with the goal, of which the parent is left after the end, unless
-    the goal was given up; None if it is empty."""
+    """The small text map that came with the goal, of which the parent and the labels are left after
+    the end, unless the goal was given up; None if it is empty."""
     began_at: int = 0
     """Time at which the first attempt began: nanoseconds since 1970; 0 if none has, or if an
     earlier version of fibaction has run it."""
@@ -108,6 +108,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
             began_at=self.began_at or None,
             ended_at=self.ended_at or None,
             reason=shortened(self.reason, LENGTH),
+            labels=labels_in(self.meta),
         )
 
     @property
@@ -116,7 +117,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
         return self.status.is_terminal and bool(self.goal)
 
     def drop_request(self) -> None:
-        """Forget what is needed only to run the goal; of the meta, the parent is left."""
+        """Forget what is needed only to run the goal: see `meta`."""
         self.goal, self.checkpoint = b"", None
         if self.meta is not None:
             self.meta = meta_after_end(self.meta)

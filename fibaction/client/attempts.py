@@ -87,6 +87,15 @@ def check_timeout(timeout: float | None) -> None:
         raise ValueError(f"timeout is more than 0 seconds, or None for no limit, not {timeout}")
 
 
+def attempts_of(
+    endpoint: Endpoint, goal_id: GoalID, timeout: float | None, retry: Retry | None
+) -> Attempts:
+    """Return what limits and repeats the waits for a goal; one of both is given."""
+    check_timeout(timeout)
+    check_is_retry(retry)
+    return Attempts(endpoint, goal_id, timeout, retry)
+
+
 def check_is_retry(retry: object) -> None:
     """Raise TypeError for what is neither a rule for retries nor None."""
     if not isinstance(retry, Retry | None):

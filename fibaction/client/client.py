@@ -13,7 +13,7 @@ Following and leaving a goal: see `goal`. Timeouts and retries: see `attempts`.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 from operator import index
 from typing import Generic
@@ -24,7 +24,7 @@ from anyio import get_cancelled_exc_class
 from fibaction._runtime.own_thread import OwnThread
 from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
-from fibaction.client.attempts import Attempts, cancel_left, check_is_retry, check_timeout
+from fibaction.client.attempts import Attempts, attempts_of, cancel_left
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
 from fibaction.client.goal_results import with_result
@@ -36,6 +36,7 @@ from fibaction.types.action import NO_VALUE, Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
+from fibaction.words.meta import NO_META, with_labels
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
@@ -74,6 +75,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         *,
         goal_id: GoalID | str | None = None,
         timeout: float | None = None,
+        labels: Mapping[str, str] | None = None,
         step: GoalStep | None = None,
     ) -> SendingGoal[FeedbackT, ResultT]:
         """Send a goal: **`async with send_goal` cancels, `await send_goal` does not.**
@@ -89,6 +91,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         waits some seconds at most for the answer to that, and raises `GoalTimeout`. A goal that no
         task waits for is not canceled. The executor finds the time in `GoalHandle.deadline`.
 
+        `labels` are in lists of goals, to find it again; a trace goes with it as far as both fit.
         `step`, for blocks only, makes it the child of an executor's goal: see `GoalHandle.step`.
 
         Raises:
@@ -97,23 +100,22 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ServerNotFound: This action is not served.
             ConnectionLost: The connection ended before the answer.
             AuthenticationFailed: This client lacks the permission.
-            InvalidMessage: The goal is too large to be sent; nothing was sent.
+            InvalidMessage: The goal or its labels are too large to be sent; nothing was sent.
             ProtocolError: The server sent an invalid message, which ended the connection.
             TypeError, ValueError, OverflowError, RecursionError: The goal cannot be encoded: see
                 `Codec.encode`.
             TypeError: `goal_id` is not a `GoalID`, or is given together with a `step`; or there is
                 no goal, and the action needs one.
-            ValueError: `timeout` is not more than 0; or, from the block, the step was taken before.
+            ValueError: `timeout` is not more than 0; a label has a key of a trace or of a parent;
+                or, from the block, the step was taken before.
         """
         if step is not None:
             if goal_id is not None:
                 raise TypeError("a step has the ID of its goal: give goal_id or step, not both")
-            return self._sending_step(goal, step, timeout, None)
+            return self._sending_step(goal, step, timeout, None, labels=labels)
         goal_id = GoalID.random() if goal_id is None else GoalID.of(goal_id)
-        attempts = (
-            None if timeout is None else self._attempts(self.endpoint, goal_id, timeout, None)
-        )
-        sending = self._send(self.endpoint, goal, goal_id, attempts)
+        attempts = None if timeout is None else attempts_of(self.endpoint, goal_id, timeout, None)
+        sending = self._send(self.endpoint, goal, goal_id, attempts, labels=labels)
         return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
 
     async def call(
@@ -123,6 +125,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
         timeout: float | None = None,
         retry: Retry | None = None,
+        labels: Mapping[str, str] | None = None,
         step: GoalStep | None = None,
     ) -> ResultT:
         """Send a goal, and return its result.
@@ -140,7 +143,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         keeps its ID, and runs once, as long as the server remembers it. Each attempt after the
         first is logged as information of `fibaction.client`.
 
-        `step` makes it the child of the goal of an executor: see `GoalHandle.step`.
+        `labels` are those of `send_goal`. For `step`, see `GoalHandle.step`.
 
         Raises:
             GoalTimeout: It took longer than `timeout` seconds.
@@ -153,12 +156,14 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         follow = on_feedback is not None
         block: SendingGoal[FeedbackT, ResultT]
         if step is not None:
-            block = self._sending_step(goal, step, timeout, retry, feedback=follow)
+            block = self._sending_step(goal, step, timeout, retry, labels=labels, feedback=follow)
         else:
             goal_id, attempts = GoalID.random(), None
             if timeout is not None or retry is not None:
-                attempts = self._attempts(self.endpoint, goal_id, timeout, retry)
-            sending = self._send(self.endpoint, goal, goal_id, attempts, feedback=follow)
+                attempts = attempts_of(self.endpoint, goal_id, timeout, retry)
+            sending = self._send(
+                self.endpoint, goal, goal_id, attempts, feedback=follow, labels=labels
+            )
             block = SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
         async with block as sent:
             if on_feedback is not None:
@@ -289,6 +294,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         timeout: float | None,
         retry: Retry | None,
         *,
+        labels: Mapping[str, str] | None,
         feedback: bool = True,
     ) -> SendingStep[FeedbackT, ResultT]:
         """Return the child to be sent as a step."""
@@ -296,17 +302,11 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         endpoint = StepEndpoint(self.endpoint, step, goal_id)
         attempts = None
         if timeout is not None or retry is not None:
-            attempts = self._attempts(endpoint, goal_id, timeout, retry)
-        sending = self._send(endpoint, goal, goal_id, attempts, feedback=feedback, step=step)
+            attempts = attempts_of(endpoint, goal_id, timeout, retry)
+        sending = self._send(
+            endpoint, goal, goal_id, attempts, feedback=feedback, labels=labels, step=step
+        )
         return SendingStep(endpoint, goal_id, sending, self._blocks, attempts)
-
-    def _attempts(
-        self, endpoint: Endpoint, goal_id: GoalID, timeout: float | None, retry: Retry | None
-    ) -> Attempts:
-        """Return what limits and repeats the waits for a goal; one of both is given."""
-        check_timeout(timeout)
-        check_is_retry(retry)
-        return Attempts(endpoint, goal_id, timeout, retry)
 
     async def _send(
         self,
@@ -316,6 +316,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         attempts: Attempts | None,
         *,
         feedback: bool = True,
+        labels: Mapping[str, str] | None = None,
         step: GoalStep | None = None,
     ) -> ClientGoal[FeedbackT, ResultT]:
         self._thread.check()
@@ -324,9 +325,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         span = NO_SPAN
         if self._tracing is not None:
             parent = None if step is None else step.parent
-            span = self._tracing.sending(self.action.name, goal_id, parent)
-        checked = self.action.goal.is_typed
-        request = GoalRequest(goal_id, payload, feedback, meta=span.meta, checked=checked)
+            span = self._tracing.sending(action.name, goal_id, parent)
+        meta = with_labels(labels, span.meta or NO_META) if labels else span.meta
+        request = GoalRequest(goal_id, payload, feedback, meta=meta, checked=action.goal.is_typed)
         try:
             if attempts is not None:
                 stream = await attempts.send(request)

@@ -24,14 +24,17 @@ class FollowedGoal(Protocol):
     goal_id: GoalID
     stamp: int
     """Time of the acceptance: nanoseconds since 1970."""
-    parent: Parent | None
-    """The goal whose executor has sent this one; None if there is none, or if it is not known."""
     attempt: int
     """Number of the attempt that runs, from 1."""
     feedback_count: int
     """Number of the last feedback message of this attempt. A `FeedbackLog` counts here."""
     outcome: Outcome[bytes] | None
     """The outcome; None until the goal ends."""
+
+    @property
+    def parent(self) -> Parent | None:
+        """The goal whose executor has sent this one; None if there is none or it is not known."""
+        ...
 
     @property
     def held(self) -> Held | None:

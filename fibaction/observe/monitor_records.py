@@ -78,6 +78,7 @@ class MonitoredGoal:
             feedback_count=max(counts),
             client=info.client or self.info.client,
             parent=info.parent or self.info.parent,
+            labels=info.labels or self.info.labels,
             place=waiting.place,
             queue_length=waiting.queue_length,
             began_at=info.began_at or self.info.began_at,

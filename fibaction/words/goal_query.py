@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 from fibaction._runtime.text import excerpt
 from fibaction.words.goals import GoalInfo
+from fibaction.words.meta import NOT_LABELS, check_is_label_key
 from fibaction.words.statuses import GoalStatus
 
 ACTIVE = frozenset(status for status in GoalStatus if status.is_active)
@@ -26,6 +27,12 @@ STATUSES = {
 
 TIME_TEXT = "^([0-9]{16,19}|[0-9]{1,9}([.][0-9]{1,9})?(s|m|min|h|d))$"
 """The pattern of the texts of a time that are not in ISO 8601: a stamp, or the time since then."""
+
+LABEL_TEXT = f"^(?!({'|'.join(sorted(NOT_LABELS))})=)[^=]+="
+"""The pattern of the text of a label: its key and its value."""
+
+Labels: TypeAlias = tuple[tuple[str, str], ...]
+"""Labels of goals, by key and value."""
 
 _TIME = re.compile(TIME_TEXT, re.ASCII)
 _SECONDS = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
@@ -44,6 +51,8 @@ class GoalQuery(NamedTuple):
     """The earliest time of their acceptance: nanoseconds since 1970; None for any."""
     until: int | None = None
     """The latest time of their acceptance: nanoseconds since 1970; None for any."""
+    labels: Labels = ()
+    """Keys and values of labels that they have, each of these; empty for any labels."""
 
     def has(self, info: GoalInfo) -> bool:
         """Return whether a goal is wanted."""
@@ -52,6 +61,7 @@ class GoalQuery(NamedTuple):
             and (self.since is None or info.stamp >= self.since)
             and (self.until is None or info.stamp <= self.until)
             and self.client in info.client
+            and all(info.labels.get(key) == value for key, value in self.labels)
         )
 
 
@@ -86,6 +96,20 @@ class PastPage(NamedTuple):
             return True
         place = (info.stamp, bytes(info.goal_id))
         return place < self.after if self.newest_first else place > self.after
+
+
+def label_of(text: str) -> tuple[str, str]:
+    """Return the key and the value of the label that a text means, such as `order=17`. The value
+    may be empty, and may have a `=` of its own.
+
+    Raises:
+        ValueError: It means none.
+    """
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise ValueError(f"{excerpt(text)!r} is not a label: it is KEY=VALUE, as in order=17")
+    check_is_label_key(key)
+    return key, value
 
 
 def time_of(text: str, now: int, *, is_local: bool) -> int:

@@ -231,6 +231,9 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     result: Any = None
     """The result of a goal that has ended; None unless `ActionClient.goals(results=True)` has asked
     for it."""
+    labels: dict[str, str] = {}
+    """The labels that its client has given it, to find it again; empty if there are none, or if the
+    transport does not carry them."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):

@@ -1,11 +1,11 @@
-"""The meta of a goal: a small text map next to it, for traces, and for the parent of a goal."""
+"""The meta of a goal: a small text map next to it, for traces, the parent of a goal, and labels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from fibaction._runtime.text import shortened
 from fibaction.words.errors import InvalidMessage
@@ -13,7 +13,8 @@ from fibaction.words.goals import GoalID, Parent
 
 Meta: TypeAlias = Mapping[str, str]
 """A small text map that goes with a goal: the keys `traceparent`, `tracestate` and `baggage` of the
-W3C, and others. It is not part of the goal: that of a retry is ignored."""
+W3C, those below, and the labels of the goal. It is not part of the goal: that of a retry is
+ignored."""
 
 MAX_KEYS = 8
 """Keys of a meta, at most."""
@@ -34,6 +35,9 @@ LONGEST_STEP = 100
 
 TRACE_KEYS = ("traceparent", "tracestate", "baggage")
 """Keys of the W3C: headers in HTTP, and environment variables in upper case."""
+
+NOT_LABELS = frozenset((*TRACE_KEYS, DETACHED, PARENT, STEP))
+"""Keys of a meta that are not those of labels."""
 
 NO_META: Meta = MappingProxyType({})
 
@@ -89,15 +93,68 @@ def parent_in(meta: Meta | None) -> Parent | None:
     return Parent(goal_id, shortened(meta.get(STEP, ""), LONGEST_STEP))
 
 
+class Origin(NamedTuple):
+    """The origin of a goal, as its meta tells."""
+
+    parent: Parent | None = None
+    """The goal whose executor has sent it; None if there is none."""
+    labels: dict[str, str] | None = None
+    """The labels that its client has given it; None if there are none."""
+    size: int = 0
+    """The bytes of its labels."""
+
+
+UNKNOWN_ORIGIN = Origin()
+"""The origin of a goal without a meta."""
+
+
+def origin_in(meta: Meta | None) -> Origin:
+    """Return the origin of a goal that a meta within the limits tells."""
+    if not meta:
+        return UNKNOWN_ORIGIN
+    labels = labels_in(meta) or None
+    return Origin(parent_in(meta), labels, size_of(labels))
+
+
 def meta_of_child(parent: Parent, meta: Meta = NO_META) -> dict[str, str]:
     """Return the meta of a goal that has a parent: another meta, as far as both fit."""
     return fitting({PARENT: str(parent.goal_id), **meta, STEP: parent.step})
 
 
+def labels_in(meta: Meta | None) -> dict[str, str]:
+    """Return the labels of a goal: the entries of its meta by which people find the goal again."""
+    return {key: meta[key] for key in meta if key not in NOT_LABELS} if meta else {}
+
+
+def with_labels(labels: Mapping[str, str], meta: Meta = NO_META) -> dict[str, str]:
+    """Return the meta of a goal with labels: another meta, as far as both fit.
+
+    Raises:
+        ValueError: A label has the key of something else.
+        InvalidMessage: As for `size_of`.
+    """
+    for key in labels:
+        check_is_label_key(key)
+    size_of(labels)
+    return fitting({**labels, **meta})
+
+
+def check_is_label_key(key: str) -> None:
+    """Check the key of a label.
+
+    Raises:
+        ValueError: It is the key of something else in a meta.
+    """
+    if key in NOT_LABELS:
+        raise ValueError(f"{key!r} is not the key of a label: it has a meaning of its own")
+
+
 def meta_after_end(meta: Meta | None) -> dict[str, str] | None:
-    """Return what is kept of the meta of a goal that has ended: its parent; None if it has none."""
-    parent = parent_in(meta)
-    return None if parent is None else meta_of_child(parent)
+    """Return what is kept of the meta of a goal that has ended: its parent and its labels; None if
+    it has none.
+    """
+    parent, labels = parent_in(meta), labels_in(meta)
+    return (labels or None) if parent is None else meta_of_child(parent, labels)
 
 
 def trace_meta(headers: Mapping[str, str], *, is_detached: bool) -> dict[str, str]:

@@ -142,6 +142,7 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "attempt": 1,
         "has_worker": True,
         "parent": None,
+        "labels": {},
         "began_at": None,
         "ended_at": None,
         "reason": "",
@@ -211,6 +212,7 @@ def test_a_row_of_csv_has_times_spans_and_the_result() -> None:
         parent=Parent(B, "pick"),
         began_at=began,
         ended_at=ended,
+        labels={"order": "17"},
     )
     row = GoalRow("arm/pick", info, Outcome(GoalStatus.SUCCEEDED, {"cup": [-1]}))
 
@@ -230,6 +232,7 @@ def test_a_row_of_csv_has_times_spans_and_the_result() -> None:
         "step": "pick",
         "reason": "",
         "result": '{"cup":[-1]}',
+        "labels": '{"order":"17"}',
     }
 
 
@@ -237,7 +240,8 @@ def test_what_is_not_known_is_empty_in_csv() -> None:
     cells = csv_row(row())
     empty = {name for name, cell in cells.items() if not cell}
     assert empty == {
-        *("began_at", "ended_at", "waited", "ran", "client", "parent", "step", "reason", "result")
+        *("began_at", "ended_at", "waited", "ran", "client", "parent", "step", "reason", "result"),
+        "labels",
     }
 
 

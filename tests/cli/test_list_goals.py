@@ -29,7 +29,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.cli.arguments.goal_lookup import GoalChoice
+from fibaction.cli.arguments.goal_lookup import STATUS_WORDS, GoalChoice
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.output.goal_table import GoalRow, picture
 from fibaction.cli.output.lines import note
@@ -92,6 +92,7 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
         "attempt": 1,
         "has_worker": True,
         "parent": None,
+        "labels": {},
         "children": [],
     }
 
@@ -101,7 +102,7 @@ def row(number: int, status: GoalStatus) -> GoalRow:
 
 
 def choice_of(*words: str) -> GoalChoice:
-    statuses = [list_goals.STATUS_WORDS[word] for word in words]
+    statuses = [STATUS_WORDS[word] for word in words]
     return GoalChoice(words, GoalQuery(frozenset[GoalStatus]().union(*statuses)))
 
 
@@ -180,6 +181,25 @@ def test_goals_lists_those_of_a_span_of_time_and_of_several_actions(here: Run, u
     assert none.err == "There are no matching goals of /fibonacci or /arm/pick.\n"
 
 
+def test_goals_are_found_by_the_labels_with_which_they_were_sent(here: Run, url: str) -> None:
+    labels = ("--label", "order=17", "--label", "note=by hand")
+    labeled = detached(here, url, "fibonacci", "order: 1", *labels)
+    other = detached(here, url, "fibonacci", "order: 1", "--label", "order=18")
+
+    def found(*options: str) -> list[str]:
+        listed = here("goals", "fibonacci", *options, "--limit", "0", "--json", url=url).json
+        return [goal["goal_id"] for goal in listed if goal["goal_id"] in (labeled, other)]
+
+    assert found() == [labeled, other]
+    assert found("--label", "order=17") == [labeled]
+    assert found("--label", "order=17", "--label", "note=by hand") == [labeled]
+    assert found("--label", "order=18", "--label", "note=by hand") == []
+    *_, goal = here("goals", "--label", "note=by hand", "--json", url=url).json
+    assert goal["labels"] == {"order": "17", "note": "by hand"}
+    heading, *_, cells = csv.reader(here("goals", "--label", "order=18", "--csv", url=url).lines)
+    assert dict(zip(heading, cells, strict=True))["labels"] == '{"order":"18"}'
+
+
 def test_goals_as_csv_has_a_heading_and_a_line_for_each(here: Run, url: str) -> None:
     goal_id = detached(here, url, "fibonacci", "order: 5")
     here("attach", goal_id, url=url)  # waits for the end
@@ -202,6 +222,8 @@ def test_goals_as_csv_has_a_heading_and_a_line_for_each(here: Run, url: str) -> 
         (["--since", "1m", "--until", "1h"], "--since is later than --until: no goal is between"),
         (["--sort", "size"], "'size' is not one of 'accepted', 'began', 'ended', 'waited', 'ran'"),
         (["--past", "--store", "goals.db"], "--past asks a server for its history: leave out"),
+        (["--label", "order"], "'order' is not a label: it is KEY=VALUE, as in order=17"),
+        (["--label", "parent=17"], "'parent' is not the key of a label: it has a meaning of its"),
         (["--watch", "--past"], "--watch shows all goals: leave out the options that choose or"),
         (["--json", "--csv"], "--json and --csv cannot be combined"),
         (["--watch", "--csv"], "--watch prints no CSV: use --json"),

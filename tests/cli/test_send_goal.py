@@ -25,6 +25,7 @@ from fibaction import (
     GoalHandle,
     GoalID,
     GoalStatus,
+    InvalidMessage,
     Schedule,
     Sender,
     ServerNotFound,
@@ -465,6 +466,26 @@ async def test_the_trace_of_the_environment_goes_with_the_goal(
 
     trace = {"traceparent": "00-1", "baggage": "b=2"}
     assert noting.metas == [trace, {"detached": "1", **trace}]
+
+
+@pytest.mark.asyncio
+async def test_labels_go_with_the_goal_and_a_trace_as_far_as_it_fits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    noting, action = Noting(), Action("count", goal=int, feedback=int, result=str)
+    server = ScriptedServer(action, ["there"])
+    server.watch_by([noting])
+    monkeypatch.setenv("TRACEPARENT", "00-1")
+    many = tuple((f"label{number}", "") for number in range(8))
+    async with serve(server, "inproc://labels"):
+        for labels in ((("order", "17"),), many):
+            options = SendOptions(as_json=True, labels=labels)
+            assert await send("inproc://labels", "count", "", "3", options) == ExitCode.SUCCEEDED
+        too_many = SendOptions(as_json=True, labels=(*many, ("order", "17")))
+        with pytest.raises(InvalidMessage, match="9 keys, and 8 are the limit"):
+            await send("inproc://labels", "count", "", "3", too_many)
+
+    assert noting.metas == [{"order": "17", "traceparent": "00-1"}, dict(many)]
 
 
 class Errand(msgspec.Struct):

@@ -49,3 +49,19 @@ async def test_a_meta_over_the_limits_is_an_error_and_nothing_is_sent(reach: Rea
         await client.call(Goal(1))
 
     assert noting.metas == [{}]
+
+
+async def test_lists_have_the_labels_of_a_goal_also_after_its_end(reach: Reach) -> None:
+    labels = {"order": "17", "site": "käse"}
+    async with reach(ActionServer(FIBONACCI, fibonacci)) as client:
+        async with client.send_goal(Goal(3), labels=labels) as goal:
+            first = {info.goal_id: info.labels for info in await client.goals()}
+            await goal.result()
+        await client.call(Goal(1), labels={"order": "18"})
+        await client.call(Goal(1))
+        last = [info.labels for info in await client.goals()]
+        with pytest.raises(ValueError, match="'parent' is not the key of a label"):
+            await client.call(Goal(1), labels={"parent": "17"})
+
+    assert first == {goal.goal_id: labels}
+    assert last == [labels, {"order": "18"}, {}]

@@ -1227,6 +1227,21 @@ def test_a_restored_goal_is_that_of_the_earlier_process() -> None:
     assert registry.restore(stored(2)).deadline == math.inf
 
 
+def test_the_labels_of_a_goal_are_told_and_count_until_it_is_forgotten() -> None:
+    registry = GoalRegistry(result_timeout=1.0)
+    registry.admit(A, b"goal", now=0.0)
+    goal = registry.prepare(A, stamp=1, sender=Sender())
+    goal.take_origin({"order": "17", "traceparent": "00-1"})
+    registry.accept(goal)
+    assert (goal.info.labels, registry.budget.used) == ({"order": "17"}, 4 + 7)
+    registry.finish(goal, Outcome(GoalStatus.SUCCEEDED, b"result"), now=0.0, stamp=2)
+    assert (goal.info.labels, registry.budget.used) == ({"order": "17"}, 6 + 7)
+    registry.expire(2.0)
+    assert registry.budget.used == 0
+    restored = registry.restore(stored(2, meta={"order": "18"}))
+    assert (restored.info.labels, registry.budget.used) == ({"order": "18"}, 7)
+
+
 def test_a_restored_goal_has_the_parent_that_its_meta_names() -> None:
     registry = GoalRegistry()
     child = registry.restore(stored(1, meta={"parent": str(A), "step": "pick"}))

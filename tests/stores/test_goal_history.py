@@ -71,6 +71,7 @@ async def test_a_goal_that_has_ended_stays_whole_when_its_outcome_is_forgotten(p
     store = SqliteStore(path, history=FOREVER)
     parent = Parent(GoalID(bytes(15) + b"\7"), "third")
     meta = {"parent": str(parent.goal_id), "step": parent.step, "traceparent": "00-1"}
+    meta["order"] = "17"
     async with opened(store, max_results=0) as kept:
         goal = a_goal(1, meta=dict(meta), is_running=True, attempt=2, began_at=3)
         await kept(kept.journal.accept, goal)
@@ -90,6 +91,7 @@ async def test_a_goal_that_has_ended_stays_whole_when_its_outcome_is_forgotten(p
         began_at=3,
         ended_at=5,
         reason="lo?st",
+        labels={"order": "17"},
     )
     assert past is not None
     assert (past.goal, past.result, past.meta, past.reason) == (b"goal", b"result", meta, "lo?st")
@@ -237,6 +239,7 @@ def pasts(draw: st.DrawFn) -> list[StoredGoal]:
             b"goal",
             status=draw(st.sampled_from(ENDS)),
             ended_at=10,
+            meta=draw(st.sampled_from([None, {"site": "north"}, {"site": "south"}])),
         )
         for number in numbers
     ]
@@ -249,6 +252,7 @@ queries = st.builds(
     st.sampled_from(["", "arm"]),
     times,
     times,
+    st.sampled_from([(), (("site", "north"),)]),
 )
 
 

@@ -91,7 +91,7 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     ),
     (
         WatchStatus(4, "fibonacci", 64),
-        "951404a96669626f6e6163636940c0",
+        "961404a96669626f6e6163636940c0c0",
     ),
     (
         AwaitServer(5, "fibonacci"),
@@ -159,8 +159,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5, 1, PARENT),
         (
-            "9f2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d020501"
-            "92c410000102030405060708090a0b0c0d0e0fa47069636bc0c0a0"
+            "dc00102804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d02"
+            "050192c410000102030405060708090a0b0c0d0e0fa47069636bc0c0a0c0"
         ),
     ),
     (

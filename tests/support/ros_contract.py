@@ -39,6 +39,7 @@ STOPPED = "a server that has stopped still rejects goals, as long as its node is
 
 EXCLUSIONS: dict[str, str] = {
     "test_lists_and_followers_are_told_the_parent_of_a_child_also_after_its_end": META,
+    "test_lists_have_the_labels_of_a_goal_also_after_its_end": META,
     "test_an_observer_gets_the_goal_itself_while_it_is_active": GOALS,
     "test_on_goal_sees_the_goal_and_its_reason_reaches_the_client": REASON,
     "test_a_callback_that_fails_rejects_the_goal_and_the_server_goes_on": REASON,

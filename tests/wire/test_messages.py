@@ -53,6 +53,7 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
     Why,
+    label_fields,
     parent_fields,
     parent_from,
     past_fields,
@@ -155,7 +156,7 @@ def test_the_garbage_collector_need_not_look_at_a_message(
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     goal_id = GoalID(bytes(range(16)))
     assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
-        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1, None, None, None, "")
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1, None, None, None, "", None)
     ]
 
 
@@ -217,6 +218,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
             *(strategies.none() | STAMPS, strategies.integers(0, 2**31 - 1)),
             *(strategies.none() | strategies.tuples(STAMPS, GOAL_IDS), strategies.booleans()),
         ),
+        strategies.none() | strategies.lists(strategies.tuples(TEXT, TEXT), max_size=8),
     ),
     AwaitServer: builds(AwaitServer, IDS, TEXT),
     ListActions: builds(ListActions, IDS),
@@ -248,6 +250,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         strategies.none() | STAMPS,
         strategies.none() | STAMPS,
         TEXT,
+        strategies.none() | strategies.dictionaries(TEXT, TEXT),
     ),
     Done: builds(Done, IDS),
     Finished: builds(Finished, IDS),
@@ -356,7 +359,9 @@ NULLABLE = {
     (Following, "parent"),
     (GoalChanged, "parent"),
     (GoalChanged, "began_at"),
+    (GoalChanged, "labels"),
     (WatchStatus, "past"),
+    (WatchStatus, "labels"),
     (GoalChanged, "ended_at"),
 }
 
@@ -469,6 +474,7 @@ def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, gol
         "ended_at": 1,
         "past": ([5], "", None, None, 9, (1, bytes(16)), True),
     }
+    likely["labels"] = {} if isinstance(message, GoalChanged) else [("order", "17")]
     for name in message.__struct_fields__:
         if (type(message), name) in NULLABLE:
             assert taken(message, name, likely[name])
@@ -792,10 +798,17 @@ def test_a_parent_comes_back_from_the_field_of_a_message() -> None:
             GoalQuery(frozenset([GoalStatus.SUCCEEDED, GoalStatus.ABORTED]), "robot", 5, 9),
             *(7, (6, bytes(15) + b"\1"), False),
         ),
+        PastPage(GoalQuery(labels=(("order", "17"), ("site", "")))),
     ],
 )
 def test_a_page_is_asked_for_as_it_was_given(page: PastPage) -> None:
-    assert past_from(past_fields(page)) == page
+    assert past_from(past_fields(page), label_fields(page)) == page
+
+
+def test_of_labels_that_no_goal_can_have_all_as_many_are_asked_for_as_a_goal_can_have() -> None:
+    labels = tuple(("order", str(number)) for number in range(9))
+    fields = label_fields(PastPage(GoalQuery(labels=labels + labels)))
+    assert fields == list(labels[:8])
 
 
 def test_numbers_that_cannot_be_sent_keep_their_meaning() -> None:

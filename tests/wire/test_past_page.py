@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from fibaction.border.abc import ForwardingEndpoint
 from fibaction.wire.auth import AccessPolicy
@@ -183,3 +184,27 @@ async def test_those_who_may_not_observe_see_no_history() -> None:
         asked = WatchStatus(1, "fibonacci", ANY, past_fields(PastPage()))
         assert (await client.ask(asked, Failed)).why == Why.FORBIDDEN
     assert endpoint.asked == []
+
+
+async def test_labels_are_asked_for_and_told() -> None:
+    page = PastPage(GoalQuery(labels=(("order", "17"),)))
+    labeled = replace(past(2), labels={"order": "17"})
+    endpoint = Remembering(labeled)
+    async with serving(endpoint) as served:
+        client = await served.greet()
+        asked = WatchStatus(1, "fibonacci", ANY, past_fields(page), [("order", "17")])
+        await client.ask(asked, Watching)
+        told, _ = await client.hear_all()
+    assert told.labels == {"order": "17"}
+    assert endpoint.asked == [page]
+
+
+async def test_a_server_that_does_not_know_labels_has_no_goals_with_them() -> None:
+    page = PastPage(GoalQuery(labels=(("order", "17"),)))
+    async with reached() as (connection, server):
+        infos = await page_of(
+            *(endpoint_of(connection), server, page),
+            lambda call_id: Watching(call_id, 1),
+            lambda call_id: changed(call_id, 2),
+        )
+    assert infos == []

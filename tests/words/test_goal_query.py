@@ -9,9 +9,10 @@ from collections.abc import Generator
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from fibaction import GoalID, GoalInfo, GoalStatus
-from fibaction.words.goal_query import STATUSES, GoalQuery, PastPage, time_of
+from fibaction.words.goal_query import LABEL_TEXT, STATUSES, GoalQuery, PastPage, label_of, time_of
 
 NOW = 1_800_000_000 * 10**9
 NOON = 1_769_860_800 * 10**9
@@ -144,3 +145,28 @@ def test_any_text_is_a_time_or_an_error_that_says_what_is(text: str, is_local: b
 def test_a_time_that_the_zone_of_this_machine_does_not_reach_is_not_a_time() -> None:
     with pytest.raises(ValueError, match="is not a time"):
         time_of("0001-01-01T00:00:00", NOW, is_local=True)
+
+
+def test_goals_are_found_by_all_labels_that_are_asked_for() -> None:
+    labeled = replace(info(), labels={"order": "17", "site": "north"})
+    assert GoalQuery(labels=(("order", "17"),)).has(labeled)
+    assert GoalQuery(labels=(("site", "north"), ("order", "17"))).has(labeled)
+    assert not GoalQuery(labels=(("order", "17"), ("site", "south"))).has(labeled)
+    assert not GoalQuery(labels=(("order", "1"),)).has(labeled)
+    assert not GoalQuery(labels=(("note", ""),)).has(labeled)
+
+
+@pytest.mark.parametrize(
+    ("text", "label"),
+    [("order=17", ("order", "17")), ("note=", ("note", "")), ("sum=1+1=2", ("sum", "1+1=2"))],
+)
+def test_a_key_and_a_value_are_a_label(text: str, label: tuple[str, str]) -> None:
+    assert label_of(text) == label
+    assert re.search(LABEL_TEXT, text)
+
+
+@pytest.mark.parametrize("text", ["", "order", "=17", "parent=17", "traceparent="])
+def test_other_texts_are_not_labels(text: str) -> None:
+    with pytest.raises(ValueError, match="is not"):
+        label_of(text)
+    assert not re.search(LABEL_TEXT, text)

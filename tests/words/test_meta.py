@@ -10,13 +10,17 @@ from fibaction import GoalID, InvalidMessage, Parent
 from fibaction.words.meta import (
     MAX_KEYS,
     MAX_META_BYTES,
+    Origin,
     checked_meta,
     fitting,
+    labels_in,
     meta_after_end,
     meta_of_child,
+    origin_in,
     parent_in,
     size_of,
     trace_meta,
+    with_labels,
 )
 
 
@@ -104,3 +108,34 @@ def test_the_parent_is_left_of_the_meta_after_the_end() -> None:
     meta = meta_of_child(Parent(PARENT_ID, "pick"), {"traceparent": "00-1"})
 
     assert meta_after_end(meta) == {"parent": str(PARENT_ID), "step": "pick"}
+
+
+LABELS = {"order": "17", "site": "north"}
+
+
+def test_the_labels_of_a_goal_are_what_has_no_other_meaning_in_its_meta() -> None:
+    trace = {"traceparent": "00-1", "tracestate": "a", "baggage": "b", "detached": "1"}
+    meta = meta_of_child(Parent(PARENT_ID, "pick"), {**LABELS, "traceparent": "00-1"})
+
+    assert labels_in({**trace, **LABELS}) == LABELS
+    assert origin_in(meta) == Origin(Parent(PARENT_ID, "pick"), LABELS, 16)
+    assert origin_in(trace) == origin_in(None) == Origin()
+    assert labels_in(None) == {}
+
+
+def test_the_labels_are_left_of_the_meta_after_the_end() -> None:
+    child = meta_of_child(Parent(PARENT_ID, "pick"), LABELS)
+
+    assert meta_after_end({**LABELS, "traceparent": "00-1"}) == LABELS
+    assert meta_after_end({**child, "traceparent": "00-1"}) == child
+
+
+def test_a_trace_goes_with_labels_as_far_as_both_fit() -> None:
+    many = {f"key{number}": "" for number in range(MAX_KEYS)}
+
+    assert with_labels(LABELS, {"traceparent": "00-1"}) == {**LABELS, "traceparent": "00-1"}
+    assert with_labels(many, {"traceparent": "00-1"}) == many
+    with pytest.raises(InvalidMessage, match="9 keys, and 8 are the limit"):
+        with_labels({**many, "one more": ""})
+    with pytest.raises(ValueError, match=r"'step' is not the key of a label: it has a meaning of"):
+        with_labels({"step": "3"})

@@ -1,16 +1,22 @@
-"""Goals on the command line: YAML or JSON text to plain data, checked by the action's schema."""
+"""Goals on the command line: YAML or JSON text to plain data, checked by the action's schema; and
+their labels.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 from contextlib import suppress
 from typing import Any, NoReturn, cast
 
 import yaml
 
+from fibaction.border.abc import Meta
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.words.goal_query import Labels
+from fibaction.words.meta import trace_meta, with_labels
 
 
 def read_goal(text: str, schema: dict[str, Any]) -> Any:
@@ -33,6 +39,17 @@ def read_goal(text: str, schema: dict[str, Any]) -> Any:
         glued = any(re.search(r'has no field ".*:', problem) for problem in exc.problems)
         advice = "; in YAML, a space follows the colon" if glued else ""
         raise _unusable(f"{exc}{advice}") from exc
+
+
+def shell_meta(labels: Labels, *, is_detached: bool) -> Meta:
+    """Return the meta of a goal with these labels, and with the trace that the environment
+    variables TRACEPARENT and so on tell, as far as it fits.
+
+    Raises:
+        InvalidMessage: There are too many labels, or they are too large.
+    """
+    variables = {name.lower(): value for name, value in os.environ.items()}
+    return with_labels(dict(labels), trace_meta(variables, is_detached=is_detached))
 
 
 MAX_DIGITS = 100

@@ -1,25 +1,33 @@
-"""Lookup of goals: of some actions or of all, those that are chosen, and one by its ID."""
+"""Lookup of goals: of some actions or of all, those that a user chooses, and one by its ID."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import wraps
 from typing import Any, NamedTuple
 
 import anyio
+import click
 
 from fibaction._api import ClientConnection
 from fibaction.cli.arguments.action_names import action_of, shown
+from fibaction.cli.arguments.options import TimeType, labels_option
 from fibaction.cli.output.goal_table import GoalRow, ran, waited
 from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of
 from fibaction.observe.monitor import AnyClient, newest_active_first
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError
-from fibaction.words.goal_query import ANY_GOAL, MOST_PAST, GoalQuery, PastPage
+from fibaction.words.goal_query import ANY_GOAL, MOST_PAST, STATUSES, GoalQuery, Labels, PastPage
 from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
 
 MOST_AT_ONCE = 100
 """Actions that are asked at the same time: a server limits the requests of a connection."""
+LIMIT = 100
+"""Goals that are listed if nothing else is said."""
+STATUS_WORDS = {word.lower(): statuses for word, statuses in STATUSES.items()}
+"""The statuses that each word of `--status` means."""
 
 SORTS: dict[str, Callable[[GoalRow], Any]] = {
     "accepted": lambda row: row.info.stamp,
@@ -72,6 +80,65 @@ class GoalChoice(NamedTuple):
             found = sorted(found, key=lambda row: newest_active_first(row.info))[: self.limit]
             found.sort(key=lambda row: row.info.stamp)
         return found, left_out
+
+
+DEFAULT = GoalChoice(limit=LIMIT)
+"""The goals that are listed if nothing else is said."""
+
+
+def choice_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that choose goals and order them. The function gets them as `choice`."""
+
+    @click.option(
+        "--status",
+        "words",
+        type=click.Choice(tuple(STATUS_WORDS), case_sensitive=False),
+        multiple=True,
+        help="List the goals with this status only; may be given several times.",
+    )
+    @click.option(
+        "--client", metavar="TEXT", default="", help="List the goals whose CLIENT has TEXT in it."
+    )
+    @labels_option("List the goals with this label only; given several times, with all of them.")
+    @click.option("--since", type=TimeType(), help="List the goals accepted at that time or later.")
+    @click.option("--until", type=TimeType(), help="List those accepted at that time or earlier.")
+    @click.option(
+        "--sort",
+        type=click.Choice(tuple(SORTS)),
+        help="Begin with the least or the earliest, end with the greatest or the latest.",
+    )
+    @click.option(
+        "--limit",
+        type=click.IntRange(min=0),
+        default=LIMIT,
+        help="List so many goals: the active and the newest ones, or the last ones of --sort; 0 for"
+        f" all.  [default: {LIMIT}]",
+    )
+    @click.option(
+        "--past",
+        is_flag=True,
+        help="List also the goals that the server has forgotten, and has in the history of its"
+        " store.",
+    )
+    @wraps(function)
+    def choosing(
+        words: tuple[str, ...],
+        client: str,
+        labels: Labels,
+        since: int | None,
+        until: int | None,
+        sort: str | None,
+        limit: int,
+        past: bool,
+        **others: Any,
+    ) -> None:
+        if since is not None and until is not None and since > until:
+            raise Failure("--since is later than --until: no goal is between them", ExitCode.USAGE)
+        statuses = frozenset[GoalStatus]().union(*(STATUS_WORDS[word] for word in words))
+        wanted = GoalQuery(statuses, client, since, until, labels)
+        function(choice=GoalChoice(words, wanted, limit, sort or "", past), **others)
+
+    return choosing
 
 
 class ActionClients:

@@ -82,6 +82,27 @@ class TimeType(click.ParamType[int]):
             self.fail(str(exc))
 
 
+class LabelType(click.ParamType[tuple[str, str]]):
+    """A label of a goal, by its key and its value: KEY=VALUE."""
+
+    name = "key=value"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, str]:
+        from fibaction.words.goal_query import label_of  # its imports would slow down --help
+
+        try:
+            return label_of(value)
+        except ValueError as exc:
+            self.fail(str(exc))
+
+
+def labels_option(text: str) -> Callable[[FunctionT], FunctionT]:
+    """Add `--label` to a verb, with that help. The function gets `labels`."""
+    return click.option("--label", "labels", type=LabelType(), multiple=True, help=text)
+
+
 def json_option(function: FunctionT) -> FunctionT:
     """Add `--json` to a verb. The function gets `as_json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON, one value per line.")(

@@ -106,6 +106,7 @@ class GoalRow(msgspec.Struct, frozen=True):
             "attempt": info.attempt,
             "has_worker": info.has_worker,
             "parent": parent_json(info.parent),
+            "labels": info.labels,
             "began_at": info.began_at,
             "ended_at": info.ended_at,
             "reason": info.reason,
@@ -115,14 +116,14 @@ class GoalRow(msgspec.Struct, frozen=True):
 
 CSV_COLUMNS = (
     *("action", "goal_id", "status", "accepted_at", "began_at", "ended_at", "waited", "ran"),
-    *("attempt", "feedback_count", "client", "parent", "step", "reason", "result"),
+    *("attempt", "feedback_count", "client", "parent", "step", "reason", "result", "labels"),
 )
 """The columns of a list of goals as CSV."""
 
 
 def csv_cells(row: GoalRow) -> list[str]:
-    """Return the cells of a row of CSV: times in ISO 8601, spans in seconds, the result in JSON;
-    what is not known is empty.
+    """Return the cells of a row of CSV: times in ISO 8601, spans in seconds, the result and the
+    labels in JSON; what is not known is empty.
     """
     info, outcome = row.info, row.outcome
     parent, step = (str(info.parent.goal_id), info.parent.step) if info.parent else ("", "")
@@ -140,6 +141,7 @@ def csv_cells(row: GoalRow) -> list[str]:
         _csv_text(step),
         _csv_text(reason),
         "" if result is None else as_json(result),
+        as_json(info.labels) if info.labels else "",
     ]
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from enum import Enum
-from functools import partial, wraps
-from typing import Any
+from functools import partial
 
 import anyio
 import click
@@ -15,15 +14,16 @@ from fibaction._api import ClientConnection, connect
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION
 from fibaction.cli.arguments.goal_lookup import (
-    SORTS,
+    DEFAULT,
     ActionClients,
     GoalChoice,
+    choice_options,
     goals_of,
     with_past,
 )
 from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
-from fibaction.cli.arguments.options import TimeType, json_option, url_option
+from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.arguments.stored_goals import rows_of_store
 from fibaction.cli.output.family import Family
 from fibaction.cli.output.goal_table import (
@@ -42,23 +42,15 @@ from fibaction.cli.verbs.echo import EventPrinter, print_events
 from fibaction.cli.verbs.workers import note_unreadable
 from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError
-from fibaction.words.goal_query import STATUSES, GoalQuery
-from fibaction.words.statuses import GoalStatus
 
 UPDATE_PAUSE = 0.5
 """Seconds between two updates of a list that is watched."""
 AWAY_TIMEOUT = 1.0
 """Seconds without an answer after which the server is shown as away."""
-LIMIT = 100
-"""Goals that are listed if nothing else is said."""
 EXPORT_TIMEOUT = 30.0
 """Seconds for the results of all goals of a list for programs."""
-STATUS_WORDS = {word.lower(): statuses for word, statuses in STATUSES.items()}
-"""The statuses that each word of `--status` means."""
 ANY = GoalChoice()
 """All goals."""
-DEFAULT = GoalChoice(limit=LIMIT)
-"""The goals that are listed if nothing else is said."""
 
 
 class Form(Enum):
@@ -67,59 +59,6 @@ class Form(Enum):
     TABLE = "table"
     JSON = "json"
     CSV = "csv"
-
-
-def choice_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that choose goals and order them. The function gets them as `choice`."""
-
-    @click.option(
-        "--status",
-        "words",
-        type=click.Choice(tuple(STATUS_WORDS), case_sensitive=False),
-        multiple=True,
-        help="List the goals with this status only; may be given several times.",
-    )
-    @click.option(
-        "--client", metavar="TEXT", default="", help="List the goals whose CLIENT has TEXT in it."
-    )
-    @click.option("--since", type=TimeType(), help="List the goals accepted at that time or later.")
-    @click.option("--until", type=TimeType(), help="List those accepted at that time or earlier.")
-    @click.option(
-        "--sort",
-        type=click.Choice(tuple(SORTS)),
-        help="Begin with the least or the earliest, end with the greatest or the latest.",
-    )
-    @click.option(
-        "--limit",
-        type=click.IntRange(min=0),
-        default=LIMIT,
-        help="List so many goals: the active and the newest ones, or the last ones of --sort; 0 for"
-        f" all.  [default: {LIMIT}]",
-    )
-    @click.option(
-        "--past",
-        is_flag=True,
-        help="List also the goals that the server has forgotten, and has in the history of its"
-        " store.",
-    )
-    @wraps(function)
-    def choosing(
-        words: tuple[str, ...],
-        client: str,
-        since: int | None,
-        until: int | None,
-        sort: str | None,
-        limit: int,
-        past: bool,
-        **others: Any,
-    ) -> None:
-        if since is not None and until is not None and since > until:
-            raise Failure("--since is later than --until: no goal is between them", ExitCode.USAGE)
-        statuses = frozenset[GoalStatus]().union(*(STATUS_WORDS[word] for word in words))
-        wanted = GoalQuery(statuses, client, since, until)
-        function(choice=GoalChoice(words, wanted, limit, sort or "", past), **others)
-
-    return choosing
 
 
 @click.command(
@@ -131,6 +70,7 @@ Examples:
   fibaction goals --status active --limit 20
   fibaction goals --since 10m --sort ran
   fibaction goals --past --since 7d --status aborted
+  fibaction goals --past --label order=17
   fibaction goals drive pick --status aborted --since 2026-01-31 --csv
   fibaction goals -n /robot1 --json
   fibaction goals --store goals.db""",

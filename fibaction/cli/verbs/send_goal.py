@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import sys
 from contextlib import suppress
@@ -18,13 +17,13 @@ from anyio import get_cancelled_exc_class
 from fibaction._api import ClientConnection, connect
 from fibaction._runtime.tasks import Background
 from fibaction._runtime.text import printable
-from fibaction.border.abc import Endpoint, GoalStream, Meta
+from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.cli.arguments.action_names import find_action, shown
 from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL
-from fibaction.cli.arguments.goal_input import read_goal
+from fibaction.cli.arguments.goal_input import read_goal, shell_meta
 from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import Namespace
-from fibaction.cli.arguments.options import full_option, json_option, url_option
+from fibaction.cli.arguments.options import full_option, json_option, labels_option, url_option
 from fibaction.cli.output.goal_table import ordinal
 from fibaction.cli.output.lines import note, say
 from fibaction.cli.output.render import goal_printer, print_goal
@@ -33,8 +32,8 @@ from fibaction.cli.process.signals import SAME_SIGNAL, SignalReceiver
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError, GoalRejected
+from fibaction.words.goal_query import Labels
 from fibaction.words.goals import CancelCode, GoalID
-from fibaction.words.meta import trace_meta
 
 _TYPE_NAME = re.compile(
     r"(\w+)(/|\.|::)action\2(\w+)|(\w+_(?:msgs|interfaces|actions?))(?:/|\.|::)([A-Z]\w*)", re.ASCII
@@ -64,6 +63,7 @@ class SendOptions(msgspec.Struct, frozen=True):
     detach: bool = False
     as_json: bool = False
     full: bool = False
+    labels: Labels = ()
 
 
 @click.command(
@@ -90,6 +90,7 @@ Ctrl-C cancels the goal and waits for its end; a second Ctrl-C leaves at once.""
     help="Cancel the goal if it has not ended by then.",
 )
 @click.option("--detach", is_flag=True, help="Print the goal's ID, and do not wait for its end.")
+@labels_option("Give the goal this label, to find it again; may be given several times.")
 @namespace_option
 @full_option
 @json_option
@@ -102,6 +103,7 @@ def send_goal_command(
     goal_file: Path | None,
     timeout: float | None,
     detach: bool,
+    labels: Labels,
     namespace: Namespace,
     full: bool,
     as_json: bool,
@@ -116,7 +118,7 @@ def send_goal_command(
     text = _text_from(text, from_stdin, goal_file)
     if detach and feedback:
         raise click.UsageError("--detach does not wait for feedback: use attach instead")
-    options = SendOptions(feedback, timeout, detach, as_json, full)
+    options = SendOptions(feedback, timeout, detach, as_json, full, labels)
     run(send, url, namespace.absolute(name), type_name, text, options)
 
 
@@ -261,7 +263,7 @@ class _GoalSender:
                 payload,
                 feedback=feedback,
                 timeout=self._time_left(),
-                meta=_trace(is_detached=self._options.detach),
+                meta=shell_meta(self._options.labels, is_detached=self._options.detach),
                 checked=True,
             )
         except get_cancelled_exc_class():
@@ -342,9 +344,3 @@ class _GoalSender:
             note("The goal was canceled before the server had accepted it.")
             return ExitCode.CANCELED
         return ExitCode.INTERRUPTED
-
-
-def _trace(*, is_detached: bool) -> Meta:
-    """Return the trace that the environment variables TRACEPARENT and so on tell."""
-    variables = {name.lower(): value for name, value in os.environ.items()}
-    return trace_meta(variables, is_detached=is_detached)

@@ -55,7 +55,7 @@ from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ConnectionLost, GoalRejected, ProtocolError, StoreError
 from fibaction.words.goals import GoalID
-from fibaction.words.meta import NO_META, parent_in
+from fibaction.words.meta import NO_META
 
 DRAINING = "busy: the server drains"
 WITHDRAWN = "the call was canceled before the decision"
@@ -207,7 +207,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )
         if offer.meta:
-            record.parent = parent_in(offer.meta)
+            record.take_origin(offer.meta)
         self._writing[goal_id] = offer
         write = self._keeper.accept(
             record,

@@ -13,7 +13,7 @@ from fibaction.server.life import LIFE, Event, Phase
 from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender
-from fibaction.words.meta import parent_in
+from fibaction.words.meta import UNKNOWN_ORIGIN, Meta, origin_in
 from fibaction.words.statuses import INITIAL, GoalStatus
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ class GoalRecord:
         "goes_on",
         "held",
         "is_given_up",
+        "origin",
         "outcome",
-        "parent",
         "phase",
         "place",
         "remember_until",
@@ -78,8 +78,8 @@ class GoalRecord:
         """Time of the acceptance: nanoseconds since 1970, different for each goal."""
         self.sender = sender
         """The client that sent the goal, and owns it."""
-        self.parent: Parent | None = None
-        """The goal whose executor has sent this one; None if there is none."""
+        self.origin = UNKNOWN_ORIGIN
+        """The parent and the labels of the goal."""
         self.deadline = deadline
         """Time at which the client gives up the goal, by the event loop's clock."""
         self.attempt = 1
@@ -123,9 +123,20 @@ class GoalRecord:
         goal_id = GoalID(stored.goal_id)
         goal = cls(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
         goal.attempt = max(stored.attempt, 1)
-        goal.parent = parent_in(stored.meta)
+        goal.take_origin(stored.meta)
         goal.began_at = stored.began_at or None
         return goal
+
+    def take_origin(self, meta: Meta | None) -> None:
+        """Note the origin that a meta tells; its labels count as bytes that are held."""
+        self.origin = origin_in(meta)
+        if self.origin.size and self.held is not None:
+            self.held.resize(self.held.size + self.origin.size)
+
+    @property
+    def parent(self) -> Parent | None:
+        """The goal whose executor has sent this one; None if there is none."""
+        return self.origin.parent
 
     @property
     def is_kept(self) -> bool:
@@ -167,10 +178,11 @@ class GoalRecord:
             place,
             length,
             self.attempt,
-            self.parent,
+            self.origin.parent,
             began_at=self.began_at,
             ended_at=self.ended_at or None,
             reason=reason and shortened(reason, LENGTH),
+            labels=self.origin.labels or {},
         )
 
 

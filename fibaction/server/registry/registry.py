@@ -216,7 +216,7 @@ class GoalRegistry:
             earlier = self._ended.discard(goal_id)
             if earlier is not None:
                 self._forget(earlier)
-            self.results.add(goal_id, goal.sender, held, size)
+            self.results.add(goal_id, goal.sender, held, held.size)
             self._ended.put_until(goal_id, goal, until)
             return goal
         goal.happen(Event.RESTORE)
@@ -287,7 +287,7 @@ class GoalRegistry:
         goal.outcome = outcome
         goal.ended_at = stamp
         assert goal.held is not None
-        size = len(outcome.result or b"") + len(outcome.reason)
+        size = len(outcome.result or b"") + len(outcome.reason) + goal.origin.size
         self.results.add(goal.goal_id, goal.sender, goal.held, size)
         del self._active[goal.goal_id]
         self._ended.put(goal.goal_id, goal, now, at_least_until=goal.remember_until)

@@ -19,6 +19,7 @@ from fibaction.wire.messages import (
     GoalChanged,
     Watching,
     WatchStatus,
+    label_fields,
     past_fields,
 )
 from fibaction.words.goal_query import MOST_PAST, PastPage
@@ -32,7 +33,7 @@ class PastCall(Call):
         super().__init__(call_id)
         self._page = page
         limit = min(page.limit, MOST_PAST)
-        self._opening = WatchStatus(call_id, action, limit, past_fields(page))
+        self._opening = WatchStatus(call_id, action, limit, past_fields(page), label_fields(page))
         self._left: int | None = None  # goals that are still to come; None before the answer
         self._infos: list[GoalInfo] = []
 

@@ -47,6 +47,7 @@ from fibaction.wire.messages import (
 )
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.meta import fitting
 from fibaction.words.statuses import GoalStatus
 
 UNREAD = 10_000
@@ -205,6 +206,7 @@ def info_of(message: GoalChanged) -> GoalInfo:
         began_at=message.began_at,
         ended_at=message.ended_at,
         reason=message.reason and shortened(message.reason, LENGTH),
+        labels=fitting(message.labels) if message.labels else {},
     )
 
 

@@ -9,7 +9,7 @@ import msgspec
 from fibaction._runtime.text import shortened
 from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage
 from fibaction.words.goals import GoalID, Parent
-from fibaction.words.meta import LONGEST_STEP
+from fibaction.words.meta import LONGEST_STEP, MAX_KEYS
 from fibaction.words.statuses import GoalStatus
 
 VERSION = 1
@@ -40,6 +40,10 @@ PastFields: TypeAlias = tuple[
 """A page of a history: the statuses that are listed, none for any; a part of the client's name;
 earliest and latest stamp; number of goals; stamp and ID of the goal before the first one; and
 whether the newest goals come first."""
+
+
+LabelFields: TypeAlias = Annotated[list[tuple[str, str]], msgspec.Meta(max_length=MAX_KEYS)]
+"""Keys and values of labels that goals are to have."""
 
 
 class WireMessage(msgspec.Struct, array_like=True, gc=False):
@@ -85,10 +89,17 @@ def past_fields(page: PastPage) -> PastFields:
     )
 
 
-def past_from(fields: PastFields) -> PastPage:
-    """Return the page of a history that the field of a message asks for."""
+def label_fields(page: PastPage) -> LabelFields | None:
+    """Return the labels of the goals on a page as the field of a message; None if there are none.
+    No goal has more labels than can be sent.
+    """
+    return list(dict.fromkeys(page.wanted.labels))[:MAX_KEYS] or None
+
+
+def past_from(fields: PastFields, labels: LabelFields | None = None) -> PastPage:
+    """Return the page of a history that the fields of a message ask for."""
     statuses, client, since, until, limit, after, newest_first = fields
-    wanted = GoalQuery(frozenset(statuses), client, since, until)
+    wanted = GoalQuery(frozenset(statuses), client, since, until, tuple(labels or ()))
     return PastPage(wanted, limit, after, newest_first)
 
 

@@ -11,6 +11,7 @@ from fibaction.wire.messages.fields import (
     Count,
     FrameSize,
     GoalBytes,
+    LabelFields,
     PastFields,
     Seconds,
     Stamp,
@@ -108,6 +109,9 @@ class WatchStatus(WireMessage, tag=20):
     the client; earliest and latest stamp; number of goals; stamp and ID of the goal before the
     first one, in the order of the page; and whether the newest goals come first. Nil for the
     statuses."""
+    labels: LabelFields | None = None
+    """Keys and values of labels that each goal of the page has; nil for any labels. Of the
+    statuses, it chooses none."""
 
 
 @final

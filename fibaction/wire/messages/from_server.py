@@ -178,6 +178,9 @@ class GoalChanged(WireMessage, tag=40):
     """Time when the goal ended; nil if it is active, or if the server does not know it."""
     reason: str = ""
     """Reason of an abort or a cancel, of 200 characters at most; may be empty."""
+    labels: dict[str, str] | None = None
+    """Labels of the goal: the entries of its meta that have no other meaning; nil if there are
+    none."""
 
 
 @final

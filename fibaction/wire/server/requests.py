@@ -48,6 +48,7 @@ from fibaction.wire.messages import (
 from fibaction.wire.server.subscriptions import RequestSubscription
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo
+from fibaction.words.meta import fitting
 from fibaction.words.statuses import GoalStatus
 
 Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces
@@ -158,7 +159,7 @@ class RequestHandlers:
             return
         endpoint = await self._find(message.action, Permission.OBSERVE)
         async with self._listing:
-            infos = await endpoint.past_goals(past_from(message.past))
+            infos = await endpoint.past_goals(past_from(message.past, message.labels))
             await self._say(Watching(message.id, len(infos)))
             slices = Slices()
             for info in infos:
@@ -214,6 +215,7 @@ class RequestHandlers:
             info.began_at,
             info.ended_at,
             info.reason and sendable(info.reason),
+            fitting(info.labels) if info.labels else None,
         )
         await self._say(changed)
         return True

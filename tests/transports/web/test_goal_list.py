@@ -159,7 +159,8 @@ def read(query: str) -> Page:
     found = parse_qs(query[1:], strict_parsing=True)
     one = {name: values[-1] for name, values in found.items()}
     span = (one.get("since"), one.get("until"))
-    wanted = wanted_of(found.get("status", []), one.get("client"), *span, NOW)
+    statuses, labels = found.get("status", []), found.get("label", [])
+    wanted = wanted_of(statuses, one.get("client"), *span, labels, NOW)
     return page_of(one.get("limit"), one.get("after"), one.get("parent"), wanted, one.get("past"))
 
 
@@ -172,6 +173,7 @@ def read(query: str) -> Page:
         "?limit=5&past=true&status=SUCCEEDED",
         "?limit=5&client=robot%207+at+%26+%3Climit%3E",
         "?limit=5&since=10m&until=2026-01-31T12:00:00%2B01:00",
+        "?limit=5&label=order=17&label=note=a%20%26%3D",
     ],
 )
 def test_the_next_page_is_of_the_same_goals(query: str) -> None:
@@ -206,7 +208,7 @@ def test_a_choice_that_means_nothing_is_refused(
     statuses: list[str], since: str | None, until: str | None, text: str
 ) -> None:
     with pytest.raises(Refused, match=text) as refused:
-        wanted_of(statuses, None, since, until, NOW)
+        wanted_of(statuses, None, since, until, (), NOW)
     assert refused.value.status == 400
 
 

@@ -13,7 +13,7 @@ from openapi_spec_validator import validate
 from fibaction import Action
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import ActionInfo
-from fibaction_transports.web.rest.goal_list import wanted_of
+from fibaction_transports.web.rest.goal_list import labels_of, wanted_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE
 from tests.support.fibonacci import FIBONACCI
@@ -173,8 +173,9 @@ def test_all_operations_have_a_tag_a_description_and_an_answer_of_a_type() -> No
 def test_parameters_allow_what_the_server_accepts() -> None:
     paths = described(FETCH.info)["paths"]
     goals, events = paths["/actions/fetch/goals"], paths["/actions/fetch/goals/{goal_id}/events"]
-    (wait,) = goals["post"]["parameters"]
+    wait, label = goals["post"]["parameters"]
     assert wait["schema"]["maximum"] == 3600
+    assert (label["name"], label["schema"]["maxItems"]) == ("label", 8)
     (before,) = goals["delete"]["parameters"]
     assert not re.fullmatch(before["schema"]["pattern"], "")
     goal_id, after = (one["schema"]["pattern"] for one in events["get"]["parameters"])
@@ -194,9 +195,13 @@ def test_a_choice_of_goals_allows_what_the_server_accepts() -> None:
         assert date_time == {"format": "date-time"}
         for text in ("10m", "1.5h", "1769860800000000000", "2026-01-31T12:00:00Z"):
             since, until = (text, None) if name == "since" else (None, text)
-            assert getattr(wanted_of(words, "me", since, until, 10**18), name) is not None
+            assert getattr(wanted_of(words, "me", since, until, (), 10**18), name) is not None
             assert bool(re.search(other["pattern"], text)) is not ("T" in text)
         assert not any(re.search(other["pattern"], text) for text in ("", "10", "10w", "m"))
+    label = schemas["label"]["items"]["pattern"]
+    assert labels_of(["order=17", "note=", "note="]) == (("order", "17"), ("note", ""))
+    assert all(re.search(label, text) for text in ("order=17", "note=", "steps=3"))
+    assert not any(re.search(label, text) for text in ("", "order", "=17", "step=3"))
 
 
 def test_a_schema_of_itself_refers_to_itself() -> None:

@@ -751,6 +751,28 @@ async def test_goals_that_the_server_has_forgotten_are_listed_from_its_history(
         assert (await fetch(url, "GET", f"{GOALS}?past=1")).status == 400
 
 
+async def test_goals_are_found_by_the_labels_with_which_they_were_sent(tmp_path: Path) -> None:
+    store = SqliteStore(tmp_path / "goals.db", history=GoalHistory())
+    server = ActionServer(FIBONACCI, fibonacci, store=store, result_timeout=0)
+    async with served(server) as url:
+        for query in ("label=order=17&label=site=north", "label=order=18", ""):
+            await fetch(url, "POST", f"{GOALS}?wait=60&{query}", {"order": 1})
+        one = f"{GOALS}/{1:032x}?wait=60&label=order%3D17"
+        assert (await fetch(url, "PUT", one, {"order": 1})).status == 201
+
+        async def found(query: str) -> list[dict[str, str]]:
+            listed = await fetch(url, "GET", f"{GOALS}?past=true&{query}")
+            return [goal.get("labels", {}) for goal in listed.json]
+
+        both = {"order": "17", "site": "north"}
+        assert await found("") == [both, {"order": "18"}, {}, {"order": "17"}]
+        assert await found("label=order=17") == [both, {"order": "17"}]
+        assert await found("label=order=17&label=site=north") == [both]
+        for method, query in (("GET", "label=order"), ("POST", "label=step=2")):
+            wrong = await fetch(url, method, f"{GOALS}?{query}", {"order": 1})
+            assert (wrong.status, "label: '" in wrong.json["detail"]) == (400, True)
+
+
 async def test_goals_are_chosen_by_status_client_and_time_on_every_page() -> None:
     server = ActionServer(FIBONACCI, fibonacci, result_timeout=3600)
     async with served(server) as url:

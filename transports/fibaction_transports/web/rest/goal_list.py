@@ -25,7 +25,16 @@ import msgspec
 from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.border.event_loop import SLICE
 from fibaction.border.http_access import Refused
-from fibaction.words.goal_query import ANY_GOAL, MOST_PAST, STATUSES, GoalQuery, PastPage, time_of
+from fibaction.words.goal_query import (
+    ANY_GOAL,
+    MOST_PAST,
+    STATUSES,
+    GoalQuery,
+    Labels,
+    PastPage,
+    label_of,
+    time_of,
+)
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
 
@@ -71,6 +80,7 @@ class Page(NamedTuple):
         parameters += [("status", status.name) for status in sorted(wanted.statuses)]
         if wanted.client:
             parameters.append(("client", wanted.client))
+        parameters += [("label", f"{key}={value}") for key, value in wanted.labels]
         for name, time in (("since", wanted.since), ("until", wanted.until)):
             if time is not None:
                 parameters.append((name, f"{min(max(time, 0), LAST_TIME):016}"))
@@ -78,10 +88,15 @@ class Page(NamedTuple):
 
 
 def wanted_of(
-    words: Iterable[str], client: str | None, since: str | None, until: str | None, now: int
+    words: Iterable[str],
+    client: str | None,
+    since: str | None,
+    until: str | None,
+    labels: Iterable[str],
+    now: int,
 ) -> GoalQuery:
     """Return the goals that the parameters of a request name: the words for their statuses, a part
-    of their client, and the span of their acceptance.
+    of their client, the span of their acceptance, and labels that they have.
 
     Raises:
         Refused: One of them is wrong.
@@ -92,7 +107,20 @@ def wanted_of(
             raise Refused(400, f"status is one of {', '.join(STATUSES)}, each in its own parameter")
         statuses |= STATUSES[word]
     times = (_time_of(name, text, now) for name, text in (("since", since), ("until", until)))
-    return GoalQuery(frozenset(statuses), client or "", *times)
+    since_ns, until_ns = times
+    return GoalQuery(frozenset(statuses), client or "", since_ns, until_ns, labels_of(labels))
+
+
+def labels_of(texts: Iterable[str]) -> Labels:
+    """Return the labels that parameters of a request name.
+
+    Raises:
+        Refused: One of them is wrong.
+    """
+    try:
+        return tuple(dict.fromkeys(map(label_of, texts)))
+    except ValueError as exc:
+        raise Refused(400, f"label: {exc}") from None
 
 
 def _time_of(name: str, text: str | None, now: int) -> int | None:
@@ -153,6 +181,7 @@ def members_of(info: GoalInfo) -> dict[str, object]:
         "reason": info.reason,
         **_times(info),
         **parent_members(info.parent),
+        **({"labels": info.labels} if info.labels else {}),
     }
 
 

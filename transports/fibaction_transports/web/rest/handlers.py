@@ -31,11 +31,18 @@ from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
-from fibaction.words.meta import trace_meta
+from fibaction.words.meta import trace_meta, with_labels
 from fibaction_transports.web.http.exchange import Exchange
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
-from fibaction_transports.web.rest.goal_list import listed, members_of, page_of, past_of, wanted_of
+from fibaction_transports.web.rest.goal_list import (
+    labels_of,
+    listed,
+    members_of,
+    page_of,
+    past_of,
+    wanted_of,
+)
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import Resource, Route, route_of
 
@@ -135,8 +142,11 @@ class RestInterface:
     async def _list_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
         asked = exchange.parameter
-        words, client_text = exchange.parameters("status"), asked("client")
-        wanted = wanted_of(words, client_text, asked("since"), asked("until"), time_ns())
+        wanted = wanted_of(
+            exchange.parameters("status"),
+            *(asked("client"), asked("since"), asked("until")),
+            *(exchange.parameters("label"), time_ns()),
+        )
         page = page_of(asked("limit"), asked("after"), asked("parent"), wanted, asked("past"))
         with await endpoint.status() as statuses:
             # Afterwards, so that a goal which is forgotten meanwhile is in one of them.
@@ -156,6 +166,8 @@ class RestInterface:
         endpoint = await self._endpoint(client, route, Permission.SEND)
         wait = exchange.seconds("wait", LONGEST_WAIT)
         streams = exchange.wants_events
+        is_detached = wait is None and not streams
+        labels = dict(labels_of(exchange.parameters("label")))
         body = await exchange.json_body(self._settings.limits.frame, self._memory)
         payload = await in_turn(len(body), partial(_payload, self._goal_codec(endpoint.info), body))
         is_known = bool(endpoint.owner_of(route.goal_id))
@@ -164,7 +176,7 @@ class RestInterface:
             payload,
             feedback=streams,
             sender=client.sender,
-            meta=trace_meta(exchange.headers, is_detached=wait is None and not streams),
+            meta=with_labels(labels, trace_meta(exchange.headers, is_detached=is_detached)),
             checked=True,
         )
         with stream:

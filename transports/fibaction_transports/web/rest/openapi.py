@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from fibaction.types.action import ActionInfo
-from fibaction.words.goal_query import STATUSES, TIME_TEXT
+from fibaction.words.goal_query import LABEL_TEXT, STATUSES, TIME_TEXT
+from fibaction.words.meta import MAX_KEYS
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
 from fibaction_transports.web.rest.openapi_schemas import SHARED, Names, example_of, moved
@@ -65,6 +66,11 @@ _SHARED_SCHEMAS: Json = {
             "ended_at": {"type": "string", "description": "Time of the end, as the stamp."},
             "reason": {"type": "string", "description": "Why it was canceled or aborted."},
             "parent": {"$ref": "#/components/schemas/Parent"},
+            "labels": {
+                "type": "object",
+                "description": "The labels that its client has given it.",
+                "additionalProperties": {"type": "string"},
+            },
         },
         "required": ["goal_id", "stamp", "status"],
     },
@@ -126,12 +132,22 @@ _STATUSES = {
     "description": "Only goals with this status; may be given several times.",
     "schema": {"type": "array", "minItems": 1, "items": {"type": "string", "enum": [*STATUSES]}},
 }
+_LABEL = {"type": "string", "pattern": LABEL_TEXT}
 _CLIENT = {
     "name": "client",
     "in": "query",
     "description": "Only goals whose client has this text in it.",
     "schema": {"type": "string"},
 }
+_LABELS, _NEW_LABELS = (
+    {
+        "name": "label",
+        "in": "query",
+        "description": f"{what}, such as `order=17`; may be given several times.",
+        "schema": {"type": "array", "minItems": 1, "maxItems": MAX_KEYS, "items": _LABEL},
+    }
+    for what in ("Only goals with this label", "A label of the goal, to find it again")
+)
 _TIME = {"type": "string", "anyOf": [{"format": "date-time"}, {"pattern": TIME_TEXT}]}
 _SINCE, _UNTIL = (
     {
@@ -150,7 +166,7 @@ _PAST = {
     " keeps as its history; always in pages.",
     "schema": {"type": "boolean"},
 }
-_CHOICE = (_STATUSES, _CLIENT, _SINCE, _UNTIL, _PAST)
+_CHOICE = (_STATUSES, _CLIENT, _LABELS, _SINCE, _UNTIL, _PAST)
 _NEXT = {
     "Link": {
         "description": "The address of the next page, with rel=next; absent on the last one.",
@@ -271,7 +287,7 @@ class _Described:
                 *("list", "List the goals.", {"200": goals}),
                 *(_LIMIT, _AFTER_PAGE, _PARENT, *_CHOICE),
             ),
-            "post": self._sending("send", "Send a goal.", {"201": self._sent()}, _WAIT),
+            "post": self._sending("send", "Send a goal.", {"201": self._sent()}, *_SENDING),
             "delete": self._operation("cancel_all", "Cancel goals.", _CANCELED, _BEFORE),
         }
 
@@ -327,6 +343,7 @@ def _answer(description: str, schema: Json) -> Json:
 
 
 _CANCELED = {"202": _answer("The cancel was accepted.", _ref("Cancel"))}
-_PUT = (_GOAL_ID, _WAIT)
+_SENDING = (_WAIT, _NEW_LABELS)
+_PUT = (_GOAL_ID, *_SENDING)
 _STREAM: Json = {"text/event-stream": {}}
 _NO_MORE = {"description": "There is nothing after the event with the ID `end`."}
