@@ -34,6 +34,12 @@ LABEL_TEXT = f"^(?!({'|'.join(sorted(NOT_LABELS))})=)[^=]+="
 Labels: TypeAlias = tuple[tuple[str, str], ...]
 """Labels of goals, by key and value."""
 
+CANCEL_TEXT = TIME_TEXT.replace("[0-9]{16,19}", "[0-9]{0,18}[1-9][0-9]*")
+"""The same for a cancel, which takes any stamp but 0."""
+
+LAST_STAMP = 2**63 - 1
+"""The largest stamp."""
+
 _TIME = re.compile(TIME_TEXT, re.ASCII)
 _SECONDS = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -128,6 +134,20 @@ def time_of(text: str, now: int, *, is_local: bool) -> int:
     if unit is None:
         return int(text)
     return now - int(Decimal(text.removesuffix(unit)) * _SECONDS[unit] * 10**9)
+
+
+def cancel_stamp_of(text: str, now: int, *, is_local: bool) -> int:
+    """Return the stamp for a cancel of the goals that were accepted at the time that a text means,
+    or earlier: a time as for `time_of`, or a stamp of any length.
+
+    Raises:
+        ValueError: It means none, or it is the stamp 0, which would mean all goals.
+    """
+    if not (text.isascii() and text.isdecimal()):
+        time = max(time_of(text, now, is_local=is_local), 1)
+    elif not (time := int(text[:20])):
+        raise ValueError("a stamp of 0 means all goals: cancel all of them without a time")
+    return min(time, LAST_STAMP)
 
 
 def _iso_time(text: str, *, is_local: bool) -> int:

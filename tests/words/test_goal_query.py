@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalInfo, GoalStatus
-from fibaction.words.goal_query import LABEL_TEXT, STATUSES, GoalQuery, PastPage, label_of, time_of
+from fibaction.words.goal_query import (
+    LABEL_TEXT,
+    STATUSES,
+    GoalQuery,
+    PastPage,
+    cancel_stamp_of,
+    label_of,
+    time_of,
+)
 
 NOW = 1_800_000_000 * 10**9
 NOON = 1_769_860_800 * 10**9
@@ -170,3 +178,21 @@ def test_other_texts_are_not_labels(text: str) -> None:
     with pytest.raises(ValueError, match="is not"):
         label_of(text)
     assert not re.search(LABEL_TEXT, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "stamp"),
+    [
+        *(("1", 1), ("007", 7), (str(NOON), NOON), (str(10**30), 2**63 - 1)),
+        *(("10m", NOW - 600 * 10**9), ("2026-01-31T12:00:00Z", NOON)),
+        *(("1970-01-01", 1), ("0001-01-01", 1), ("999999999d", 1)),
+    ],
+)
+def test_a_cancel_takes_a_time_or_any_stamp(text: str, stamp: int) -> None:
+    assert cancel_stamp_of(text, NOW, is_local=False) == stamp
+
+
+@pytest.mark.parametrize("text", ["0", "0" * 16, "", "now", "-1"])
+def test_a_cancel_up_to_a_time_does_not_mean_all_goals(text: str) -> None:
+    with pytest.raises(ValueError, match=r"^a stamp of 0 means all goals|is not a time"):
+        cancel_stamp_of(text, NOW, is_local=False)

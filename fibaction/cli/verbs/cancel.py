@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import anyio
 import click
 
@@ -17,30 +19,28 @@ from fibaction.cli.arguments.goal_lookup import (
 )
 from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
-from fibaction.cli.arguments.options import TimeType, json_option, url_option
+from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.lines import note, say, say_json
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, reason_of, run
 from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError, UnknownGoal
+from fibaction.words.goal_query import cancel_stamp_of
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.statuses import GoalStatus
 
 
-class _Stamp(TimeType):
+class _Stamp(click.ParamType[int]):
     """A time: nanoseconds since 1970, as stamps are, ISO 8601, or a time ago."""
 
     name = "stamp"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> int:
         try:
-            stamp = int(value)
-        except ValueError:
-            stamp = super().convert(value, param, ctx)
-        if stamp <= 0:
-            self.fail("a stamp of 0 means all goals: write --all for that")
-        return stamp
+            return cancel_stamp_of(value, time.time_ns(), is_local=True)
+        except ValueError as exc:
+            self.fail(str(exc))
 
 
 @click.command(

@@ -13,7 +13,7 @@ from openapi_spec_validator import validate
 from fibaction import Action
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import ActionInfo
-from fibaction_transports.web.rest.goal_list import labels_of, wanted_of
+from fibaction_transports.web.rest.goal_list import cancel_stamp_in, labels_of, wanted_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE
 from tests.support.fibonacci import FIBONACCI
@@ -177,7 +177,12 @@ def test_parameters_allow_what_the_server_accepts() -> None:
     assert wait["schema"]["maximum"] == 3600
     assert (label["name"], label["schema"]["maxItems"]) == ("label", 8)
     (before,) = goals["delete"]["parameters"]
-    assert not re.fullmatch(before["schema"]["pattern"], "")
+    date_time, other = before["schema"]["anyOf"]
+    assert date_time == {"format": "date-time"}
+    for text in ("1", "10m", "1.5h", str(10**30), f"{1:019}"):
+        assert re.search(other["pattern"], text)
+        assert cancel_stamp_in(text, 10**18)
+    assert not any(re.search(other["pattern"], text) for text in ("", "0", "0" * 19, "now"))
     goal_id, after = (one["schema"]["pattern"] for one in events["get"]["parameters"])
     assert not re.fullmatch(goal_id, "0" * 32)
     assert re.fullmatch(goal_id, f"{1:032x}")

@@ -442,6 +442,16 @@ async def test_all_goals_are_canceled_or_those_before_a_time() -> None:
         assert (none.status, none.json["goals_canceling"]) == (202, [])
 
 
+@pytest.mark.parametrize("time", ["1h", "2026-01-31T12:00:00Z", "1970-01-01", "0001-01-01"])
+async def test_a_cancel_of_goals_before_a_time_takes_every_text_of_a_time(time: str) -> None:
+    async with served(Held().server) as url:
+        goal = (await fetch(url, "POST", GOALS, {"order": 0})).json
+        none = await fetch(url, "DELETE", f"{GOALS}?before={time}")
+        assert (none.status, none.json["goals_canceling"]) == (202, [])
+        answer = await fetch(url, "DELETE", f"{GOALS}?before=0s")
+        assert [one["goal_id"] for one in answer.json["goals_canceling"]] == [goal["goal_id"]]
+
+
 # Tokens and permissions
 
 
@@ -514,6 +524,7 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("GET", f"{GOALS}/x", None, {}, 400),
         ("DELETE", f"{GOALS}/{'0' * 32}", None, {}, 400),
         ("DELETE", f"{GOALS}?before=now", None, {}, 400),
+        ("DELETE", f"{GOALS}?before=0", None, {}, 400),
         ("DELETE", f"{GOALS}?before=", None, {}, 400),
         ("GET", f"{GOALS}?parent=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=", None, {}, 400),

@@ -48,7 +48,7 @@ export interface SendOptions {
   signal?: AbortSignal;
   /** False if the feedback is not wanted. */
   feedback?: boolean;
-  /** Text that goes with the goal, for traces: `{ traceparent }`. */
+  /** Text that goes with the goal: its trace, `{ traceparent }`, and its labels, `{ order: "17" }`. */
   meta?: Record<string, string>;
 }
 

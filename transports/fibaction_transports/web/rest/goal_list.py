@@ -32,6 +32,7 @@ from fibaction.words.goal_query import (
     GoalQuery,
     Labels,
     PastPage,
+    cancel_stamp_of,
     label_of,
     time_of,
 )
@@ -121,6 +122,18 @@ def labels_of(texts: Iterable[str]) -> Labels:
         return tuple(dict.fromkeys(map(label_of, texts)))
     except ValueError as exc:
         raise Refused(400, f"label: {exc}") from None
+
+
+def cancel_stamp_in(before: str | None, now: int) -> int | None:
+    """Return the stamp that the parameter `before` of a cancel means; None if it is not there.
+
+    Raises:
+        Refused: It is not a time.
+    """
+    try:
+        return None if before is None else cancel_stamp_of(before, now, is_local=False)
+    except ValueError as exc:
+        raise Refused(400, f"before: {exc}") from None
 
 
 def _time_of(name: str, text: str | None, now: int) -> int | None:

@@ -36,6 +36,7 @@ from fibaction_transports.web.http.exchange import Exchange
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
 from fibaction_transports.web.rest.goal_list import (
+    cancel_stamp_in,
     labels_of,
     listed,
     members_of,
@@ -267,11 +268,8 @@ class RestInterface:
         await self._answer_cancel(exchange, answer)
 
     async def _cancel_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
-        before = exchange.parameter("before")
-        if before is not None and not (before.isascii() and before.isdecimal()):
-            raise Refused(400, "before is a stamp: nanoseconds since 1970")
+        stamp = cancel_stamp_in(exchange.parameter("before"), time_ns())
         endpoint = await self._endpoint(client, route, Permission.CANCEL)
-        stamp = None if before is None else min(int(before[:20]), 2**63 - 1)
         await self._answer_cancel(exchange, await endpoint.cancel_goals(None, stamp))
 
     async def _answer_cancel(self, exchange: Exchange, answer: CancelAnswer) -> None:

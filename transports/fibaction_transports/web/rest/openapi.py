@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from fibaction.types.action import ActionInfo
-from fibaction.words.goal_query import LABEL_TEXT, STATUSES, TIME_TEXT
+from fibaction.words.goal_query import CANCEL_TEXT, LABEL_TEXT, STATUSES, TIME_TEXT
 from fibaction.words.meta import MAX_KEYS
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
@@ -102,12 +102,6 @@ _WAIT = {
     "description": "Seconds to wait for the end of the goal before the answer.",
     "schema": {"type": "number", "minimum": 0, "maximum": LONGEST_WAIT},
 }
-_BEFORE = {
-    "name": "before",
-    "in": "query",
-    "description": "Only goals that were accepted at or before this stamp.",
-    "schema": {"type": "string", "pattern": "^[0-9]+$"},
-}
 _LIMIT = {
     "name": "limit",
     "in": "query",
@@ -159,6 +153,8 @@ _SINCE, _UNTIL = (
     }
     for name, when in (("since", "later"), ("until", "earlier"))
 )
+_CANCEL_TIME = {"type": "string", "anyOf": [{"format": "date-time"}, {"pattern": CANCEL_TEXT}]}
+_BEFORE = _UNTIL | {"name": "before", "schema": _CANCEL_TIME}
 _PAST = {
     "name": "past",
     "in": "query",
