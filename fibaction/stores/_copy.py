@@ -25,9 +25,11 @@ from anyio import to_thread
 
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import StoredGoal
+from fibaction.stores._history_table import past_in
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import HEADER
 from fibaction.words.errors import StoreError
+from fibaction.words.goal_query import GoalQuery
 
 ValueT = TypeVar("ValueT")
 
@@ -38,14 +40,15 @@ TICK = 50_000_000
 """Nanoseconds in which a file can change more than once without a change of its time."""
 
 
-async def stored_goals(path: str) -> dict[str, list[StoredGoal]]:
-    """Return all goals in the file of a `SqliteStore`, by the names of their actions.
+async def stored_goals(path: str, past: GoalQuery | None = None) -> dict[str, list[StoredGoal]]:
+    """Return all goals in the file of a `SqliteStore`, by the names of their actions; with `past`,
+    also those of its history that are wanted, without their requests.
 
     Raises:
         StoreError: There is no such file, or it is not a store; the text says why.
     """
     failing = f"cannot read the goals in {excerpt(path)}"
-    return await _with_copy(path, failing, None, partial(_read, failing))
+    return await _with_copy(path, failing, None, partial(_read, failing, past))
 
 
 async def back_up(path: str, target: str) -> int:
@@ -91,18 +94,24 @@ def _try(
         return (use(copy),)
 
 
-def _read(failing: str, copy: str) -> dict[str, list[StoredGoal]]:
+def _read(failing: str, past: GoalQuery | None, copy: str) -> dict[str, list[StoredGoal]]:
     # "normal": a log that is written while it is copied may look like a damaged one.
     with closing(JournalFile(copy, "normal", failing=failing)) as file:
         goals = file.goals()
+        of_past = {} if past is None else past_in(file, past)
     for of_action in goals.actions.values():
         of_action.drop_expired(sys.maxsize, time.time_ns())
-    return {action: of_action.in_order() for action, of_action in goals.actions.items()}
+    found = {action: of_action.in_order() for action, of_action in goals.actions.items()}
+    for action, ended in of_past.items():
+        kept = found.get(action, [])
+        known = {(goal.stamp, goal.goal_id) for goal in kept}
+        found[action] = [one for one in ended if (one.stamp, one.goal_id) not in known] + kept
+    return found
 
 
 def _keep(failing: str, path: str, target: str, copy: str) -> int:
     """Check the copy, which leaves one file, and give it its name."""
-    goals = _read(failing, copy)
+    goals = _read(failing, None, copy)
     copymode(path, copy)
     os.replace(copy, target)
     return sum(map(len, goals.values()))

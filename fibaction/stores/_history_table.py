@@ -42,7 +42,7 @@ from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import PAGE
 from fibaction.stores.goal_history import GoalHistory
 from fibaction.stores.journal_rows import DamagedRow, WholeRecord, decode_row, encode_row
-from fibaction.words.goal_query import PastPage, Place
+from fibaction.words.goal_query import GoalQuery, PastPage, Place
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.meta import meta_after_end
 
@@ -160,6 +160,13 @@ class HistoryTable:
         return None
 
 
+def past_in(file: JournalFile, wanted: GoalQuery) -> dict[str, list[StoredGoal]]:
+    """Return the goals of the history in a file that are wanted, by the names of their actions, in
+    the order of their ends and without their requests. A file without a history has none.
+    """
+    return file.look(partial(_wanted_past, wanted))
+
+
 def _make(db: sqlite3.Connection) -> int:
     for statement in (TABLE, BY_STAMP, BY_ID):
         db.execute(statement)
@@ -223,6 +230,18 @@ def _select_whole(action: str, goal_id: GoalID, db: sqlite3.Connection) -> list[
         "select n, whole from history where goal_id = ? and action = ? order by n desc limit 1",
         (bytes(goal_id), action),
     ).fetchall()
+
+
+def _wanted_past(wanted: GoalQuery, db: sqlite3.Connection) -> dict[str, list[StoredGoal]]:
+    found: dict[str, list[StoredGoal]] = {}
+    if db.execute("select 1 from sqlite_master where name = 'history'").fetchone() is None:
+        return found
+    for number, action, whole in db.execute("select n, action, whole from history order by n"):
+        goal = _goal_in(number, whole)
+        if goal is not None and wanted.has(goal.info):
+            goal.goal = b""  # it may be large, and there may be many
+            found.setdefault(action, []).append(goal)
+    return found
 
 
 def _info_in(number: int, row: bytes) -> GoalInfo | None:

@@ -221,7 +221,6 @@ def test_goals_as_csv_has_a_heading_and_a_line_for_each(here: Run, url: str) -> 
         (["--since", "soon"], "'soon' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m for"),
         (["--since", "1m", "--until", "1h"], "--since is later than --until: no goal is between"),
         (["--sort", "size"], "'size' is not one of 'accepted', 'began', 'ended', 'waited', 'ran'"),
-        (["--past", "--store", "goals.db"], "--past asks a server for its history: leave out"),
         (["--label", "order"], "'order' is not a label: it is KEY=VALUE, as in order=17"),
         (["--label", "parent=17"], "'parent' is not the key of a label: it has a meaning of its"),
         (["--watch", "--past"], "--watch shows all goals: leave out the options that choose or"),

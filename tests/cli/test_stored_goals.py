@@ -8,7 +8,16 @@ from pathlib import Path
 import anyio
 import pytest
 
-from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalStatus, SqliteStore
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    GoalHandle,
+    GoalHistory,
+    GoalStatus,
+    SqliteStore,
+)
+from fibaction.server.durability import stored_ends
 from tests.cli.conftest import Run
 from tests.stores.made import a_goal, after_end
 
@@ -116,6 +125,35 @@ async def begin_twice(path: Path) -> None:
     store = SqliteStore(path)
     async with store.open("paint", max_results=1, claim=print, lose=print) as journal:
         journal.accept(goal, lambda error: None)
+
+
+async def forget(path: Path) -> None:
+    """Let goals end at a server that forgets them, and has a history, and one that remembers it."""
+    for result_timeout, goal in ((0, 1), (0, 2), (3600, 3)):
+        store = SqliteStore(path, history=GoalHistory())
+        server = ActionServer(PAINT, work, store=store, result_timeout=result_timeout)
+        async with server:
+            await ActionClient(server, PAINT).call(goal, labels={"order": f"{goal}"})
+
+
+def test_the_history_of_a_store_is_listed_without_a_server(
+    here: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stored_ends, "OUTCOME_GRACE", 0.0)
+    past = ("goals", "--past", "--store", str(tmp_path / "goals.db"))
+    anyio.run(forget, tmp_path / "goals.db")
+
+    assert [goal["result"] for goal in here(*past, "--json").json] == ["done 1", "done 2", "done 3"]
+    (second,) = here(*past, "--label", "order=2", "--json").json
+    assert (second["result"], second["labels"]) == ("done 2", {"order": "2"})
+    assert here(*past, "arm/drive").err == "There are no goals of /arm/drive.\n"
+    (last,) = here(*past, "--limit", "1", "--json").json
+    assert last["result"] == "done 3"
+
+
+def test_a_store_without_a_history_has_no_past(here: Run, path: Path) -> None:
+    listed = here("goals", "--past", "--store", str(path), "--json").json
+    assert listed == here("goals", "--store", str(path), "--json").json
 
 
 def test_a_store_without_goals_of_an_action_says_so(here: Run, path: Path) -> None:

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from fibaction import GoalHistory, GoalStatus, Sender, SqliteStore, StoreError
 from fibaction.border.goal_store import StoredGoal
 from fibaction.stores import _history_table
+from fibaction.stores._copy import stored_goals
 from fibaction.stores._history_table import HistoryTable
 from fibaction.stores._journal_file import JournalFile
 from fibaction.words.goal_query import GoalQuery, PastPage
@@ -134,6 +135,33 @@ async def test_of_two_goals_with_the_same_id_both_are_listed_and_the_later_is_fo
         past = await kept.journal.past_goal(again.goal_id)
     assert past is not None
     assert past.result == b"second"
+
+
+async def test_the_history_of_a_file_is_read_without_its_server(path: Path) -> None:
+    aborted, forgotten = GoalStatus.ABORTED, {"keep_until": 1}
+    async with opened(SqliteStore(path, history=FOREVER)) as kept:
+        await run(kept, 1, **forgotten)
+        await run(kept, 2, status=aborted, **forgotten)
+        await run(kept, 3)
+
+    async def found(past: GoalQuery | None) -> list[int]:
+        return [goal.stamp for goal in (await stored_goals(str(path), past))["paint"]]
+
+    assert await found(None) == [3]
+    assert await found(GoalQuery()) == [1, 2, 3]
+    assert await found(GoalQuery(frozenset([aborted]))) == [2, 3]
+    goal = (await stored_goals(str(path), GoalQuery()))["paint"][0]
+    assert (goal.goal, goal.result) == (b"", b"result")
+    with closing(sqlite3.connect(path)) as db, db:
+        db.execute("update history set whole = x'00' where stamp = 1")
+    assert await found(GoalQuery()) == [2, 3]
+
+
+async def test_a_file_without_a_history_has_no_past(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        await run(kept, 1)
+    goals = await stored_goals(str(path), GoalQuery())
+    assert [goal.stamp for goal in goals["paint"]] == [1]
 
 
 # Bounds

@@ -11,11 +11,15 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.outcomes import readable, with_outcome
+from fibaction.words.goal_query import GoalQuery
 from fibaction.words.goals import Outcome
 
 
-async def rows_of_store(path: str, names: Collection[str]) -> list[GoalRow]:
-    """Return the goals in the file, of these actions or of all, in the order of their acceptance.
+async def rows_of_store(
+    path: str, names: Collection[str], past: GoalQuery | None = None
+) -> list[GoalRow]:
+    """Return the goals in the file, of these actions or of all, in the order of their acceptance;
+    with `past`, also those of its history that are wanted.
 
     Raises:
         StoreError: The file cannot be read.
@@ -25,7 +29,7 @@ async def rows_of_store(path: str, names: Collection[str]) -> list[GoalRow]:
     wanted = set(map(shown, names))
     rows = [
         with_outcome(GoalRow(action, goal.info), _outcome(goal))
-        for action, goals in (await stored_goals(path)).items()
+        for action, goals in (await stored_goals(path, past)).items()
         if not wanted or shown(action) in wanted
         for goal in goals
     ]

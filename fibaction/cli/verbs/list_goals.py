@@ -73,7 +73,7 @@ Examples:
   fibaction goals --past --label order=17
   fibaction goals drive pick --status aborted --since 2026-01-31 --csv
   fibaction goals -n /robot1 --json
-  fibaction goals --store goals.db""",
+  fibaction goals --past --store goals.db""",
 )
 @click.argument("names", metavar="[NAME]...", type=ACTION, nargs=-1)
 @click.option("-w", "--watch", is_flag=True, help="Continue until Ctrl-C.")
@@ -99,7 +99,7 @@ def goals_command(
 ) -> None:
     """List the goals of the action NAME, of several, or of all actions: those that are active, and
     those that have ended and that the server remembers. With --past, those in the history of its
-    store are listed as well.
+    store are listed as well, and with --store no server need run.
 
     With --namespace, a NAME without a slash in front is relative to the namespace.
 
@@ -114,8 +114,6 @@ def goals_command(
     names = tuple(namespace.absolute(name) for name in names)
     if watch and store is not None:
         raise Failure("--store lists what is in the file now: leave out --watch", ExitCode.USAGE)
-    if choice.past and store is not None:
-        raise Failure("--past asks a server for its history: leave out --store", ExitCode.USAGE)
     if watch:
         _check_watched(names, choice, form)
         run(watch_goals, url, *names, namespace=namespace, as_json=as_json)
@@ -151,7 +149,7 @@ async def list_stored(
     form: Form = Form.TABLE,
 ) -> int:
     """Print the goals in the file of a store, of some actions or of those in a namespace."""
-    rows = await rows_of_store(path, names)
+    rows = await rows_of_store(path, names, choice.wanted if choice.past else None)
     if not names:
         rows = [row for row in rows if namespace.holds(row.action)]
     rows, left_out = choice.of(rows)
