@@ -21,6 +21,9 @@ both = pytest.mark.parametrize("recovery", ["abort", "rerun"])
 # Processes are started one after the other on a machine that may be busy, and calls of clients have
 # a time of their own.
 patient = pytest.mark.timeout(240)
+LEASE = 5.0
+"""Seconds: the default with one broker. With 2 s, a broker on a busy machine answers too late, and
+a worker is lost to which no harm was done."""
 
 
 def trial(
@@ -45,9 +48,9 @@ def trial(
 def test_goals_of_lost_workers_end_once_and_in_time(
     tmp_path: Path, recovery: Literal["abort", "rerun"]
 ) -> None:
-    load = Load(60, steps=(4, 12), pause=0.3, spread=1.0)
+    load = Load(60, steps=(10, 18), pause=0.3, spread=1.0)
 
-    report = trial("workers", tmp_path, recovery, load, lease=2.0)
+    report = trial("workers", tmp_path, recovery, load, lease=LEASE)
 
     assert report.handovers["w1"].goals > 0
     assert report.handovers["w2"].goals > 0
@@ -91,9 +94,9 @@ def test_the_loss_of_one_broker_of_three_loses_nothing(tmp_path: Path) -> None:
 def test_a_worker_that_stops_hands_its_goals_over(
     tmp_path: Path, recovery: Literal["abort", "rerun"]
 ) -> None:
-    load = Load(60, steps=(4, 12), pause=0.3, spread=1.0)
+    load = Load(60, steps=(10, 18), pause=0.3, spread=1.0)
 
-    report = trial("drain", tmp_path, recovery, load, lease=2.0)
+    report = trial("drain", tmp_path, recovery, load, lease=LEASE)
 
     assert report.handovers["w1"].goals > 0
     assert report.moves > 0
@@ -105,7 +108,7 @@ def test_a_worker_that_stops_hands_its_goals_over(
 def test_a_limit_for_keys_holds_when_workers_are_killed_and_frozen(tmp_path: Path) -> None:
     load = Load(60, steps=(1, 3), pause=0.3, spread=1.0, keys=3)
 
-    report = trial("workers", tmp_path, "rerun", load, lease=2.0, limit=1)
+    report = trial("workers", tmp_path, "rerun", load, lease=LEASE, limit=1)
 
     assert report.key_pauses["w1"]
     assert report.rejoined == ["w2"]

@@ -20,7 +20,7 @@ from fibaction import ActionServer, Schedule, serve
 from tests.kills.harness import serving
 from tests.kills.victim import WORK, Diary, Worker
 
-STOP_TIMEOUT = 20.0
+STOP_TIMEOUT = 30.0
 """Seconds for the end of a process in good order; then it is killed."""
 
 

@@ -29,8 +29,8 @@ class Visitor:
         self._ledger = ledger
         self._client: Client
 
-    async def run(self, until: float) -> None:
-        """Do random things until a time of the event loop's clock."""
+    async def run(self, is_over: anyio.Event) -> None:
+        """Do random things until it is over, but one at least: no server may be there before."""
         things: list[Callable[[], Awaitable[None]]] = [
             self.follow,
             self.follow,
@@ -43,10 +43,12 @@ class Visitor:
         async with connect(self._url, WORK, heartbeat=1, reconnect_timeout=PATIENCE) as client:
             self._client = client
             await client.wait_for_server()
-            while anyio.current_time() < until:
+            while True:
                 thing = self._chance.choice(things)
                 with self._returns(thing.__name__), anyio.fail_after(PATIENCE):
                     await thing()
+                if is_over.is_set():
+                    break
 
     @contextmanager
     def _returns(self, name: str) -> Generator[None, None, None]:

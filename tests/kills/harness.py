@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections import Counter
 from collections.abc import AsyncGenerator, Mapping
@@ -55,15 +56,17 @@ class Keeper:
         there.close()
         return process, here
 
-    async def kill_until(self, time: float) -> None:
-        """Kill the server, and start it again, until a time of the event loop's clock."""
-        while anyio.current_time() < time:
+    async def kill_for(self, seconds: float) -> None:
+        """Kill the server, and start it again, for so many seconds since the first one serves."""
+        until = math.inf
+        while anyio.current_time() < until:
             process, pipe = self.start()
             if self._chance.random() < 0.2:
                 await anyio.sleep(self._chance.uniform(0, BIRTH))
                 kind = "served" if pipe.poll() else "not served"
             else:
                 await serving(pipe)
+                until = min(until, anyio.current_time() + seconds)
                 await anyio.sleep(self._chance.uniform(*LIFE))
                 kind = "served"
             process.kill()
@@ -111,13 +114,13 @@ async def run(folder: Path, seconds: float, clients: int, recovery: str, seed: i
         },
         Setup,
     )
-    ledger, keeper = Ledger(), Keeper(setup, seed)
-    until = anyio.current_time() + seconds
+    ledger, keeper, is_over = Ledger(), Keeper(setup, seed), anyio.Event()
     async with AsyncExitStack() as stack:
         async with anyio.create_task_group() as tasks:
             for number in range(clients):
-                tasks.start_soon(Visitor(setup.url, seed + number, ledger).run, until)
-            await keeper.kill_until(until)
+                tasks.start_soon(Visitor(setup.url, seed + number, ledger).run, is_over)
+            await keeper.kill_for(seconds)
+            is_over.set()
             # The last one lives until all clients have what they wait for.
             await stack.enter_async_context(keeper.survivor())
         await settle(setup.url, ledger)
