@@ -47,7 +47,7 @@ async def move_arm(goal: Joints, report: Report[Moving]) -> Joints:
         for part in range(1, 11):
             joints = [round(angle * part / 10, 3) for angle in goal.joints]
             await report(Moving("moves", joints))
-            await anyio.sleep(0.05)
+            await anyio.sleep(0.2)
     except anyio.get_cancelled_exc_class():
         raise GoalCanceled(result=Joints(joints)) from None  # the brakes are on
     return Joints(joints)

