@@ -23,6 +23,8 @@ T = TypeVar("T")
 
 KEPT = {1, 32, 33, 34, 35, 38, 39, 41, 42, 43, 44, 45, 46}
 """Tags of the messages that are kept to be heard: all but feedback, changes and heartbeats."""
+LONG_ARRAY = 0xDC
+"""First byte of a message of 16 fields or more, with its tag; two bytes of its length follow."""
 SOON = 20.0
 """Seconds for an answer: many times what the slowest takes on a busy machine."""
 
@@ -72,7 +74,7 @@ class Raw:
         try:
             while True:
                 for frame in reader.feed(await self._stream.receive(2**18)):
-                    tag = frame[1]
+                    tag = frame[3 if frame[0] == LONG_ARRAY else 1]
                     self.counts[tag] += 1
                     if tag in KEPT:
                         self._heard.append(decode_from_server(frame))
