@@ -51,6 +51,7 @@ async def test_a_meta_over_the_limits_is_an_error_and_nothing_is_sent(reach: Rea
     assert noting.metas == [{}]
 
 
+@pytest.mark.promise("ACCEPT-19")
 async def test_lists_have_the_labels_of_a_goal_also_after_its_end(reach: Reach) -> None:
     labels = {"order": "17", "site": "käse"}
     async with reach(ActionServer(FIBONACCI, fibonacci)) as client:

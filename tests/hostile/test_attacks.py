@@ -8,7 +8,8 @@ from tests.hostile.arena import figures_of
 from tests.hostile.attacks import ATTACKS
 from tests.hostile.verdict import faults
 
-SHORT = [name for name, attack in ATTACKS.items() if not attack.is_long]
+# Sorted, since the order in which they are registered depends on what was imported before.
+SHORT = sorted(name for name, attack in ATTACKS.items() if not attack.is_long)
 
 
 @pytest.mark.asyncio

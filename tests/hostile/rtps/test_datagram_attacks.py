@@ -16,7 +16,7 @@ FIGURES = CrowdFigures(READING, 1.0, [0.001, 0.002], [0.001], 1000, 2000, 0.1, 0
 
 
 @pytest.mark.asyncio
-@pytest.mark.parametrize("name", DATAGRAM_ATTACKS)
+@pytest.mark.parametrize("name", sorted(DATAGRAM_ATTACKS))
 async def test_an_attack_by_datagrams_costs_the_others_little(name: str) -> None:
     found = await figures_of(name)
 
