@@ -112,11 +112,13 @@ promtool: $(VENV)/.tools  ## Get the checker of metrics that tests use
 	    { cd $(VENV) && apt-get download -qq prometheus 2>/dev/null && \
 	    dpkg -x prometheus_*.deb prometheus && rm prometheus_*.deb; } || true
 
-# The browser of tests/browser, as `ros` has its compiler: where this user may install packages.
+# The browser of tests/browser, as `ros` has its compiler: where this user may install packages. The
+# tests take the one with windows where it is the only one.
 chromium:  ## Install the browser that tests use, where this user may
-	@[ -x /usr/bin/chromium ] || [ "$$(id -u)" != 0 ] || ! which apt-get >/dev/null || \
-	    { apt-get update -qq && apt-get install -yqq --no-install-recommends chromium fonts-dejavu-core >/dev/null; } || true
-	@[ -x /usr/bin/chromium ] || echo "the tests in a browser are left out: /usr/bin/chromium is missing"
+	@[ -x /usr/bin/chromium-headless-shell ] || [ "$$(id -u)" != 0 ] || ! which apt-get >/dev/null || \
+	    { apt-get update -qq && apt-get install -yqq --no-install-recommends chromium-headless-shell fonts-dejavu-core >/dev/null; } || true
+	@[ -x /usr/bin/chromium-headless-shell ] || [ -x /usr/bin/chromium ] || \
+	    echo "the tests in a browser are left out: /usr/bin/chromium-headless-shell is missing"
 
 docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
