@@ -5,8 +5,8 @@ tests/tools/promises.py. A test that a way cannot keep is listed in `EXCLUSIONS`
 and is skipped with it.
 
 Each test runs over each way that has parts of its own. The ways that combine the parts of others,
-and the ways on trio, take turns: see `is_due`. A test marked `turns`, which waits for a second or
-more, takes turns over all ways. `make contract` runs each test over each way.
+and the ways on trio, take turns: see `is_due`. A test marked `turns`, which waits or
+computes for long, takes turns over all ways. `make contract` runs each test over each way.
 """
 
 from __future__ import annotations
@@ -307,7 +307,7 @@ NOT_ON_TRIO = {
 """The ways that run on asyncio only, with the reasons."""
 
 
-COMBINED = ("gateway", "tls", "unix", "wss", "asgi", "gateway to tcp")
+COMBINED = ("gateway", "tls", "unix", "wss", "asgi", "gateway to tcp", "tcp, with a store")
 """The ways that combine parts, each of which is in another way or has tests of its own."""
 
 ON_TRIO = ("tcp",)
@@ -355,10 +355,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if os.environ.get("FIBACTION_CONTRACT") == "whole" or any("::" in one for one in config.args):
         return
     here = Path(__file__).parent
+    ours = {path for path in {item.path for item in items} if path.parent == here}
     cases: dict[pytest.Item, tuple[str, str, str, str]] = {}
     left_out: set[pytest.Item] = set()
     for item in items:
-        if isinstance(item, pytest.Function) and item.path.parent == here:
+        if isinstance(item, pytest.Function) and item.path in ours:
             call = getattr(item, "callspec", None)
             if call is not None and "reach" in call.params:
                 indices = {**call.indices, "anyio_backend": 0, "reach": 0}

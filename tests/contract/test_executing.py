@@ -70,6 +70,7 @@ async def test_the_generator_is_always_closed(reach: Reach) -> None:
     assert closed == [0, 1, 2]
 
 
+@pytest.mark.turns
 @pytest.mark.promise("EXECUTE-3")
 async def test_an_executor_that_never_awaits_starves_no_other_and_can_be_canceled(
     reach: Reach,

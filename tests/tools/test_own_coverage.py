@@ -106,12 +106,9 @@ def test_modules_that_are_covered_pass(project: Path, processes: list[str]) -> N
     assert status == 0
 
 
-@pytest.mark.parametrize("processes", [[], ["-n", "2"]])
-def test_what_another_modules_test_file_reaches_does_not_count(
-    project: Path, processes: list[str]
-) -> None:
+def test_what_another_modules_test_file_reaches_does_not_count(project: Path) -> None:
     (project / "tests/test_sign.py").write_text(HALF_SIGN)
-    status, said = run(project, *processes, "tests")
+    status, said = run(project, "tests")
     assert "fibaction/sign.py: 5, 4->5\n" in said
     assert "first.py" not in said
     assert status == 1

@@ -13,6 +13,7 @@ from fibaction.interfaces import known
 from tests.support.ros_domain import own_domain
 
 ROOT = Path(__file__).parents[3]
+CONTRACT = Path(__file__).with_name("test_contract.py")
 FOLDERS = (ROOT / "examples/ros2", ROOT / "tests/ros2")
 
 
@@ -45,7 +46,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def _is_due(item: pytest.Item) -> bool:
     call = getattr(item, "callspec", None)
-    if item.path != Path(__file__).with_name("test_contract.py") or call is None:
+    if call is None or item.path != CONTRACT:
         return True
     way = call.params["anyio_backend"], call.params["reach"]
     ways = [("asyncio", "gateway to dds"), ("trio", "dds"), ("trio", "gateway to dds")]
