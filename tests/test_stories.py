@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from tests.support.pages import Block, blocks_of
-from tests.support.processes import PATIENCE
 from tests.support.ros_domain import own_domain
 from tests.support.walks import steps_of
 
 ROOT = Path(__file__).resolve().parent.parent
+PATIENCE = 120.0
+"""Seconds for a program, which imports large libraries for most of its time."""
 BLOCKS = blocks_of((ROOT / "docs" / "stories.md").read_text(encoding="utf-8"))
 EXCERPTS = [block for block in BLOCKS if block.language == "python"]
 EXCERPT_OF = re.compile(r"it is a part of (?P<program>examples/\w+\.py) -->\n\Z")
