@@ -235,6 +235,22 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     """The labels that its client has given it, to find it again; empty if there are none, or if the
     transport does not carry them."""
 
+    @property
+    def waited(self) -> float | None:
+        """The seconds from its acceptance to the begin of its first attempt; None if that is not
+        known.
+        """
+        return None if self.began_at is None else (self.began_at - self.stamp) / 1e9
+
+    @property
+    def ran(self) -> float | None:
+        """The seconds from the begin of its first attempt to its end; None if one of them is not
+        known.
+        """
+        if self.began_at is None or self.ended_at is None:
+            return None
+        return (self.ended_at - self.began_at) / 1e9
+
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):
     """The end of a goal. The result is bytes between endpoints, the action's type for users.

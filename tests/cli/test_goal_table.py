@@ -145,6 +145,8 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "labels": {},
         "began_at": None,
         "ended_at": None,
+        "waited": None,
+        "ran": None,
         "reason": "",
     }
     ended = GoalRow("a", WAITING, Outcome(GoalStatus.ABORTED, {"n": 1}, "stuck")).json()

@@ -80,6 +80,7 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
     assert goal.pop("stamp") > 1_700_000_000 * 10**9
     assert goal.pop("client")
     assert goal.pop("began_at") <= goal.pop("ended_at")
+    assert (goal.pop("waited") >= 0, goal.pop("ran") >= 0) == (True, True)
     assert goal.pop("result")["goal"]["object_name"] == "cup"
     assert goal == {
         "reason": "",

@@ -237,3 +237,23 @@ def test_an_outcome_whose_result_cannot_be_read_says_so(reason: str, begin: str)
     outcome = Outcome(GoalStatus.ABORTED, b"?", reason).unreadable(ValueError("it is cut"))
     told = f"{begin}its result cannot be read: it is cut"
     assert outcome == Outcome(GoalStatus.ABORTED, None, told)
+
+
+@pytest.mark.parametrize(
+    ("began_at", "ended_at", "spans"),
+    [
+        (None, None, (None, None)),
+        (1_500_000_000, None, (0.5, None)),
+        (None, 4_000_000_000, (None, None)),
+        (1_500_000_000, 4_000_000_000, (0.5, 2.5)),
+    ],
+)
+def test_a_goal_has_waited_until_its_begin_and_has_run_until_its_end(
+    began_at: int | None, ended_at: int | None, spans: tuple[float | None, float | None]
+) -> None:
+    info = GoalInfo(
+        *(GoalID(bytes(range(16))), 10**9, GoalStatus.ABORTED),
+        began_at=began_at,
+        ended_at=ended_at,
+    )
+    assert (info.waited, info.ran) == spans

@@ -12,7 +12,7 @@ import click
 from fibaction._api import ClientConnection
 from fibaction.cli.arguments.action_names import action_of, shown
 from fibaction.cli.arguments.options import TimeType, labels_option
-from fibaction.cli.output.goal_table import GoalRow, ran, waited
+from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of
 from fibaction.observe.monitor import AnyClient, newest_active_first
@@ -33,8 +33,8 @@ SORTS: dict[str, Callable[[GoalRow], Any]] = {
     "accepted": lambda row: row.info.stamp,
     "began": lambda row: row.info.began_at,
     "ended": lambda row: row.info.ended_at,
-    "waited": lambda row: waited(row.info),
-    "ran": lambda row: ran(row.info),
+    "waited": lambda row: row.info.waited,
+    "ran": lambda row: row.info.ran,
     "status": lambda row: row.info.status,
     "action": lambda row: shown(row.action),
     "client": lambda row: row.info.client,

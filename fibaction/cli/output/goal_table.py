@@ -109,6 +109,8 @@ class GoalRow(msgspec.Struct, frozen=True):
             "labels": info.labels,
             "began_at": info.began_at,
             "ended_at": info.ended_at,
+            "waited": info.waited,
+            "ran": info.ran,
             "reason": info.reason,
             **end,
         }
@@ -133,7 +135,7 @@ def csv_cells(row: GoalRow) -> list[str]:
         row.goal_id,
         info.status.name,
         *map(_iso, (info.stamp, info.began_at, info.ended_at)),
-        *map(_seconds, (waited(info), ran(info))),
+        *map(_seconds, (info.waited, info.ran)),
         str(info.attempt),
         str(info.feedback_count),
         _csv_text(info.client),
@@ -145,18 +147,6 @@ def csv_cells(row: GoalRow) -> list[str]:
     ]
 
 
-def waited(info: GoalInfo) -> int | None:
-    """Return the nanoseconds from the acceptance of a goal to its begin; None if not known."""
-    return None if info.began_at is None else info.began_at - info.stamp
-
-
-def ran(info: GoalInfo) -> int | None:
-    """Return the nanoseconds from the begin of a goal to its end; None if not known."""
-    if info.began_at is None or info.ended_at is None:
-        return None
-    return info.ended_at - info.began_at
-
-
 def _iso(time_ns: int | None) -> str:
     """Return a time as text; empty if there is none."""
     if time_ns is None:
@@ -165,8 +155,8 @@ def _iso(time_ns: int | None) -> str:
     return f"{when:%Y-%m-%dT%H:%M:%S}.{time_ns // 1000 % 10**6:06}Z"
 
 
-def _seconds(span: int | None) -> str:
-    return "" if span is None else f"{span / 1e9:.6f}"
+def _seconds(span: float | None) -> str:
+    return "" if span is None else f"{span:.6f}"
 
 
 def _csv_text(text: str) -> str:

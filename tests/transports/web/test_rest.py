@@ -135,6 +135,7 @@ async def test_a_goal_that_is_posted_runs_on_by_itself() -> None:
         assert (listed["goal_id"], listed["status"]) == (goal_id, "SUCCEEDED")
         assert listed["feedback_count"] == 1
         assert int(answer.json["stamp"]) <= int(listed["began_at"]) <= int(listed["ended_at"])
+        assert (listed["waited"] >= 0, listed["ran"] >= 0) == (True, True)
         assert listed["reason"] == ""
 
 

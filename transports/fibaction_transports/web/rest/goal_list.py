@@ -199,9 +199,13 @@ def members_of(info: GoalInfo) -> dict[str, object]:
 
 
 def _times(info: GoalInfo) -> dict[str, object]:
-    """Return the times of a goal's begin and end as members, as far as they are known."""
+    """Return the times of a goal's begin and end, and the seconds before and after the begin, as
+    members, as far as they are known.
+    """
     times = {"began_at": info.began_at, "ended_at": info.ended_at}
-    return {name: str(stamp) for name, stamp in times.items() if stamp is not None}
+    spans = {"waited": info.waited, "ran": info.ran}
+    known = {name: str(stamp) for name, stamp in times.items() if stamp is not None}
+    return known | {name: seconds for name, seconds in spans.items() if seconds is not None}
 
 
 def parent_members(parent: Parent | None) -> dict[str, object]:

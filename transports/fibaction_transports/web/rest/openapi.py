@@ -64,6 +64,8 @@ _SHARED_SCHEMAS: Json = {
             "attempt": {"type": "integer"},
             "began_at": {"type": "string", "description": "Time of the begin, as the stamp."},
             "ended_at": {"type": "string", "description": "Time of the end, as the stamp."},
+            "waited": {"type": "number", "description": "Seconds until the begin."},
+            "ran": {"type": "number", "description": "Seconds from the begin to the end."},
             "reason": {"type": "string", "description": "Why it was canceled or aborted."},
             "parent": {"$ref": "#/components/schemas/Parent"},
             "labels": {
