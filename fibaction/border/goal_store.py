@@ -109,6 +109,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
             ended_at=self.ended_at or None,
             reason=shortened(self.reason, LENGTH),
             labels=labels_in(self.meta),
+            worker=self.worker,
         )
 
     @property

@@ -79,6 +79,7 @@ class MonitoredGoal:
             client=info.client or self.info.client,
             parent=info.parent or self.info.parent,
             labels=info.labels or self.info.labels,
+            worker=info.worker or self.info.worker,
             place=waiting.place,
             queue_length=waiting.queue_length,
             began_at=info.began_at or self.info.began_at,

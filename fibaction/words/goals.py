@@ -234,6 +234,9 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     labels: dict[str, str] = {}
     """The labels that its client has given it, to find it again; empty if there are none, or if the
     transport does not carry them."""
+    worker: str = ""
+    """The name of the worker of a fleet that has the goal, or had it at its end; empty if there is
+    no fleet, if no worker has it, or if the transport does not carry it."""
 
     @property
     def waited(self) -> float | None:

@@ -141,6 +141,7 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "queue_length": 0,
         "attempt": 1,
         "has_worker": True,
+        "worker": "",
         "parent": None,
         "labels": {},
         "began_at": None,
@@ -215,6 +216,7 @@ def test_a_row_of_csv_has_times_spans_and_the_result() -> None:
         began_at=began,
         ended_at=ended,
         labels={"order": "17"},
+        worker="gpu-3",
     )
     row = GoalRow("arm/pick", info, Outcome(GoalStatus.SUCCEEDED, {"cup": [-1]}))
 
@@ -235,6 +237,7 @@ def test_a_row_of_csv_has_times_spans_and_the_result() -> None:
         "reason": "",
         "result": '{"cup":[-1]}',
         "labels": '{"order":"17"}',
+        "worker": "gpu-3",
     }
 
 
@@ -243,7 +246,7 @@ def test_what_is_not_known_is_empty_in_csv() -> None:
     empty = {name for name, cell in cells.items() if not cell}
     assert empty == {
         *("began_at", "ended_at", "waited", "ran", "client", "parent", "step", "reason", "result"),
-        "labels",
+        *("labels", "worker"),
     }
 
 

@@ -92,6 +92,7 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
         "queue_length": 0,
         "attempt": 1,
         "has_worker": True,
+        "worker": "",
         "parent": None,
         "labels": {},
         "children": [],

@@ -159,8 +159,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5, 1, PARENT),
         (
-            "dc00102804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d02"
-            "050192c410000102030405060708090a0b0c0d0e0fa47069636bc0c0a0c0"
+            "dc00112804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d02"
+            "050192c410000102030405060708090a0b0c0d0e0fa47069636bc0c0a0c0a0"
         ),
     ),
     (

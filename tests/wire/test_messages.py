@@ -156,7 +156,7 @@ def test_the_garbage_collector_need_not_look_at_a_message(
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     goal_id = GoalID(bytes(range(16)))
     assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
-        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1, None, None, None, "", None)
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1, None, None, None, "", None, "")
     ]
 
 
@@ -251,6 +251,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         strategies.none() | STAMPS,
         TEXT,
         strategies.none() | strategies.dictionaries(TEXT, TEXT),
+        TEXT,
     ),
     Done: builds(Done, IDS),
     Finished: builds(Finished, IDS),

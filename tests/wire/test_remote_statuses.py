@@ -108,18 +108,21 @@ async def test_a_follower_that_comes_later_begins_with_what_is_known_by_then() -
         assert await heard(server) == []
 
 
-async def test_the_times_and_the_reason_of_a_goal_are_those_that_the_server_tells() -> None:
+async def test_times_reason_labels_and_worker_are_those_that_the_server_tells() -> None:
     async with reached() as (connection, server):
         statuses, call_id = await watched(connection, server, known=2)
         whole = change(call_id, 7, GoalStatus.ABORTED)
         whole.began_at, whole.ended_at, whole.reason = 8, 9, "stuck " * 100
+        whole.labels, whole.worker = {"order": "17", "note": "x" * 5000}, "gpu\n3"
         older = msgspec.msgpack.encode(msgspec.msgpack.decode(encode(whole))[:12])
         await server.channel.send([encode(whole), older])
         first, second = await statuses.receive(), await statuses.receive()
         assert first is not None
         assert second is not None
     assert (first.began_at, first.ended_at, len(first.reason)) == (8, 9, 200)
+    assert (first.labels, first.worker) == ({"order": "17"}, "gpu\\x0a3")
     assert (second.began_at, second.ended_at, second.reason) == (None, None, "")
+    assert (second.labels, second.worker) == ({}, "")
 
 
 async def test_a_follower_that_comes_during_the_list_has_all_of_it() -> None:

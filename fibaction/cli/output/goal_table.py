@@ -105,6 +105,7 @@ class GoalRow(msgspec.Struct, frozen=True):
             "queue_length": info.queue_length,
             "attempt": info.attempt,
             "has_worker": info.has_worker,
+            "worker": info.worker,
             "parent": parent_json(info.parent),
             "labels": info.labels,
             "began_at": info.began_at,
@@ -119,6 +120,7 @@ class GoalRow(msgspec.Struct, frozen=True):
 CSV_COLUMNS = (
     *("action", "goal_id", "status", "accepted_at", "began_at", "ended_at", "waited", "ran"),
     *("attempt", "feedback_count", "client", "parent", "step", "reason", "result", "labels"),
+    "worker",
 )
 """The columns of a list of goals as CSV."""
 
@@ -144,6 +146,7 @@ def csv_cells(row: GoalRow) -> list[str]:
         _csv_text(reason),
         "" if result is None else as_json(result),
         as_json(info.labels) if info.labels else "",
+        _csv_text(info.worker),
     ]
 
 

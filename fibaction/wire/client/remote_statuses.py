@@ -207,6 +207,7 @@ def info_of(message: GoalChanged) -> GoalInfo:
         ended_at=message.ended_at,
         reason=message.reason and shortened(message.reason, LENGTH),
         labels=fitting(message.labels) if message.labels else {},
+        worker=message.worker and excerpt(message.worker),
     )
 
 

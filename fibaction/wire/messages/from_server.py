@@ -181,6 +181,9 @@ class GoalChanged(WireMessage, tag=40):
     labels: dict[str, str] | None = None
     """Labels of the goal: the entries of its meta that have no other meaning; nil if there are
     none."""
+    worker: str = ""
+    """Name of the worker of a fleet that has the goal, or had it at its end; empty if there is
+    none, or if the server does not know it."""
 
 
 @final

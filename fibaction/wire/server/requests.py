@@ -216,6 +216,7 @@ class RequestHandlers:
             info.ended_at,
             info.reason and sendable(info.reason),
             fitting(info.labels) if info.labels else None,
+            info.worker and sendable(info.worker),
         )
         await self._say(changed)
         return True

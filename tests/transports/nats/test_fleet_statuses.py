@@ -99,6 +99,7 @@ async def test_ended_goals_come_first_and_all_that_is_known_is_told(fleet: FakeF
         assert (active.goal_id, active.stamp, active.attempt) == (other, 9, 2)
         assert active.client == str(Sender())
         assert (ended.has_worker, active.has_worker) == (True, False)
+        assert (ended.worker, active.worker) == ("gone", "gone")
 
 
 async def test_a_goal_has_a_worker_as_long_as_that_lives(fleet: FakeFleet) -> None:
@@ -110,6 +111,16 @@ async def test_a_goal_has_a_worker_as_long_as_that_lives(fleet: FakeFleet) -> No
         a.renew()
         await settled()
         assert [one.has_worker for one in await client.goals()] == [False]
+
+
+async def test_lists_have_the_worker_and_the_labels_of_a_goal_also_after_its_end(
+    fleet: FakeFleet,
+) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        client = client_of(connection)
+        await client.call(3, labels={"order": "17"})
+        [ended] = await client.goals()
+        assert (ended.worker, ended.labels) == ("a", {"order": "17"})
 
 
 async def test_all_followers_share_one_watch(fleet: FakeFleet) -> None:

@@ -195,6 +195,7 @@ def members_of(info: GoalInfo) -> dict[str, object]:
         **_times(info),
         **parent_members(info.parent),
         **({"labels": info.labels} if info.labels else {}),
+        **({"worker": info.worker} if info.worker else {}),
     }
 
 

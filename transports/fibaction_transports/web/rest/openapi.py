@@ -68,6 +68,7 @@ _SHARED_SCHEMAS: Json = {
             "ran": {"type": "number", "description": "Seconds from the begin to the end."},
             "reason": {"type": "string", "description": "Why it was canceled or aborted."},
             "parent": {"$ref": "#/components/schemas/Parent"},
+            "worker": {"type": "string", "description": "The worker of a fleet that has it."},
             "labels": {
                 "type": "object",
                 "description": "The labels that its client has given it.",
