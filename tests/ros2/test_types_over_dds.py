@@ -14,6 +14,8 @@ from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
 from fibaction_transports.ros2.on_dds.descriptions import type_learner
 from fibaction_transports.ros2.on_dds.messages import interface_files
+from fibaction_transports.rtps.discovery import participant_data
+from tests.ros2.ends import tells_publishers
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import PATIENCE, Peer, peer
 
@@ -47,7 +49,29 @@ async def found(connection: Any, name: str) -> ActionInfo:
                 return info
 
 
-async def test_a_robot_of_rclpy_tells_the_type_of_its_feedback(alone: str, no_files: None) -> None:
+async def test_a_robot_of_kilted_tells_all_of_its_types_and_takes_goals(
+    alone: str, no_files: None
+) -> None:
+    if not tells_publishers():
+        return  # Fast DDS of Jazzy answers no questions about types
+    with anyio.fail_after(2 * PATIENCE):
+        async with (
+            peer("tutorial_server", ROS_DOMAIN_ID=alone),
+            connect(DdsTransport(domain_id=int(alone), discovery_timeout=PATIENCE)) as connection,
+        ):
+            info = await found(connection, "tutorial")
+            while not info.goal:  # an answer may take longer on a busy machine
+                info = await found(connection, "tutorial")
+            client = connection.client(Action.untyped(info))
+            await client.wait_for_server()
+            result = await client.call({"order": 5})
+            assert result == {"sequence": [0, 1, 1, 2, 3, 5]}
+
+
+async def test_a_robot_of_rclpy_tells_the_type_of_its_feedback(
+    alone: str, no_files: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(participant_data, "ANSWERS_TYPES", 1 << 31)  # which none has
     with anyio.fail_after(2 * PATIENCE):
         async with (
             peer("tutorial_server", ROS_DOMAIN_ID=alone),

@@ -11,10 +11,7 @@ from fibaction.interfaces.files import ActionFile, read_action_texts
 from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_hash
-from fibaction_transports.ros2.on_dds.descriptions.described_types import (
-    UnusableDescription,
-    described_action,
-)
+from fibaction_transports.ros2.on_dds.descriptions.described_types import described_action
 from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
@@ -24,6 +21,7 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     IndividualTypeDescription,
     TypeDescription,
     TypeSource,
+    UnusableDescription,
 )
 from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.on_dds.messages.action_types import CANCEL_GOAL, action_of

@@ -34,6 +34,7 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     DescriptionRequest,
     DescriptionResponse,
 )
+from fibaction_transports.ros2.on_dds.descriptions.looked_up_types import TypeQuestions
 from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.on_dds.messages import dds_types
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, ServerVersion
@@ -440,7 +441,8 @@ async def test_a_node_and_its_service_are_waited_for_and_may_be_lost(
 ) -> None:
     caplog.set_level("INFO")
     node = SlowNode()
-    learner = type_learner.TypeLearner(cast("type_learner.AskingNode", node), DdsTypes())
+    asking = cast("type_learner.AskingNode", node)
+    learner = type_learner.TypeLearner(asking, DdsTypes(), TypeQuestions(lambda *_: 0))
     await learner.learn([("/go/_action/feedback", "gone_msgs/action/Go")])
     assert node.removed == [node]
     assert [record.getMessage() for record in caplog.records] == [

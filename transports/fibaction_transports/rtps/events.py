@@ -62,6 +62,16 @@ class LivelinessChanged(Struct, frozen=True):
     is_alive: bool
 
 
+class TypesAnswered(Struct, frozen=True):
+    """A participant has answered a question about its types."""
+
+    prefix: bytes
+    number: int
+    """The number of the question."""
+    types: bytes
+    """The types with their IDs, as on the wire; empty if it does not tell them."""
+
+
 class ParticipantFound(Struct, frozen=True):
     """Another participant is there."""
 
@@ -87,6 +97,7 @@ Event: TypeAlias = (
     | EndpointUnmatched
     | QosMismatch
     | LivelinessChanged
+    | TypesAnswered
     | ParticipantFound
     | ParticipantLost
 )

@@ -137,6 +137,12 @@ class ParticipantNetwork:
         self.settle()
         return takes_time
 
+    def ask_types(self, prefix: bytes, type_ids: Sequence[bytes]) -> int:
+        """Ask another participant about types, as `TypeLookup.ask` describes."""
+        number = self.participant.ask_types(prefix, type_ids, self._loop.time())
+        self.settle()
+        return number
+
     def settle(self) -> None:
         """Send what the participant wants to send, hand over its events, and note its deadline."""
         self._send()

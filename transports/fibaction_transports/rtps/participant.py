@@ -21,7 +21,7 @@ Endpoints of the same participant do not match each other.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
@@ -35,6 +35,7 @@ from fibaction_transports.rtps.discovery.matcher import Matcher
 from fibaction_transports.rtps.discovery.participant_data import ParticipantData
 from fibaction_transports.rtps.discovery.remote_endpoints import RemoteEndpoints
 from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
+from fibaction_transports.rtps.discovery.type_lookup import TypeLookup
 from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
@@ -121,6 +122,7 @@ class Participant:
             on_endpoint=self._endpoint_announced,
             on_assertion=liveliness.receive,
         )
+        self._type_lookup = TypeLookup(self._local, self._shared)
         self._matcher = Matcher(
             self._local, self._remote, self._participants, early, liveliness, self._shared
         )
@@ -177,6 +179,10 @@ class Participant:
         """Return the vendor of another participant; None if it is not known."""
         remote = self._participants.get(prefix)
         return None if remote is None else remote.data.vendor
+
+    def ask_types(self, prefix: bytes, type_ids: Sequence[bytes], now: float) -> int:
+        """Ask another participant about types, as `TypeLookup.ask` describes."""
+        return self._type_lookup.ask(prefix, type_ids, now)
 
     def create_writer(
         self, topic: str, type_name: str, qos: Qos, now: float, *, user_data: bytes = b""
@@ -283,8 +289,10 @@ class Participant:
 
     def _participant_found(self, participant: RemoteParticipant, now: float) -> None:
         self._builtin.match(participant, now)
+        self._type_lookup.match(participant, now)
 
     def _participant_lost(self, prefix: bytes, now: float) -> None:
         self._discovery.forget_participant(prefix, now)
         self._early.forget_participant(prefix)
         self._builtin.unmatch(prefix, now)
+        self._type_lookup.unmatch(prefix, now)

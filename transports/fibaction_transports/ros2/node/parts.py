@@ -35,6 +35,8 @@ class EndInfo(NamedTuple):
     """The hash of the type of its messages, if the middleware tells it."""
     action_hash: str = ""
     """That of the action whose feedback it publishes, if it is one of fibaction over DDS."""
+    type_id: bytes = b""
+    """The ID of that type in XTypes, over DDS, if its participant tells it."""
 
 
 class LifeSigns(NamedTuple):

@@ -209,5 +209,7 @@ class DdsGraph(GraphView):
             node = str(self._node)
         else:
             node = self._nodes.get(end.guid.prefix, {}).get(bytes(end.guid), "")
-        data = end.user_data if isinstance(end, EndpointData) else b""
-        return EndInfo(bytes(end.guid), node, _end_qos(end.qos), *read_hashes(data))
+        data, type_id = b"", b""
+        if isinstance(end, EndpointData):
+            data, type_id = end.user_data, end.type_id
+        return EndInfo(bytes(end.guid), node, _end_qos(end.qos), *read_hashes(data), type_id)

@@ -30,6 +30,7 @@ from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_dds.arguments.ros_arguments import NameResolver
 from fibaction_transports.ros2.on_dds.clock import CLOCK_TOPIC, DdsClock
 from fibaction_transports.ros2.on_dds.descriptions.description_messages import GET_TYPE_DESCRIPTION
+from fibaction_transports.ros2.on_dds.descriptions.looked_up_types import TypeQuestions
 from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeLearner
 from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.on_dds.graph import DdsGraph, NodeName, dds_qos
@@ -55,6 +56,7 @@ from fibaction_transports.rtps.events import (
     LivelinessChanged,
     ParticipantLost,
     SampleReceived,
+    TypesAnswered,
 )
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.network import ParticipantNetwork, open_network
@@ -98,7 +100,8 @@ class DdsNode(RosNode):
         self._subscriptions: dict[Guid, DdsSubscription] = {}
         self._simulated_time: DdsSubscription | None = None
         self._in_use = TypeRegistry()
-        self._learner = TypeLearner(self, types)
+        self._questions = TypeQuestions(network.ask_types)
+        self._learner = TypeLearner(self, types, self._questions)
         self.parameters.serve(self, str(name))
         self._rosout = self._open_rosout() if has_rosout else None
         provide(self, f"{name}/get_type_description", GET_TYPE_DESCRIPTION, self._in_use.answer)
@@ -112,6 +115,8 @@ class DdsNode(RosNode):
             self._handle_sample(event.reader, event.sample)
         elif isinstance(event, CaughtUp) and event.reader in self._subscriptions:
             self._subscriptions[event.reader].note_caught_up()
+        elif isinstance(event, TypesAnswered):
+            self._questions.take(event)
         elif isinstance(event, ParticipantLost):
             self.graph.forget(event.prefix)
         elif isinstance(event, LivelinessChanged) and event.reader in self._watches:

@@ -10,6 +10,7 @@ from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.ids import PARTICIPANT, Guid
 from fibaction_transports.rtps.messages.locators import Locator
 from fibaction_transports.rtps.messages.parameters import Parameters
+from fibaction_transports.rtps.messages.type_questions import read_type_id
 from fibaction_transports.rtps.qos import Qos, qos_items, read_qos
 
 
@@ -21,6 +22,8 @@ class EndpointData(Struct, frozen=True, kw_only=True):
     type_name: str
     qos: Qos
     user_data: bytes = b""
+    type_id: bytes = b""
+    """The ID of its type in XTypes, if it announces one."""
     locators: tuple[Locator, ...] = ()
     """Addresses of the endpoint itself; if there are none, those of its participant hold."""
 
@@ -60,5 +63,6 @@ def read_endpoint(parameters: Parameters, guid: Guid) -> EndpointData:
         type_name=type_name,
         qos=qos,
         user_data=parameters.blob(pids.USER_DATA) or b"",
+        type_id=read_type_id(parameters),
         locators=tuple(parameters.locators(pids.UNICAST_LOCATOR)),
     )

@@ -6,7 +6,8 @@ from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, Guid, is_builtin
 
-_BUILTIN_READER = b"\xc7"
+_BUILTIN_READERS = {0xC2: b"\xc7", 0xC3: b"\xc4"}
+"""The kinds of the readers of discovery, by those of its writers: with a key, and without one."""
 
 
 class LocalEndpoints:
@@ -27,7 +28,7 @@ class LocalEndpoints:
     def addressed(self, entity: bytes, writer: Guid) -> list[DataReader]:
         """Return the readers that something from a writer is for, whether they match or not."""
         if entity == UNKNOWN_ENTITY and is_builtin(writer.entity):
-            entity = writer.entity[:3] + _BUILTIN_READER
+            entity = writer.entity[:3] + _BUILTIN_READERS.get(writer[-1], b"\xc7")
         if entity != UNKNOWN_ENTITY:
             reader = self.readers.get(entity)
             return [] if reader is None else [reader]

@@ -24,7 +24,10 @@ SUBSCRIPTIONS_ANNOUNCER = 1 << 4
 SUBSCRIPTIONS_DETECTOR = 1 << 5
 LIVELINESS_ANNOUNCER = 1 << 10
 LIVELINESS_DETECTOR = 1 << 11
-OWN_ENDPOINTS = 0xC3F
+ASKS_ABOUT_TYPES = 1 << 12 | 1 << 15
+"""A writer of questions about types, and a reader of the answers."""
+ANSWERS_TYPES = 1 << 13 | 1 << 14
+OWN_ENDPOINTS = 0xC3F | ASKS_ABOUT_TYPES
 """The endpoints of discovery that this implementation has."""
 
 

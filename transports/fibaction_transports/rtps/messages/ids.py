@@ -15,6 +15,8 @@ SPDP_WRITER, SPDP_READER = b"\x00\x01\x00\xc2", b"\x00\x01\x00\xc7"
 PUBLICATIONS_WRITER, PUBLICATIONS_READER = b"\x00\x00\x03\xc2", b"\x00\x00\x03\xc7"
 SUBSCRIPTIONS_WRITER, SUBSCRIPTIONS_READER = b"\x00\x00\x04\xc2", b"\x00\x00\x04\xc7"
 LIVELINESS_WRITER, LIVELINESS_READER = b"\x00\x02\x00\xc2", b"\x00\x02\x00\xc7"
+TYPE_QUESTIONS_WRITER, TYPE_QUESTIONS_READER = b"\x00\x03\x00\xc3", b"\x00\x03\x00\xc4"
+TYPE_ANSWERS_WRITER, TYPE_ANSWERS_READER = b"\x00\x03\x01\xc3", b"\x00\x03\x01\xc4"
 
 KEYLESS_WRITER = 0x03
 """The kind of a user's writer whose topic has no key, as all topics of ROS."""

@@ -20,6 +20,7 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     FieldDescription,
     FieldTypeDescription,
     IndividualTypeDescription,
+    UnusableDescription,
 )
 
 MOST_VALUES = 100_000
@@ -32,10 +33,6 @@ _BASES = {number: name for name, number in TYPE_NUMBERS.items() if name != "char
 _NESTED = 1
 _ARRAYS = ((144, "[]"), (96, "[<={}]"), (48, "[{}]"))
 _PARTS = ("Goal", "Result", "Feedback")
-
-
-class UnusableDescription(ValueError):
-    """A description that does not define the type that was asked for."""
 
 
 def described_action(
@@ -75,6 +72,23 @@ def described_action(
         elif _hash(file, is_whole=bool(action)) == (action or feedback):
             return file
     raise UnusableDescription(problem)
+
+
+def looked_up_action(
+    individual: Mapping[str, IndividualTypeDescription], type_name: str
+) -> ActionFile:
+    """Return an action as the types of its messages define it; the hashes are not checked.
+
+    Raises:
+        UnusableDescription: They do not define an action, or it is too large.
+    """
+    try:
+        file = read_action_texts(type_name, _texts(individual, type_name))
+    except InterfaceError as exc:
+        raise UnusableDescription(str(exc)) from exc
+    if _values(file) > MOST_VALUES:
+        raise UnusableDescription(f"it has more than {MOST_VALUES:,} values")
+    return file
 
 
 def _hash(file: ActionFile, *, is_whole: bool) -> str:

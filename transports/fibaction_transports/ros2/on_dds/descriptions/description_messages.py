@@ -17,6 +17,10 @@ _MESSAGES = "type_description_interfaces/msg"
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 
 
+class UnusableDescription(ValueError):
+    """A description that does not define the type that was asked for."""
+
+
 class FieldTypeDescription(Struct):
     """A `type_description_interfaces/msg/FieldType`."""
 

@@ -7,7 +7,8 @@ An action whose interface file is not found here is looked up at the nodes that 
 feedback, with the service `get_type_description` that nodes have since ROS 2 Jazzy. A question
 needs the hash of a type, and endpoints announce the hashes of their messages only: so a node of
 rclpy describes the feedback, and not the goal and the result. The nodes of this project announce
-the hash of the action, too, and describe all of it.
+the hash of the action, too, and describe all of it. Of nodes on Fast DDS 3, as of ROS 2 Kilted, the
+types of all messages are asked by TypeLookup first; they count if they have the announced hashes.
 
 Requests and answers announce their hashes, too. Where files define several versions of a type, they
 tell which of them the server has.
@@ -33,15 +34,19 @@ from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.node.parts import AnswerSink, EndInfo, ErrorSink
+from fibaction_transports.ros2.node.rivals import PARTICIPANT
 from fibaction_transports.ros2.on_dds.descriptions.described_types import (
-    UnusableDescription,
     described_action,
+    looked_up_action,
 )
 from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
+    UnusableDescription,
 )
+from fibaction_transports.ros2.on_dds.descriptions.looked_up_types import TypeQuestions
+from fibaction_transports.ros2.on_dds.messages.action_types import action_of
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, ServerVersion
 from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
 from fibaction_transports.ros2.on_dds.services import DdsCaller
@@ -57,6 +62,7 @@ MOST_ACTIONS: Final = 100
 """Actions that are asked for at a time."""
 MOST_SILENT: Final = 1_000
 """Publishers that are remembered because they have not answered as they should."""
+_TYPES = b"types of "
 
 logger = clean_logger("fibaction.ros2")
 
@@ -95,11 +101,12 @@ class AskingNode(Protocol):
 class TypeLearner:
     """Learns the types of actions from other nodes."""
 
-    def __init__(self, node: AskingNode, types: DdsTypes) -> None:
+    def __init__(self, node: AskingNode, types: DdsTypes, questions: TypeQuestions) -> None:
         self._node = node
         self._types = types
+        self._questions = questions
         self._silent: OrderedDict[bytes, float] = OrderedDict()
-        """The times until which publishers are not asked."""
+        """The times until which publishers are not asked, and with `_TYPES` their participants."""
 
     async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
         """See `RosNode.learn`. Of several versions in files, that of the server is taken."""
@@ -111,18 +118,22 @@ class TypeLearner:
                 tasks.start_soon(self._learn, topic, type_name)
 
     def _version(self, topic: str) -> ServerVersion:
+        ends = (*self._services(topic), self._node.publishers(topic))
+        return ServerVersion(*map(_hashes, ends))
+
+    def _services(self, topic: str) -> tuple[Sequence[EndInfo], Sequence[EndInfo]]:
+        """Return the readers of goals, and the writers of results."""
         action = topic.removesuffix(FEEDBACK)
-        send_goal, get_result = (f"{action}/_action/{part}" for part in ("send_goal", "get_result"))
-        return ServerVersion(
-            _hashes(self._node.request_readers(send_goal)),
-            _hashes(self._node.answer_writers(get_result)),
-            _hashes(self._node.publishers(topic)),
+        return (
+            self._node.request_readers(f"{action}/_action/send_goal"),
+            self._node.answer_writers(f"{action}/_action/get_result"),
         )
 
     async def _learn(self, topic: str, type_name: str) -> None:
         with anyio.move_on_after(ASK_TIME):
             for end in await self._publishers(topic):
-                if await self._learn_from(end, type_name):
+                is_whole = not end.action_hash and await self._look_up(end, topic, type_name)
+                if is_whole or await self._learn_from(end, type_name):
                     return
 
     async def _publishers(self, topic: str) -> list[EndInfo]:
@@ -136,6 +147,42 @@ class TypeLearner:
                 return ends
             await anyio.sleep(LOOK_PAUSE)
 
+    async def _look_up(self, end: EndInfo, topic: str, type_name: str) -> bool:
+        """Learn all of an action from the types of its messages; return False if that fails."""
+        messages = [
+            next((one for one in ends if one.gid[PARTICIPANT] == end.gid[PARTICIPANT]), end)
+            for ends in (*self._services(topic), [end])
+        ]
+        version = ServerVersion(*(_hashes([one]) for one in messages))
+        type_ids = dict.fromkeys(one.type_id for one in messages)
+        if len(type_ids) < len(messages) or b"" in type_ids or not all(version):
+            return False
+        goal_hash = messages[0].type_hash
+        if self._types.has_learned(type_name, goal_hash):
+            return True
+        if self._silent.get(_TYPES + end.gid, 0.0) > current_time():
+            return False
+        self._do_not_ask(_TYPES + end.gid, SILENCE)
+        with anyio.move_on_after(ASK_TIME / 2):
+            try:
+                found = await self._questions.look_up(end.gid[PARTICIPANT], type_ids)
+                file = looked_up_action(found, type_name)
+                if not version.is_of(action_of(file)):
+                    raise UnusableDescription("it has another hash")
+            except UnusableDescription as exc:
+                self._do_not_ask(_TYPES + end.gid, math.inf)
+                logger.info("%s tells of %s: %s", end.node, type_name, excerpt(str(exc)))
+                return False
+            self._types.learn(file, goal_hash, is_whole=True)
+            self._silent.pop(_TYPES + end.gid, None)
+            return True
+        return False
+
+    def _do_not_ask(self, end: bytes, seconds: float) -> None:
+        self._silent[end] = current_time() + seconds
+        if len(self._silent) > MOST_SILENT:
+            self._silent.popitem(last=False)
+
     async def _learn_from(self, end: EndInfo, type_name: str) -> bool:
         questions = (
             ("action", type_name, end.action_hash),
@@ -146,9 +193,7 @@ class TypeLearner:
                 continue
             if self._types.has_learned(type_name, type_hash):
                 return True
-            self._silent[end.gid] = current_time() + SILENCE
-            if len(self._silent) > MOST_SILENT:
-                self._silent.popitem(last=False)
+            self._do_not_ask(end.gid, SILENCE)
             response = await self._ask(end.node, DescriptionRequest(name, type_hash))
             try:
                 file = described_action(response, type_name, **{part: type_hash})
