@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from tests.browser.served import RobotProcess
 
@@ -26,6 +26,7 @@ if not CHROMIUM.exists() and (WITH_WINDOWS := Path("/usr/bin/chromium")).exists(
 IS_LEFT_OUT = not CHROMIUM.exists() and os.environ.get("FIBACTION_BROWSER") != "required"
 PATIENCE = 30_000
 """Milliseconds within which a page does what a test waits for."""
+expect.set_options(timeout=PATIENCE)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -205,8 +205,10 @@ def _times(info: GoalInfo) -> dict[str, object]:
     """
     times = {"began_at": info.began_at, "ended_at": info.ended_at}
     spans = {"waited": info.waited, "ran": info.ran}
-    known = {name: str(stamp) for name, stamp in times.items() if stamp is not None}
-    return known | {name: seconds for name, seconds in spans.items() if seconds is not None}
+    known: dict[str, object] = {}
+    known |= {name: str(stamp) for name, stamp in times.items() if stamp is not None}
+    known |= {name: seconds for name, seconds in spans.items() if seconds is not None}
+    return known
 
 
 def parent_members(parent: Parent | None) -> dict[str, object]:
