@@ -10,7 +10,7 @@ do is decided by the `AccessPolicy`. Its parts:
 - `SessionClient` is the client: unknown until its `Hello`, then with a name and permissions.
 - `SessionGoals` has the goals that the client sends and follows. They are told by the source of the
   `Link`, without tasks.
-- `RequestHandlers` has all other requests. A task works on each.
+- `RequestHandlers` has all other requests. A task works on each, and one on all for the actions.
 - `Owners` has the goals of all clients of the server, beyond the end of a connection. It is shared
   by all sessions.
 
@@ -35,6 +35,7 @@ When the server closes, `drain` waits until the ends of goals are told, and says
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 
 from anyio import current_effective_deadline, get_cancelled_exc_class
@@ -57,6 +58,7 @@ from fibaction.wire.messages import (
     Follow,
     Goodbye,
     Hello,
+    ListActions,
     Ping,
     Received,
     Rejected,
@@ -111,6 +113,7 @@ class Session:
         self._goals = SessionGoals(self.client, owners, settings.limits, memory, link, self._fail)
         self._waiting: dict[int, RequestSubscription] = {}
         self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
+        self._listings: deque[tuple[ListActions, RequestSubscription]] = deque()
         self._tasks: TaskGroup
 
     async def run(self) -> ActionError:
@@ -207,7 +210,22 @@ class Session:
             subscription = RequestSubscription(message.id, getattr(message, "credit", 0))
             self._waiting[message.id] = subscription
             self._handlers.begin(message, subscription)
-            self._tasks.start_soon(self._answer, message, subscription)
+            if type(message) is ListActions:
+                self._listings.append((message, subscription))
+                if len(self._listings) == 1:
+                    self._tasks.start_soon(self._answer_listings)
+            else:
+                self._tasks.start_soon(self._answer, message, subscription)
+
+    async def _answer_listings(self) -> None:
+        """Answer the requests for the actions one after the other, as they come.
+
+        One that waits because the client reads nothing is a message and not a task, of some forty
+        objects: thousands of these would make a garbage collection longer than a turn may take.
+        """
+        while self._listings:
+            await self._answer(*self._listings[0])
+            self._listings.popleft()
 
     async def _answer(self, message: Request, subscription: RequestSubscription) -> None:
         try:
