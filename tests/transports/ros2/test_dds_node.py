@@ -21,6 +21,7 @@ from fibaction_transports.ros2.node.parts import LifeSigns
 from fibaction_transports.ros2.on_dds import graph
 from fibaction_transports.ros2.on_dds.clock import DdsClock
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
+from fibaction_transports.ros2.on_dds.descriptions.description_messages import UnusableDescription
 from fibaction_transports.ros2.on_dds.messages import parameter_messages as messages
 from fibaction_transports.ros2.on_dds.messages.action_types import standard_type
 from fibaction_transports.ros2.on_dds.messages.node_messages import (
@@ -34,8 +35,9 @@ from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.rtps.endpoints.sample import Sample
-from fibaction_transports.rtps.events import ParticipantLost
+from fibaction_transports.rtps.events import ParticipantLost, TypesAnswered
 from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.type_questions import TYPE_ID_SIZE
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
@@ -123,6 +125,20 @@ async def test_a_sink_that_fails_is_logged_and_the_next_message_arrives(
             publisher.publish(Parameter(name))
         await until(lambda: len(heard), 2)
     assert "a message was dropped, because it could not be handled" in caplog.text
+
+
+async def test_an_answer_about_types_reaches_the_question(monkeypatch: pytest.MonkeyPatch) -> None:
+    prefix, problem = bytes(12), "it does not tell"
+
+    async def ask(node: DdsNode) -> None:
+        with pytest.raises(UnusableDescription, match=problem):
+            await node._questions.look_up(prefix, [bytes(TYPE_ID_SIZE)])
+
+    async with opened() as node, anyio.create_task_group() as tasks:
+        monkeypatch.setattr(node._questions, "_ask", lambda *_: 7)
+        tasks.start_soon(ask, node)
+        await until(lambda: 7 in node._questions._waiting, True)
+        node.handle(TypesAnswered(prefix, 7, bytes(4)))
 
 
 async def test_a_message_that_does_not_fit_into_the_history_is_lost(

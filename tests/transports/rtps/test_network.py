@@ -26,6 +26,7 @@ from fibaction_transports.rtps.events import (
 )
 from fibaction_transports.rtps.loops.fair_inbox import FairInbox
 from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop, calls_for
+from fibaction_transports.rtps.messages.type_questions import TYPE_ID_SIZE
 from fibaction_transports.rtps.network import (
     MOST_AT_ONCE,
     MOST_WAITING,
@@ -134,6 +135,16 @@ async def test_the_addresses_and_the_others_can_be_asked_for(domain: int) -> Non
         assert {one.addresses.number, other.addresses.number} == {0, 1}
         assert one.addresses.peers == ("127.0.0.1",)
         assert one.addresses.interfaces == ()
+
+
+@pytest.mark.anyio
+async def test_a_participant_that_answers_no_questions_about_types_is_asked_none(
+    domain: int,
+) -> None:
+    settings, found = DomainSettings(domain=domain), Listener()
+    async with participant(settings, found) as one, participant(settings) as other:
+        await found.wait(ParticipantFound)
+        assert one.ask_types(other.participant.prefix, [bytes(TYPE_ID_SIZE)]) == 0
 
 
 @pytest.mark.anyio
