@@ -238,6 +238,9 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     """The name of the worker of a fleet that has the goal, or had it at its end; empty if there is
     no fleet, if no worker has it, or if the transport does not carry it."""
 
+    def __hash__(self) -> int:  # the labels and the result may be dicts, which have none
+        return hash((self.goal_id, self.stamp, self.status))
+
     @property
     def waited(self) -> float | None:
         """The seconds from its acceptance to the begin of its first attempt; None if that is not

@@ -257,3 +257,11 @@ def test_a_goal_has_waited_until_its_begin_and_has_run_until_its_end(
         ended_at=ended_at,
     )
     assert (info.waited, info.ran) == spans
+
+
+def test_the_info_of_a_goal_with_labels_and_a_result_can_be_in_a_set() -> None:
+    goal_id = GoalID.random()
+    info = GoalInfo(goal_id, 1, GoalStatus.SUCCEEDED, labels={"order": "17"}, result={"a": 1})
+    same = GoalInfo(goal_id, 1, GoalStatus.SUCCEEDED, labels={"order": "17"}, result={"a": 1})
+    other = GoalInfo(goal_id, 1, GoalStatus.SUCCEEDED)
+    assert {info, same, other} == {info, other}
