@@ -450,16 +450,21 @@ class Noting(Watcher):
         self.metas.append(dict(meta))
 
 
+def counting(noting: Noting) -> ScriptedServer[int, int, str]:
+    """Return a server whose goals are noted."""
+    server = ScriptedServer(Action("count", goal=int, feedback=int, result=str), ["there"])
+    server.watch_by([noting])
+    return server
+
+
 @pytest.mark.asyncio
 async def test_the_trace_of_the_environment_goes_with_the_goal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    noting, action = Noting(), Action("count", goal=int, feedback=int, result=str)
-    server = ScriptedServer(action, ["there"])
-    server.watch_by([noting])
+    noting = Noting()
     monkeypatch.setenv("TRACEPARENT", "00-1")
     monkeypatch.setenv("BAGGAGE", "b=2")
-    async with serve(server, "inproc://keys"):
+    async with serve(counting(noting), "inproc://keys"):
         for detach in (False, True):
             options = SendOptions(False, None, detach, as_json=True, full=False)
             assert await send("inproc://keys", "count", "", "3", options) == ExitCode.SUCCEEDED
@@ -472,12 +477,10 @@ async def test_the_trace_of_the_environment_goes_with_the_goal(
 async def test_labels_go_with_the_goal_and_a_trace_as_far_as_it_fits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    noting, action = Noting(), Action("count", goal=int, feedback=int, result=str)
-    server = ScriptedServer(action, ["there"])
-    server.watch_by([noting])
+    noting = Noting()
     monkeypatch.setenv("TRACEPARENT", "00-1")
     many = tuple((f"label{number}", "") for number in range(8))
-    async with serve(server, "inproc://labels"):
+    async with serve(counting(noting), "inproc://labels"):
         for labels in ((("order", "17"),), many):
             options = SendOptions(as_json=True, labels=labels)
             assert await send("inproc://labels", "count", "", "3", options) == ExitCode.SUCCEEDED

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
@@ -55,22 +57,31 @@ async def both_servers_of(client: ActionClient[Goal, Feedback, Result]) -> None:
     await eventually(servers, lambda found: found == (True, 2, 4))
 
 
+@asynccontextmanager
+async def client_of_two(
+    tags: dict[int, int], first: str = "one", second: str = "two"
+) -> AsyncGenerator[ActionClient[Goal, Feedback, Result], None]:
+    """Serve the action on two nodes of these names, and give a client that has found both."""
+    url = new_url()
+    async with (
+        serve(tagged(1, tags), url.replace("//", f"//{first}")),
+        serve(tagged(2, tags), url.replace("//", f"//{second}")),
+        connect(url, FIBONACCI) as client,
+    ):
+        await both_servers_of(client)
+        yield client
+
+
 @pytest.mark.parametrize("names", ["one name", "two names"])
 async def test_feedback_is_taken_of_the_server_that_accepted_the_goal_and_the_log_warns_once(
     names: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fibaction_transports.ros2.node.rivals.PATIENCE", 0.0)
     tells = tells_publishers()
-    url = new_url()
     tags: dict[int, int] = {}
     first, second = ("robot", "robot") if names == "one name" else ("one", "two")
     with anyio.fail_after(PATIENCE):
-        async with (
-            serve(tagged(1, tags), url.replace("//", f"//{first}")),
-            serve(tagged(2, tags), url.replace("//", f"//{second}")),
-            connect(url, FIBONACCI) as client,
-        ):
-            await both_servers_of(client)
+        async with client_of_two(tags, first, second) as client:
             for _ in range(2):
                 goal = await client.send_goal(Goal(1))
                 await goal.outcome()
@@ -90,16 +101,10 @@ async def test_feedback_waits_a_while_for_status_lists_that_come_after_the_resul
     held: list[Any] = []
     take = RosActionClient._take_statuses
     monkeypatch.setattr(RosActionClient, "_take_statuses", lambda _, *item: held.append(item))
-    url = new_url()
     tags: dict[int, int] = {}
 
     with anyio.fail_after(PATIENCE):
-        async with (
-            serve(tagged(1, tags), url.replace("//", "//one")),
-            serve(tagged(2, tags), url.replace("//", "//two")),
-            connect(url, FIBONACCI) as client,
-        ):
-            await both_servers_of(client)
+        async with client_of_two(tags) as client:
             goal = await client.send_goal(Goal(1))
             await goal.outcome()
             if lists == "late":
@@ -137,14 +142,8 @@ async def test_a_goal_that_was_found_in_a_status_list_gets_the_feedback_of_the_s
 
     monkeypatch.setattr(RosActionServer, "_answer_goal", answers_nothing)
     monkeypatch.setattr(RosActionClient, "_take_statuses", holds)
-    url = new_url()
     with anyio.fail_after(PATIENCE):
-        async with (
-            serve(tagged(1, tags), url.replace("//", "//one")),
-            serve(tagged(2, tags), url.replace("//", "//two")),
-            connect(url, FIBONACCI) as client,
-        ):
-            await both_servers_of(client)
+        async with client_of_two(tags) as client:
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(send, client)
                 while len({publisher for *_, publisher in held}) < 2:

@@ -19,12 +19,12 @@ SEARCHED = 150
 
 @functools.cache
 def is_right(seed: int) -> bool:
-    """Whether a scenario goes well without a mistake, which one run of its seed says for all."""
+    """Return whether a scenario goes well without a mistake; each seed is run once for all."""
     return not simulate(scenario_of(seed)).violations
 
 
 def finds(seed: int, mistake: Mistake) -> bool:
-    """Whether a scenario goes wrong with the mistake, and not without it."""
+    """Return whether a scenario goes wrong with the mistake, and not without it."""
     with mistake.made():
         wrong = simulate(scenario_of(seed))
     return bool(wrong.violations) and is_right(seed)

@@ -141,6 +141,6 @@ async def test_a_simulated_time_that_is_not_a_bool_is_an_error(file: Path) -> No
     of_arm(file, "/**: {ros__parameters: {use_sim_time: 3}}")
     with pytest.raises(TransportError) as caught:
         async with adapter("--params-file", str(file)).open():
-            pass  # pragma: no cover
+            pass  # pragma: no cover  # the block is never entered
     told = f"use_sim_time is '3' in --params-file {str(file)!r}: expected true or false"
     assert str(caught.value) == told

@@ -145,8 +145,11 @@ class RestInterface:
         asked = exchange.parameter
         wanted = wanted_of(
             exchange.parameters("status"),
-            *(asked("client"), asked("since"), asked("until")),
-            *(exchange.parameters("label"), time_ns()),
+            asked("client"),
+            asked("since"),
+            asked("until"),
+            exchange.parameters("label"),
+            time_ns(),
         )
         page = page_of(asked("limit"), asked("after"), asked("parent"), wanted, asked("past"))
         with await endpoint.status() as statuses:

@@ -63,13 +63,11 @@ def described_action(
     problem = "it has another hash"
     for texts in (made | sources, made):
         try:
-            file = read_action_texts(type_name, texts)
-        except InterfaceError as exc:
+            file = _action_in(texts, type_name)
+        except UnusableDescription as exc:
             problem = str(exc)
             continue
-        if _values(file) > MOST_VALUES:
-            problem = f"it has more than {MOST_VALUES:,} values"
-        elif _hash(file, is_whole=bool(action)) == (action or feedback):
+        if _hash(file, is_whole=bool(action)) == (action or feedback):
             return file
     raise UnusableDescription(problem)
 
@@ -82,8 +80,12 @@ def looked_up_action(
     Raises:
         UnusableDescription: They do not define an action, or it is too large.
     """
+    return _action_in(_texts(individual, type_name), type_name)
+
+
+def _action_in(texts: Mapping[str, str], type_name: str) -> ActionFile:
     try:
-        file = read_action_texts(type_name, _texts(individual, type_name))
+        file = read_action_texts(type_name, texts)
     except InterfaceError as exc:
         raise UnusableDescription(str(exc)) from exc
     if _values(file) > MOST_VALUES:
