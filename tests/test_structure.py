@@ -18,11 +18,7 @@ LINES_OF_SLACK = 10
 """Lines that a long module may lose before its exception must be lowered."""
 
 REPEATED_CLASSES: dict[str, int] = {}
-AMBIGUOUS_CONSTANTS = {
-    "MOST_AT_ONCE": 2,
-    "PATIENCE": 2,
-    "TRY_AGAIN": 2,
-}
+AMBIGUOUS_CONSTANTS: dict[str, int] = {}
 FACADES = {
     # The settings of a user, by keyword: a call names the few that it needs.
     "DdsTransport.__init__": 18,
@@ -44,14 +40,7 @@ CROWDED_FOLDERS = {
     "fibaction/cli/verbs": 24,  # a verb is a module, so that its start imports no other
 }
 OUTSIDE_WIRING = {
-    "on_ended": 1,
-    "on_fence": 2,
-    "on_gone": 2,
-    "on_join": 1,
-    "on_lost": 2,
-    "on_next": 2,
-    "on_open": 1,
-    "on_room": 1,
+    "on_next": 2,  # the callback of the next news of a goal: a call would be made for each of them
 }
 
 

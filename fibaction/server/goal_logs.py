@@ -43,7 +43,7 @@ RECENT_TIME, RECENT_GOALS = 1.0, 1000
 while the statuses are followed: a follower that learns of a goal asks for its feedback, and the
 goal may have ended by then."""
 
-MOST_AT_ONCE = 200
+FORGOTTEN_AT_ONCE = 200
 """Goals that are forgotten in one turn of the event loop, which takes less than a millisecond."""
 
 
@@ -230,7 +230,7 @@ class GoalLogs:
             is_over = self._registry.budget.is_over
             while self._recent and (is_over or self._recent[0][0] <= now):
                 self._recent.popleft()
-        gone = self._registry.expire(now, MOST_AT_ONCE)
+        gone = self._registry.expire(now, FORGOTTEN_AT_ONCE)
         for goal_id in gone:
             self._tell_unknown(goal_id)
-        return len(gone) == MOST_AT_ONCE
+        return len(gone) == FORGOTTEN_AT_ONCE

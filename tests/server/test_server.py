@@ -1140,7 +1140,7 @@ async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
 async def test_many_goals_are_forgotten_in_several_turns_before_the_rest_is_listed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(goal_logs, "MOST_AT_ONCE", 3)
+    monkeypatch.setattr(goal_logs, "FORGOTTEN_AT_ONCE", 3)
     async with ActionServer(FIBONACCI, fibonacci, result_timeout=10) as server:
         with await server.status() as before:
             for _ in range(7):
@@ -1281,7 +1281,7 @@ def budget_of(server: ActionServer[Any, Any, Any]) -> ByteBudget:
 async def test_as_many_results_are_forgotten_for_a_goal_as_it_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(goal_logs, "MOST_AT_ONCE", 1)
+    monkeypatch.setattr(goal_logs, "FORGOTTEN_AT_ONCE", 1)
     async with ActionServer(FIBONACCI, fibonacci, max_bytes=200) as server:
         for _ in range(20):
             await (await server.send_goal(GoalID.random(), packed(1))).outcome()

@@ -131,7 +131,7 @@ async def test_a_goal_goes_on_elsewhere_behind_its_last_feedback() -> None:
         assert client.lost == [(goal, GONE)]
         assert client.one.calls.is_empty
         goal.lost_at = 1.0
-        client.other.calls.adopt(goal)
+        client.other.calls.adopt(goal, client.lose)
         asked = await other.hear(Follow)
         assert asked == Follow(goal.id, "fibonacci", A, 2, True, WINDOW - 1, 1)
         await other.say(following(asked, place=2), *(Feedback(goal.id, n, b"") for n in (3, 4)))
@@ -148,16 +148,16 @@ async def test_the_end_is_noted_for_its_first_server_only() -> None:
     async with two_servers() as (client, one, other):
         ended: list[str] = []
         goal = await client.send(one)
-        goal.on_ended = lambda: ended.append("one")
+        goal.when_ended(lambda: ended.append("one"))
         client.one.end(GONE)
-        client.other.calls.adopt(goal)
+        client.other.calls.adopt(goal, client.lose)
         await other.say(following(await other.hear(Follow)))
         await other.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
         assert await outcome_of(goal) == ENDED
         assert not ended
     async with two_servers() as (client, one, _):
         goal = await client.send(one)
-        goal.on_ended = lambda: ended.append("one")
+        goal.when_ended(lambda: ended.append("one"))
         await one.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
         assert await outcome_of(goal) == ENDED
         assert ended == ["one"]
@@ -181,7 +181,7 @@ async def test_a_goal_that_its_server_does_not_have_any_more_is_lost(
         ((lost, reason),) = client.lost
         assert (lost, type(reason)) == (goal, error)
         assert client.one.calls.is_empty
-        client.other.calls.adopt(goal)
+        client.other.calls.adopt(goal, client.lose)
         await other.say(following(await other.hear(Follow)))
         await other.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
         assert await outcome_of(goal) == ENDED
@@ -261,7 +261,7 @@ async def test_a_goal_of_another_client_moves_as_an_observer() -> None:
         goal = await client.observe(one)
         client.one.end(GONE)
         client.lost.clear()
-        client.other.calls.adopt(goal)
+        client.other.calls.adopt(goal, client.lose)
         asked = await other.hear(Follow)
         assert asked.own is False
         await other.say(following(asked))
@@ -278,7 +278,7 @@ async def test_a_goal_that_was_closed_while_it_was_lost_asks_for_the_end_only() 
         goal = await client.send(one)
         client.one.end(GONE)
         goal.close()
-        client.other.calls.adopt(goal)
+        client.other.calls.adopt(goal, client.lose)
         asked = await other.hear(Follow)
         assert asked.credit is None
 

@@ -219,9 +219,11 @@ class OpenCalls:
         """True if no call is open."""
         return not (self._calls or self._observed or self._watches)
 
-    def adopt(self, goal: RemoteGoal) -> None:
-        """Continue here with a goal that another connection has given up."""
-        goal.move_to(self.post)
+    def adopt(self, goal: RemoteGoal, on_lost: OnLost) -> None:
+        """Continue here with a goal that another connection has given up; `on_lost` gets it if
+        that cannot be done.
+        """
+        goal.move_to(self.post, on_lost)
         self._start(goal)
         if not goal.is_own:
             del self._calls[goal.id]

@@ -88,10 +88,8 @@ class RemoteGoal(Call, UnreadFeedback):
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
-        self.on_lost = on_lost
-        """Takes the goal once it is answered; None lets it end with the error."""
-        self.on_ended: Callable[[], None] | None = None
-        """Called when the server has told the end, unless the goal was lost before."""
+        self._on_lost = on_lost
+        self._on_ended: Callable[[], None] | None = None
         self.lost_at: float | None = None
         """Time at which it was lost, noted by `on_lost`; None when a server continues with it."""
         self._is_released = False
@@ -208,8 +206,8 @@ class RemoteGoal(Call, UnreadFeedback):
             outcome = Outcome(message.status, message.result, reason)
             self._end(outcome, message.place)
             self._post(Received(self.id))
-            if self.on_ended is not None:
-                self.on_ended()
+            if self._on_ended is not None:
+                self._on_ended()
         elif kind is Failed or kind is Rejected:
             self.lose(error_of(message, self.goal_id))
         else:
@@ -219,10 +217,10 @@ class RemoteGoal(Call, UnreadFeedback):
 
     def lose(self, error: ActionError) -> None:
         is_lost = isinstance(error, ConnectionLost | ServerNotFound | UnknownGoal)
-        if is_lost and self.is_answered and self.on_lost is not None:
+        if is_lost and self.is_answered and self._on_lost is not None:
             self._is_released = True
-            self.on_ended = None
-            self.on_lost(self, error)
+            self._on_ended = None
+            self._on_lost(self, error)
         elif self.is_answered and isinstance(error, UnknownGoal):
             # The server was restarted, or the result has expired meanwhile.
             self._end(UNKNOWN_OUTCOME, self._last)
@@ -230,9 +228,15 @@ class RemoteGoal(Call, UnreadFeedback):
         else:
             self.fail(error)
 
-    def move_to(self, post: Post) -> None:
-        """Continue with another connection, which sends small messages by `post`."""
-        self._is_released = False
+    def when_ended(self, callback: Callable[[], None]) -> None:
+        """Call a function when the server has told the end, unless the goal is lost before."""
+        self._on_ended = callback
+
+    def move_to(self, post: Post, on_lost: OnLost) -> None:
+        """Continue with another connection, which sends small messages by `post`; `on_lost` gets
+        the goal if that one cannot continue, either.
+        """
+        self._is_released, self._on_lost = False, on_lost
         self._post = self._credit.post = post
 
     def finish(self, outcome: Outcome[bytes], number: int, attempt: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from anyio import fail_after
@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from fibaction import GoalID
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
-from fibaction.border.goal_store import StoredGoal
+from fibaction.border.goal_store import KeyPlaces, StoredGoal
 from fibaction.types.action import ActionInfo
 from fibaction.words.goals import Sender
 from fibaction_transports.nats.names import FleetNames
@@ -23,8 +23,9 @@ from fibaction_transports.nats.records import (
     goal_entry,
 )
 from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.lease import Membership
-from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.lease import MemberPart, Membership
+from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.takeover import Takeover
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.support.memory_broker import MemoryBrokers
@@ -50,7 +51,7 @@ class Member:
         self.broker = shared.member(name)
         self.name = name
         self.membership = Membership(self.broker, NAMES, name, LEASE)
-        self.store = FleetStore(self.broker, NAMES, self.membership)
+        self.journals: WorkerJournals
         self.journal: FleetJournal
         self.claimed: list[StoredGoal] = []
         self.lost: list[GoalID] = []
@@ -79,9 +80,15 @@ class Member:
         return self.claimed
 
 
-def serves_count(lease: LeaseEntry) -> None:
-    """Say in a lease that the worker serves the action."""
-    lease.actions = (ServedAction(ActionInfo("count"), is_kept=True),)
+class ServesCount(MemberPart):
+    """Says in the lease that the worker serves the action."""
+
+    def describe(self, entry: LeaseEntry) -> None:
+        entry.actions = (ServedAction(ActionInfo("count"), is_kept=True),)
+
+
+async def no_places(_limit: str, _most: int) -> KeyPlaces:
+    raise NotImplementedError
 
 
 @asynccontextmanager
@@ -92,30 +99,34 @@ async def member(
     running: float = 0,
     cannot_run: Iterable[StoredGoal] = (),
     ends_unreadable: bool = False,
+    key_places: Callable[[str, int], Awaitable[KeyPlaces]] = no_places,
 ) -> AsyncGenerator[Member, None]:
     made = Member(shared, name)
     made.cannot_run = {one.goal_id for one in cannot_run}
-    made.membership.describe = serves_count
+    made.membership.add(ServesCount())
     await made.membership.join()
     async with AsyncExitStack() as stack:
-        tasks = made.store.tasks = await stack.enter_async_context(Background())
+        tasks = await stack.enter_async_context(Background())
         stack.callback(lambda: setattr(made.broker, "is_away", False))
         tasks.start_soon(made.membership.run)
         tasks.start_soon(made.membership.fence_in_time)
         workers = FleetWorkers(made.broker, NAMES, tasks, 5)
-        takeover = Takeover(made.broker, NAMES, made.store, made.membership, workers)
-        made.store.on_room = takeover.room.notify
+        made.journals = WorkerJournals(made.broker, NAMES, made.membership, tasks)
+        lost = LostWorkers(made.broker, NAMES, made.membership, workers)
+        takeover = Takeover(made.journals, workers, lost)
         await takeover.open()
         made.journal = await stack.enter_async_context(
-            made.store.open(
+            made.journals.open(
                 "count",
                 max_results=9,
                 claim=made.claim,
                 lose=made.lost.append,
                 obstacle=made.obstacle,
-                ends_unreadable=ends_unreadable,
+                key_places=key_places,
             )
         )
+        of_journal = await stack.enter_async_context(Background())
+        takeover.start(made.journal, of_journal, ends_unreadable=ends_unreadable)
         made.journal.set_room(running, 9)
         await made.broker.flush()
         yield made

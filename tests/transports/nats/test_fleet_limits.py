@@ -22,7 +22,7 @@ from fibaction_transports.nats.broker.broker import (
     PutError,
     PutFailure,
 )
-from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.limits.fleet_limits import FleetLimits, FleetPlaces
 from fibaction_transports.nats.worker.limits.key_entry import (
     KeyEntry,
@@ -61,7 +61,7 @@ class Counts:
         self.most[key] = max(self.most[key], self.running[key])
 
 
-class Seat:
+class Seat(MemberPart):
     """A worker that wants places, as a scheduler does."""
 
     def __init__(self, limits: FleetLimits, places: FleetPlaces, counts: Counts) -> None:
@@ -74,6 +74,8 @@ class Seat:
         self.times: list[float] = []
         """The times at which places were granted."""
         self.is_dead = False
+        self.outlives_fences = False
+        """True if its executors do not end in time when it has no lease."""
         self.news = Notifier()
         self.rewrite: Callable[[], None]
 
@@ -97,6 +99,10 @@ class Seat:
             self.times.append(current_time())
             self._note(key)
             self.news.notify()
+
+    def fenced(self) -> None:
+        if not self.outlives_fences:
+            self.lose_all()
 
     def lose_all(self) -> None:
         """Let go of all goals, as a worker without a lease does."""
@@ -152,8 +158,7 @@ async def seat(
         places = await limits.places("arms", most)
         made = Seat(limits, places, counts or Counts())
         made.rewrite = repairs[0]
-        membership.on_fence = made.lose_all
-        membership.on_join = limits.look_at_all
+        membership.add(made)
         places.open(made.granted)
         try:
             yield made
@@ -345,7 +350,7 @@ async def test_while_the_brokers_are_away_no_goal_begins() -> None:
 
 async def test_an_executor_that_outlives_the_lease_keeps_the_key_busy() -> None:
     async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
-        a.limits.membership.on_fence = lambda: None  # its executor does not end
+        a.outlives_fences = True
         a.want()
         await a.runs()
         a.broker.is_away = True
@@ -628,8 +633,11 @@ async def test_two_schedules_of_a_worker_cannot_have_the_same_limit() -> None:
 
 
 async def test_goals_that_wait_for_a_place_do_not_go_round_the_workers() -> None:
-    async with MemoryBrokers() as shared, member(shared, "a") as a, seat(shared, "b") as b:
-        a.store.limits = b.limits
+    async with (
+        MemoryBrokers() as shared,
+        seat(shared, "b") as b,
+        member(shared, "a", key_places=b.limits.places) as a,
+    ):
         a.begins = False
         assert await a.journal.key_places("arms", 1) is b.places
         a.accept(waiting(1))
@@ -704,7 +712,7 @@ async def test_the_lease_may_end_while_the_record_is_read() -> None:
             pass
 
         a.broker.before = fence
-        a.limits.membership.on_fence = lambda: None  # it wants its place nevertheless
+        a.outlives_fences = True
         a.want()
         await sleep(1)
         assert a.times == []

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import pytest
-from anyio import create_task_group, fail_after, sleep
+from anyio import create_task_group, fail_after, sleep, wait_all_tasks_blocked
+from anyio.abc import TaskGroup
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
-from fibaction.border.goal_store import GoalTaken, RecordTooLarge, StoredGoal, StoreFull, Then
+from fibaction.border.goal_store import (
+    GoalTaken,
+    RecordTooLarge,
+    StoredGoal,
+    StoreFull,
+    Then,
+    no_obstacle,
+)
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import Sender
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
@@ -21,10 +29,11 @@ from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker import record_writes
 from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.journals import WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
-from fibaction_transports.nats.worker.store import FleetStore
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
+from tests.transports.nats.members import no_places
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 NAMES = FleetNames("test")
@@ -56,7 +65,7 @@ class Member:
         self.shared = shared
         self.broker: MemoryBroker = shared.member(name)
         self.membership = Membership(self.broker, NAMES, name, LEASE)
-        self.store = FleetStore(self.broker, NAMES, self.membership)
+        self.journals: WorkerJournals
         self.journal: FleetJournal
         self.claimed: list[StoredGoal] = []
         self.lost: list[GoalID] = []
@@ -82,6 +91,24 @@ class Member:
     def write(self, kind: str, one: StoredGoal, name: str = "") -> None:
         getattr(self.journal, kind)(one, self.then(name or kind))
 
+    @asynccontextmanager
+    async def serve(self, max_results: int = 9) -> AsyncGenerator[TaskGroup, None]:
+        """Open the journal, with tasks of the worker."""
+        async with Background() as tasks:
+            self.journals = WorkerJournals(self.broker, NAMES, self.membership, tasks)
+            async with self.open(max_results) as self.journal:
+                yield tasks
+
+    def open(self, max_results: int = 9) -> AbstractAsyncContextManager[FleetJournal]:
+        return self.journals.open(
+            "count",
+            max_results=max_results,
+            claim=self.claimed.append,
+            lose=self.lost.append,
+            obstacle=no_obstacle,
+            key_places=no_places,
+        )
+
 
 @asynccontextmanager
 async def member(
@@ -89,14 +116,10 @@ async def member(
 ) -> AsyncGenerator[Member, None]:
     made = Member(shared, name)
     await made.membership.join()
-    async with Background() as tasks:
-        made.store.tasks = tasks
+    async with made.serve(max_results) as tasks:
         tasks.start_soon(made.membership.run)
         tasks.start_soon(made.membership.fence_in_time)
-        async with made.store.open(
-            "count", max_results=max_results, claim=made.claimed.append, lose=made.lost.append
-        ) as made.journal:
-            yield made
+        yield made
 
 
 def entry(shared: MemoryBrokers, one: StoredGoal) -> GoalEntry | None:
@@ -125,14 +148,14 @@ async def test_a_goal_is_kept_from_its_acceptance_to_its_end() -> None:
         assert found is not None
         assert found.incarnation == robot.membership.incarnation
         assert found.goal == replace(one, worker="robot")
-        assert len(robot.store) == 1
+        assert len(robot.journals) == 1
         robot.write("end", ended(one))
         await robot.answered(2)
         assert robot.errors == [None, None]
         found = entry(shared, one)
         assert found is not None
         assert found.goal == replace(ended(one), worker="robot", ended_at=found.goal.ended_at)
-        assert len(robot.store) == 0
+        assert len(robot.journals) == 0
         assert one.worker == "", "the server's own goal is as it was"
 
 
@@ -175,7 +198,7 @@ async def test_a_goal_of_another_worker_is_taken() -> None:
         b.write("end", ended(one))
         await b.answered(2)
         assert b.errors == [GoalTaken, GoalTaken]
-        assert len(b.store) == 0
+        assert len(b.journals) == 0
         found = entry(shared, one)
         assert found is not None
         assert found.goal.worker == "a"
@@ -320,7 +343,7 @@ async def test_all_goals_are_lost_when_the_lease_ends() -> None:
         await sleep(LEASE)
         assert set(robot.lost) == {one.goal_id, two.goal_id}
         assert robot.errors == [None, GoalTaken]
-        assert len(robot.store) == 0
+        assert len(robot.journals) == 0
         robot.write("end", ended(one))
         robot.write("accept", goal(3))
         assert robot.errors[2:] == [GoalTaken, GoalTaken]
@@ -338,12 +361,7 @@ async def test_a_frozen_worker_writes_nothing() -> None:
     async with MemoryBrokers() as shared:
         robot = Member(shared, "robot")
         await robot.membership.join()
-        async with (
-            Background() as robot.store.tasks,
-            robot.store.open(
-                "count", max_results=9, claim=robot.claimed.append, lose=robot.lost.append
-            ) as robot.journal,
-        ):
+        async with robot.serve():
             robot.write("accept", goal())
             await robot.answered(1)
             await sleep(LEASE)  # none of its tasks ran
@@ -369,7 +387,7 @@ async def test_what_is_too_large_concerns_its_goal_alone() -> None:
         await robot.answered(5)
         assert robot.errors == [RecordTooLarge, None, RecordTooLarge, RecordTooLarge, None]
         assert "and the brokers take 1048576 at most" in str(robot.answers[0][1])
-        assert len(robot.store) == 0
+        assert len(robot.journals) == 0
 
 
 async def test_a_full_stream_takes_no_new_goals_and_all_of_the_others_when_there_is_room() -> None:
@@ -406,7 +424,7 @@ async def test_a_worker_stops_though_the_stream_is_full() -> None:
             robot.write("end", ended(goal(1)))
             await sleep(3)
         assert robot.errors == [None, None, StoreError]
-        assert robot.store.has_goals_left
+        assert robot.journals.has_goals_left
 
 
 async def test_what_waits_for_room_is_not_written_once_another_worker_has_the_goal() -> None:
@@ -513,7 +531,7 @@ async def test_goals_that_are_left_when_a_server_stops_are_released() -> None:
             robot.write("accept", one)
             await robot.answered(1)
         await robot.broker.flush()
-        assert not robot.store.has_goals_left
+        assert not robot.journals.has_goals_left
         found = entry(shared, one)
         assert found is not None
         assert found.incarnation == b""
@@ -526,7 +544,7 @@ async def test_goals_that_cannot_be_released_are_known() -> None:
             robot.write("accept", goal())
             await robot.answered(1)
             shared.is_full = True
-        assert robot.store.has_goals_left
+        assert robot.journals.has_goals_left
 
 
 # Takeover
@@ -598,20 +616,18 @@ async def test_a_goal_is_lost_alone() -> None:
 async def test_an_action_is_served_once() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         with pytest.raises(StoreError, match="this worker serves the action 'count' already"):
-            async with robot.store.open(
-                "count", max_results=1, claim=robot.claimed.append, lose=robot.lost.append
-            ):
+            async with robot.open():
                 pass
 
 
 async def test_goals_are_valid_as_long_as_the_lease() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         assert robot.journal.valid_until == robot.membership.valid_until
-        changes = []
-        robot.store.on_room = lambda: changes.append(1)
-        robot.journal.set_room(3, 2)
+        async with create_task_group() as tasks:
+            tasks.start_soon(robot.journals.room.wait)
+            await wait_all_tasks_blocked()
+            robot.journal.set_room(3, 2)
         assert (robot.journal.running, robot.journal.waiting) == (3, 2)
-        assert changes == [1]
 
 
 # Goals that are lost in the middle of a write
@@ -647,12 +663,7 @@ async def test_a_frozen_worker_clears_no_doubt() -> None:
     async with MemoryBrokers() as shared:
         robot = Member(shared, "robot")
         await robot.membership.join()
-        async with (
-            Background() as robot.store.tasks,
-            robot.store.open(
-                "count", max_results=9, claim=robot.claimed.append, lose=robot.lost.append
-            ) as robot.journal,
-        ):
+        async with robot.serve():
             shared.loses_answer = lambda write: ".goal." in write.subject
             await sleep(LEASE / 2)
             robot.write("accept", goal())
@@ -674,7 +685,7 @@ async def test_a_goal_in_doubt_can_be_lost(when: str) -> None:
             if call != "get" or ".goal." not in subject:
                 return
             if when == "before it is written again":
-                robot.store.tasks.start_soon(lose_soon)
+                robot.journals.tasks.start_soon(lose_soon)
                 robot.broker.old = {subject: [None]}
             else:
                 robot.journal.lose(goal().goal_id)

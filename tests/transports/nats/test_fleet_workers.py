@@ -30,7 +30,7 @@ async def workers_of(fleet: FakeFleet) -> AsyncGenerator[tuple[FleetWorkers, lis
     async with Background() as tasks:
         workers = FleetWorkers(fleet.broker, NAMES, tasks, 5)
         gone: list[str] = []
-        workers.on_gone = lambda lease: gone.append(lease.worker)
+        workers.when_gone(lambda lease: gone.append(lease.worker))
         await workers.ready()
         yield workers, gone
 

@@ -16,7 +16,7 @@ from fibaction.words.errors import TransportError
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
-from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.term import Term
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers
 from tests.support.virtual_time import in_virtual_time
@@ -27,15 +27,24 @@ LEASE = 6.0
 MARGIN = 1.2
 
 
-class Member(Membership):
-    """A membership that notes its fences."""
+class Member(Membership, MemberPart):
+    """A membership that notes its fences, and has a number of goals."""
 
     def __init__(self, broker: MemoryBroker, name: str = "robot") -> None:
         super().__init__(broker, NAMES, name, LEASE)
         self.fences: list[float] = []
         self.joins: list[float] = []
-        self.on_fence = lambda: self.fences.append(current_time())
-        self.on_join = lambda: self.joins.append(current_time())
+        self.goals = 0
+        self.add(self)
+
+    def describe(self, entry: LeaseEntry) -> None:
+        entry.goals = self.goals
+
+    def fenced(self) -> None:
+        self.fences.append(current_time())
+
+    def joined(self) -> None:
+        self.joins.append(current_time())
 
 
 @asynccontextmanager
@@ -230,11 +239,9 @@ async def test_a_lease_that_is_not_readable_is_not_ours() -> None:
 
 async def test_changes_are_stored_at_most_once_a_second() -> None:
     async with MemoryBrokers() as shared, joined(shared.member()) as member:
-        goals: list[int] = []
-        member.describe = lambda entry: setattr(entry, "goals", len(goals))
         before = puts(shared)
-        for number in range(20):
-            goals.append(number)
+        for _ in range(20):
+            member.goals += 1
             member.note_change()
             await sleep(0.1)
         await sleep(1)
@@ -246,7 +253,7 @@ async def test_changes_are_stored_at_most_once_a_second() -> None:
 
 async def test_an_update_is_stored_when_it_returns() -> None:
     async with MemoryBrokers() as shared, joined(shared.member()) as member:
-        member.describe = lambda entry: setattr(entry, "goals", 7)
+        member.goals = 7
         began = current_time()
         await member.update()
         assert current_time() - began < 0.1

@@ -94,7 +94,9 @@ async def test_a_goal_that_takes_longer_than_an_offer_leaves_no_place(fleet: Fak
 
 
 def goal_of(status: GoalStatus = GoalStatus.EXECUTING) -> Any:
-    return SimpleNamespace(status=status, on_ended=None)
+    goal = SimpleNamespace(status=status)
+    goal.when_ended = lambda callback: setattr(goal, "end", callback)
+    return goal
 
 
 async def test_a_goal_that_waits_gets_the_place_of_one_that_ends(fleet: FakeFleet) -> None:
@@ -104,7 +106,7 @@ async def test_a_goal_that_waits_gets_the_place_of_one_that_ends(fleet: FakeFlee
         a.is_frozen = True
         async with Running(lambda: places.take("count")) as taking:
             await settled()
-            goal.on_ended()
+            goal.end()
             place = await taking.answer()
         assert (place.worker, place.is_used) == ("a", True)
 

@@ -19,11 +19,11 @@ from tests.transports.hearing import Hearing
 from tests.transports.nats.members import (
     LEASE,
     NAMES,
+    ServesCount,
     entry,
     goal,
     keep,
     member,
-    serves_count,
     waiting,
 )
 
@@ -49,7 +49,7 @@ async def test_a_waiting_goal_that_a_worker_cannot_run_is_left_to_others(
             assert [one.stamp for one in b.claimed] == [2]
             assert entry(shared, waiting(1)).goal.worker == "a"
             assert not log.warnings
-            assert b.store.unreadable == {}
+            assert b.journals.unreadable == {}
             async with member(shared, "c", running=1) as c:
                 await c.claims(1, within=IN_TURN)
 
@@ -72,7 +72,7 @@ async def test_a_lost_goal_that_a_worker_cannot_run_is_taken_over_by_others(log:
             assert not b.cannot_run & {one.goal_id for one in b.claimed}
             assert not shared.notes
             await sleep(2 * LEASE)
-            assert not b.store.unreadable.get("count")
+            assert not b.journals.unreadable.get("count")
 
 
 async def test_a_goal_that_no_living_worker_can_run_waits_for_one_that_can(log: Hearing) -> None:
@@ -110,7 +110,7 @@ async def test_many_goals_are_remembered_up_to_a_number(
             keep(shared, waiting(number))
             b.broker.add_note(NAMES.left("count"), bytes(waiting(number).goal_id))
         await sleep(10 * LEASE)
-        assert b.store.unreadable == {"count": 2}
+        assert b.journals.unreadable == {"count": 2}
 
 
 # Their number
@@ -123,7 +123,7 @@ async def test_the_number_is_told_once_in_the_log_and_in_the_lease(log: Hearing)
             keep(shared, one)
         async with member(shared, "b", cannot_run=goals) as b:
             await sleep(2 * LEASE)
-            assert b.store.unreadable == {"count": 3}
+            assert b.journals.unreadable == {"count": 3}
             keep(shared, waiting(4))
             b.broker.add_note(NAMES.left("count"), bytes(waiting(4).goal_id))
             await sleep(2 * LEASE)
@@ -131,12 +131,12 @@ async def test_the_number_is_told_once_in_the_log_and_in_the_lease(log: Hearing)
             b.cannot_run = {waiting(4).goal_id}
             await b.claims(3, within=30 * LEASE)
             await sleep(2 * LEASE)
-            assert b.store.unreadable == {"count": 1}
+            assert b.journals.unreadable == {"count": 1}
             assert len(log.warnings) == 2, "fewer of them are no news"
             b.cannot_run.clear()
             await b.claims(4, within=30 * LEASE)
             await sleep(2 * LEASE)
-            assert b.store.unreadable == {"count": 0}
+            assert b.journals.unreadable == {"count": 0}
     assert log.warnings[2:] == ["all goals of 'count' have a worker again, or have ended"]
 
 
@@ -147,13 +147,13 @@ async def test_it_is_told_again_when_the_brokers_answer_again() -> None:
             await sleep(0.1)
             b.broker.is_away = True
             await sleep(LEASE)
-            assert b.store.unreadable == {}
+            assert b.journals.unreadable == {}
             b.broker.is_away = False
             await sleep(3 * LEASE)
-            assert b.store.unreadable == {"count": 1}
+            assert b.journals.unreadable == {"count": 1}
             shared.put(NAMES.goal("count", waiting().goal_id), b"", 1, 60)
             await sleep(2 * LEASE)
-            assert b.store.unreadable == {"count": 0}
+            assert b.journals.unreadable == {"count": 0}
 
 
 # Their end
@@ -184,7 +184,7 @@ async def other_worker(
     """Let another worker live, which answers questions; with None, it is of an older release."""
     broker = shared.member("other")
     membership = Membership(broker, NAMES, "other", LEASE)
-    membership.describe = serves_count
+    membership.add(ServesCount())
     await membership.join()
     asked: list[bytes] = []
 

@@ -46,9 +46,7 @@ class FleetWorkers:
         self.news = Notifier()
         """The notifier of workers that come or go, and of actions that they begin or end to serve.
         """
-        self.on_gone: Callable[[LeaseEntry], None] = lambda lease: None
-        """The callback for a worker whose lease has ended, or whose name another one has now; also
-        when the claim to clear up after it has ended, as that survivor may be lost, too."""
+        self._when_gone: list[Callable[[LeaseEntry], None]] = []
 
     async def ready(self) -> None:
         """Wait until the leases are known.
@@ -78,6 +76,13 @@ class FleetWorkers:
         """
         if self._is_closed:
             raise ConnectionLost("the connection to the fleet was closed here")
+
+    def when_gone(self, callback: Callable[[LeaseEntry], None]) -> None:
+        """Call a function with the lease of each worker that has ended, or whose name another one
+        has now; also when the claim to clear up after it has ended, as that survivor may be lost,
+        too.
+        """
+        self._when_gone.append(callback)
 
     def close(self) -> None:
         """Let `ready` raise from now on."""
@@ -217,8 +222,12 @@ class FleetWorkers:
         lease = self._leases.pop(token, None)
         if lease is not None:
             self._known.pop(lease.worker, None)
-            self.on_gone(lease)
+            self._tell_gone(lease)
             self.news.notify()
         claim = self._claims.pop(token, None)
         if claim is not None:
-            self.on_gone(claim)
+            self._tell_gone(claim)
+
+    def _tell_gone(self, lease: LeaseEntry) -> None:
+        for callback in self._when_gone:
+            callback(lease)

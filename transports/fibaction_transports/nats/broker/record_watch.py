@@ -40,7 +40,7 @@ HEARTBEAT = 2
 """Seconds between heartbeats of a consumer that has nothing to deliver."""
 MISSED = 2.5
 """A consumer is gone after so many heartbeats without a message."""
-TRY_AGAIN = 1.0
+LOOK_AGAIN = 1.0
 """Seconds until a stream that is missing is looked for again."""
 
 
@@ -78,7 +78,7 @@ class RecordWatch(BrokerWatch):
             if self._is_complete and not self._is_told:
                 self._is_told = True
                 return None
-            with anyio.move_on_after(TRY_AGAIN if self._is_missing else HEARTBEAT):
+            with anyio.move_on_after(LOOK_AGAIN if self._is_missing else HEARTBEAT):
                 await self._news.wait()
 
     def _is_stale(self) -> bool:

@@ -35,11 +35,12 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import Follow, Following, SendGoal, parent_fields
+from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError, UnknownGoal
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction.words.meta import parent_in
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
-from fibaction_transports.nats.client.worker_connections import WorkerConnections
+from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, goal_entry
 from fibaction_transports.nats.workers import FleetWorkers
@@ -68,23 +69,22 @@ class CallRoutes:
         broker: Broker,
         names: FleetNames,
         workers: FleetWorkers,
-        connections: WorkerConnections,
+        lines: Lines,
+        settings: ClientSettings,
         tasks: TaskGroup,
-        patience: float,
     ) -> None:
-        """Let a goal wait `patience` seconds for its owner."""
         self._broker = broker
         self._names = names
         self._workers = workers
-        self._connections = connections
+        self.connections = WorkerConnections(lines, settings, tasks, self.lose)
+        """The connections to the workers, which give lost goals back to the routes."""
         self._tasks = tasks
-        self.patience = patience
+        self.patience = settings.reconnect_timeout if settings.reconnect else 0.0
         """Seconds that a call waits for a worker that has its goal."""
         self._looks = anyio.CapacityLimiter(LOOKS)
         self._lost: dict[RemoteGoal, ActionError] = {}
         self._is_closed = False
-        connections.on_lost = self.lose
-        workers.on_gone = connections.end
+        workers.when_gone(self.connections.end)
 
     async def find(self, action: str, goal_id: GoalID) -> FoundGoal | None:
         """Return the goal as its record tells it; None if it has none.
@@ -175,7 +175,7 @@ class CallRoutes:
         elif found.goal.ended_at and isinstance(self._lost[goal], UnknownGoal):
             finish(goal, found.goal)  # its owner has forgotten it
         elif found.is_alive and not is_over:
-            self._connections.adopt(found.goal.worker, goal)
+            self.connections.adopt(found.goal.worker, goal)
         elif found.goal.ended_at and not found.is_alive:
             finish(goal, found.goal)
         else:

@@ -38,7 +38,7 @@ from fibaction_transports.nats.client.free_workers import RoomFinder
 from fibaction_transports.nats.client.given_up import GivenUpGoals
 from fibaction_transports.nats.client.parts import FleetParts
 from fibaction_transports.nats.client.statuses import AllStatuses
-from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
+from fibaction_transports.nats.client.worker_connections import Lines
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.workers import FleetWorkers
@@ -58,12 +58,13 @@ class FleetConnection(Connection):
         settings: ClientSettings,
         tasks: TaskGroup,
     ) -> None:
-        patience = settings.reconnect_timeout if settings.reconnect else 0.0
         self._workers = FleetWorkers(broker, names, tasks, LISTING)
-        self._connections = WorkerConnections(lines, settings, tasks)
-        self._routes = CallRoutes(broker, names, self._workers, self._connections, tasks, patience)
+        self._routes = CallRoutes(broker, names, self._workers, lines, settings, tasks)
+        self._connections = self._routes.connections
         self._statuses = AllStatuses(broker, names, self._workers, self._connections, tasks)
-        places = RoomFinder(broker, names, self._workers, tasks, max(patience, LISTING))
+        places = RoomFinder(
+            broker, names, self._workers, tasks, max(self._routes.patience, LISTING)
+        )
         self._parts = FleetParts(
             self._workers,
             self._connections,

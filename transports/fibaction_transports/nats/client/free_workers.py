@@ -132,7 +132,7 @@ class RoomFinder:
         if goal.status.is_terminal:
             leave()
         else:
-            goal.on_ended = leave
+            goal.when_ended(leave)
 
     def refuse(self, action: str, place: Place) -> None:
         """Note that a worker has no room any more."""

@@ -88,14 +88,19 @@ class _Opened:
 class WorkerConnections:
     """The open connections of one client."""
 
-    def __init__(self, lines: Lines, settings: ClientSettings, tasks: TaskGroup) -> None:
+    def __init__(
+        self, lines: Lines, settings: ClientSettings, tasks: TaskGroup, on_lost: OnLost
+    ) -> None:
+        """Open connections in tasks of this group; `on_lost` gets the goals that are kept in a
+        record, and with which a connection cannot continue.
+        """
         self._lines = lines
         self._settings = settings
         self._tasks = tasks
         self._session = new_session()
         self._ids = itertools.count(1)
         self._opened: dict[str, _Opened] = {}
-        self.on_lost: OnLost
+        self._on_lost = on_lost
 
     async def send(
         self, worker: str, action: str, request: GoalRequest, *, is_kept: bool
@@ -125,8 +130,7 @@ class WorkerConnections:
     def adopt(self, worker: str, goal: RemoteGoal) -> None:
         """Continue with a goal at its owner."""
         opened = self._of(worker)
-        goal.on_lost = opened.lose
-        opened.connection.calls.adopt(goal)
+        opened.connection.calls.adopt(goal, opened.lose)
 
     def calls_of(self, worker: str) -> OpenCalls:
         """Return the calls that are open at a worker, for another request."""
@@ -141,7 +145,7 @@ class WorkerConnections:
         opened = self._opened.get(worker)
         if opened is None:
             opened = self._opened[worker] = _Opened(
-                worker, self._lines, self._settings, self._session, self._ids, self.on_lost
+                worker, self._lines, self._settings, self._session, self._ids, self._on_lost
             )
             self._tasks.start_soon(self._run, worker, opened)
         opened.is_idle = False

@@ -14,7 +14,7 @@ that other workers find it: see `takeover`.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 from anyio import sleep
 
@@ -33,7 +33,7 @@ from fibaction_transports.nats.worker.record_writes import (
     IS_STORED,
     AnswerQueue,
     HeldGoal,
-    JournalStore,
+    JournalParts,
     Shortage,
     Write,
     taken,
@@ -49,29 +49,31 @@ class FleetJournal(GoalJournal):
 
     def __init__(
         self,
-        store: JournalStore,
+        parts: JournalParts,
         action: str,
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str],
+        key_places: Callable[[str, int], Awaitable[KeyPlaces]],
     ) -> None:
         self.action = action
         self.running = 0.0
         """The number of goals that the server can run now."""
         self.waiting = 0.0
         """The number of goals that have room in its queue."""
-        self._store = store
-        self._broker = store.broker
-        self._names = store.names
-        self._membership = store.membership
+        self._parts = parts
+        self._broker = parts.broker
+        self._names = parts.names
+        self._membership = parts.membership
         self._claim = claim
         self._lose = lose
         self.obstacle = obstacle
         """The function that returns why the server cannot run a goal; empty if it can."""
         self._held: dict[GoalID, HeldGoal] = {}
-        self._shortage = Shortage(store.names)
-        self.outcomes = KeptOutcomes(store.broker, max_results)
+        self._key_places = key_places
+        self._shortage = Shortage(parts.names)
+        self.outcomes = KeptOutcomes(parts.broker, max_results)
         self._keeps_waiting = False  # True if goals wait for places in the fleet
         self._settled = Notifier()
         self._answers = AnswerQueue(self._settled.notify)
@@ -86,12 +88,12 @@ class FleetJournal(GoalJournal):
     def set_room(self, running: float, waiting: float) -> None:
         """See `GoalJournal.set_room`."""
         self.running, self.waiting = running, waiting
-        self._store.on_room()
+        self._parts.room.notify()
 
     async def key_places(self, limit: str, most: int) -> KeyPlaces:
         """See `GoalJournal.key_places`."""
         self._keeps_waiting = True
-        return await self._store.key_places(limit, most)
+        return await self._key_places(limit, most)
 
     # Writes
 
@@ -181,9 +183,9 @@ class FleetJournal(GoalJournal):
             if error is not None:
                 self._failed(held, write, error)
             else:
-                self._store.tasks.start_soon(self._send_later, held, write)
+                self._parts.tasks.start_soon(self._send_later, held, write)
         else:
-            self._store.tasks.start_soon(self._clear_doubt, held, write)
+            self._parts.tasks.start_soon(self._clear_doubt, held, write)
 
     async def _send_later(self, held: HeldGoal, write: Write) -> None:
         """Send the first write of a goal again after a pause."""

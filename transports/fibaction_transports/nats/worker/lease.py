@@ -10,9 +10,10 @@ margin before the end of the lease, counted from the moment before the last succ
 sent, by the monotonic clock of the event loop. No clock is ever compared with that of another
 machine.
 
-A fence makes all goals of the worker lost for it: `on_fence` lets go of them. Then the worker joins
-again, with a new incarnation, as soon as the brokers answer. A process that was frozen finds in its
-first turns that `valid_until` has passed: `check` is called before each write.
+A fence makes all goals of the worker lost for it, and each part of the worker is told
+(`MemberPart`). Then the worker joins again, with a new incarnation, as soon as the brokers answer.
+A process that was frozen finds in its first turns that `valid_until` has passed: `check` is called
+before each write.
 
 An answer that does not come says nothing. The worker tries again until the lease ends, and a write
 that is refused after a lost answer may be its own: the entry has the incarnation of who wrote it.
@@ -23,7 +24,6 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Callable
 
 from anyio import current_time, move_on_after, sleep
 
@@ -46,7 +46,7 @@ from fibaction_transports.nats.records import (
 )
 from fibaction_transports.nats.worker.term import MARGIN, RENEWALS, Term
 
-PATIENCE = 1 / 6
+RESEND_PART = 1 / 6
 """The part of a lease after which a renewal that is not answered is sent again."""
 CHANGE_INTERVAL = 1.0
 """Seconds between two renewals because something has changed."""
@@ -56,6 +56,19 @@ LEFT_TTL = 5.0
 """Seconds that the end of a lease is remembered."""
 
 logger = clean_logger("fibaction.nats")
+
+
+class MemberPart:
+    """A part of a worker that is told of the worker's membership."""
+
+    def describe(self, entry: LeaseEntry) -> None:
+        """Complete the lease before it is stored."""
+
+    def fenced(self) -> None:
+        """Let go of the goals: all of them are lost for this worker."""
+
+    def joined(self) -> None:
+        """Go on: the worker has joined the fleet again."""
 
 
 class Membership:
@@ -69,12 +82,7 @@ class Membership:
         self.incarnation = b""
         """The incarnation of this worker; empty while it is not in the fleet."""
         self.since = time.time_ns()
-        self.describe: Callable[[LeaseEntry], None] = lambda _entry: None
-        """The function that completes an entry before it is stored."""
-        self.on_fence: Callable[[], None] = lambda: None
-        """The function that is called when all goals of the worker are lost for it."""
-        self.on_join: Callable[[], None] = lambda: None
-        """The function that is called when the worker has joined again."""
+        self._parts: list[MemberPart] = []
         self._term = Term(lease)
         self._mine: set[bytes] = set()
         self._sequence = 0
@@ -94,6 +102,10 @@ class Membership:
     def valid_until(self) -> float:
         """Time by the event loop's clock until which its goals belong to it for certain."""
         return self._term.valid_until
+
+    def add(self, part: MemberPart) -> None:
+        """Tell a part of the worker of the membership, after those that were added before."""
+        self._parts.append(part)
 
     def check(self) -> bool:
         """Return whether the worker is in the fleet now; fence it if its time is over."""
@@ -183,7 +195,8 @@ class Membership:
 
     def _entry(self, incarnation: bytes) -> LeaseEntry:
         entry = LeaseEntry(self.worker, incarnation, self.since, self.lease)
-        self.describe(entry)
+        for part in self._parts:
+            part.describe(entry)
         return entry
 
     async def _put(
@@ -202,7 +215,7 @@ class Membership:
         self._broker.put(
             self._subject, data, expected=expected, ttl=ttl or self.lease, then=answered
         )
-        with move_on_after(self.lease * PATIENCE):
+        with move_on_after(self.lease * RESEND_PART):
             while not answers:
                 await news.wait()
         return answers[0] if answers else PutError(PutFailure.UNKNOWN, "no answer")
@@ -289,7 +302,8 @@ class Membership:
         # Until then no other worker takes the goals over: executors have that time for their end.
         self._rest_until = self._term.valid_until + self._term.lease * MARGIN
         self._term.end()
-        self.on_fence()
+        for part in self._parts:
+            part.fenced()
 
     async def _join_again(self) -> None:
         await sleep(max(0.0, self._rest_until - current_time()))
@@ -300,7 +314,8 @@ class Membership:
             await sleep(LONGEST_PAUSE)
         else:
             logger.warning("worker %r has joined again", self.worker)
-            self.on_join()
+            for part in self._parts:
+                part.joined()
 
     # Leave
 

@@ -24,10 +24,9 @@ from anyio import sleep
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway
-from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
-from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.broker.broker import BrokerAway
+from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.lease import FIRST_PAUSE
 from fibaction_transports.nats.worker.takeover import Takeover
 
 CHECKS = 4
@@ -41,21 +40,13 @@ logger = clean_logger("fibaction.nats")
 class LostStreams:
     """The streams of one fleet, as one worker looks after them."""
 
-    def __init__(
-        self,
-        broker: Broker,
-        names: FleetNames,
-        replicas: int,
-        membership: Membership,
-        store: FleetStore,
-        takeover: Takeover,
-    ) -> None:
-        self._broker = broker
-        self._names = names
-        self._replicas = replicas
-        self._membership = membership
-        self._store = store
+    def __init__(self, journals: WorkerJournals, takeover: Takeover, replicas: int) -> None:
+        self._broker = broker = journals.broker
+        self._names = names = journals.names
+        self._membership = journals.membership
+        self._journals = journals
         self._takeover = takeover
+        self._replicas = replicas
         self._known: dict[str, str] = {}  # the identities of the streams
         self._makers = [broker.create_streams]
         self._repairs: dict[str, tuple[str, Callable[[], None]]] = {
@@ -128,10 +119,10 @@ class LostStreams:
         return LOST if found is None else found.identity
 
     def _rewrite_goals(self) -> None:
-        for journal in self._store.journals.values():
+        for journal in self._journals.by_action.values():
             journal.rewrite_all()
 
     def _add_notes(self) -> None:
-        for journal in self._store.journals.values():
+        for journal in self._journals.by_action.values():
             journal.offer_all()
         self._takeover.note_again()

@@ -13,39 +13,32 @@ from anyio.lowlevel import checkpoint
 
 from fibaction.border.abc import Notifier
 from fibaction.words.errors import ProtocolError
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerSubscription, Message
-from fibaction_transports.nats.names import OFFER_GROUP, FleetNames
-from fibaction_transports.nats.records import RoomOffer, encode, question
-from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, Membership
-from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerSubscription, Message
+from fibaction_transports.nats.names import OFFER_GROUP
+from fibaction_transports.nats.records import LeaseEntry, RoomOffer, encode, question
+from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, MemberPart
 
 MOST = 16
 """The largest number of goals of one offer."""
 
 
-class Offers:
+class Offers(MemberPart):
     """The answers of one worker."""
 
-    def __init__(
-        self, broker: Broker, names: FleetNames, membership: Membership, store: FleetStore
-    ) -> None:
-        self._broker = broker
-        self._names = names
-        self._membership = membership
-        self._store = store
-        self._news = Notifier()
+    def __init__(self, journals: WorkerJournals) -> None:
+        self._broker = journals.broker
+        self._names = journals.names
+        self._membership = journals.membership
+        self._journals = journals
         self._open: dict[str, BrokerSubscription] = {}
         self._busy = 0  # the actions whose subscriptions are not as they should be
         self._ready = Notifier()
+        self._membership.add(self)
 
-    @property
-    def has_room(self) -> bool:
-        """True if the worker listens to questions about an action."""
-        return bool(self._open)
-
-    def note_room(self) -> None:
-        """Note that the room of a server, or the membership, has changed."""
-        self._news.notify()
+    def describe(self, entry: LeaseEntry) -> None:
+        """See `MemberPart.describe`: a worker has room if it listens to questions."""
+        entry.has_room = bool(self._open)
 
     async def ready(self) -> None:
         """Wait until the worker listens to all questions for which it has room."""
@@ -64,7 +57,7 @@ class Offers:
                     if (room > 0) != (subject in self._open)
                 ]
                 if not changes:
-                    await self._news.wait()
+                    await self._journals.room.wait()
                 self._busy += 1
                 try:
                     for subject, listens in changes:
@@ -80,7 +73,7 @@ class Offers:
         """Return the room for goals that run, and for goals that wait."""
         if not self._membership.incarnation:
             return 0, 0
-        journal = self._store.journals.get(action)
+        journal = self._journals.by_action.get(action)
         return (math.inf, 0) if journal is None else (journal.running, journal.waiting)
 
     async def _listen(self, action: str, subject: str, *, listens: bool) -> None:

@@ -26,9 +26,9 @@ from typing import Protocol
 
 from anyio.abc import TaskGroup
 
+from fibaction.border.abc import Notifier
 from fibaction.border.goal_store import (
     GoalTaken,
-    KeyPlaces,
     RecordTooLarge,
     StoredGoal,
     StoreFull,
@@ -51,16 +51,14 @@ IS_STORED = -1
 logger = clean_logger("fibaction.nats")
 
 
-class JournalStore(Protocol):
-    """The part of a store that its journals use."""
+class JournalParts(Protocol):
+    """The parts of a worker that its journals share."""
 
     broker: Broker
     names: FleetNames
     membership: Membership
     tasks: TaskGroup
-    on_room: Callable[[], None]
-
-    async def key_places(self, limit: str, most: int) -> KeyPlaces: ...
+    room: Notifier
 
 
 class Write:

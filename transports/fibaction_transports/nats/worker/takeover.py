@@ -36,7 +36,6 @@ from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (
-    Broker,
     BrokerAway,
     BrokerRecord,
     Message,
@@ -44,7 +43,7 @@ from fibaction_transports.nats.broker.broker import (
     PutError,
     PutFailure,
 )
-from fibaction_transports.nats.names import FleetNames, action_of, last_token
+from fibaction_transports.nats.names import action_of, last_token
 from fibaction_transports.nats.records import (
     GoalEntry,
     LeaseEntry,
@@ -52,10 +51,10 @@ from fibaction_transports.nats.records import (
     is_claim,
 )
 from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, Membership
+from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, MemberPart
 from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry, entry_of
 from fibaction_transports.nats.worker.outcomes import KeptOutcome
-from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.worker.unreadable_goals import NotesForOthers, UnreadableGoals
 from fibaction_transports.nats.workers import FleetWorkers
 
@@ -69,31 +68,21 @@ SCAN_INTERVAL = 10
 logger = clean_logger("fibaction.nats")
 
 
-class Takeover:
+class Takeover(MemberPart):
     """The goals that come to one worker from others."""
 
-    def __init__(
-        self,
-        broker: Broker,
-        names: FleetNames,
-        store: FleetStore,
-        membership: Membership,
-        workers: FleetWorkers,
-    ) -> None:
-        self._broker = broker
-        self._names = names
-        self._store = store
-        self._membership = membership
+    def __init__(self, journals: WorkerJournals, workers: FleetWorkers, lost: LostWorkers) -> None:
+        self._broker = journals.broker
+        self._names = journals.names
+        self._membership = journals.membership
+        self._journals = journals
         self._workers = workers
-        self._lost = LostWorkers(broker, names, membership, workers)
+        self._lost = lost
         self._noted: set[int] = set()  # the sequences of records that a scan has found
         self._unreadable: dict[str, UnreadableGoals] = {}  # of the journals, by their actions
-        self.room = Notifier()
-        """Notifies of a change of the room of a server, or of the membership."""
-        self.rescan = Notifier()
-        """Notifies of a reason to scan the records."""
-        workers.on_gone = self._on_gone
-        store.on_open = self._open
+        self._rescan = Notifier()  # notifies of a reason to scan the records
+        self._membership.add(self)
+        workers.when_gone(self._on_gone)
 
     async def open(self) -> None:
         """Listen to hints, and watch the other workers.
@@ -104,9 +93,12 @@ class Takeover:
         await self._broker.subscribe(self._names.taken(self._membership.worker), self._on_hint)
         await self._workers.ready()
 
-    def _open(self, journal: FleetJournal, tasks: TaskGroup, ends_unreadable: bool) -> None:
+    def start(self, journal: FleetJournal, tasks: TaskGroup, *, ends_unreadable: bool) -> None:
+        """Take goals over for a journal, in tasks of this group, until canceled. With
+        `ends_unreadable`, its server ends the goals that no worker can run.
+        """
         unreadable = self._unreadable[journal.action] = UnreadableGoals(
-            self._broker, self._store, journal, self._lost, self._workers, ends=ends_unreadable
+            self._journals, journal, self._lost, self._workers, ends=ends_unreadable
         )
         tasks.start_soon(unreadable.run, tasks)
         others = NotesForOthers(self._broker, journal, unreadable, tasks)
@@ -117,13 +109,17 @@ class Takeover:
     def note_again(self) -> None:
         """Add notes for all goals without a worker again: those that there were are lost."""
         self._noted.clear()
-        self.rescan.notify()
+        self._rescan.notify()
+
+    def joined(self) -> None:
+        """See `MemberPart.joined`."""
+        self._rescan.notify()
 
     # Lost workers
 
     def _on_gone(self, lease: LeaseEntry) -> None:
-        self.rescan.notify()
-        self._store.tasks.start_soon(self._clear_up, lease.worker)
+        self._rescan.notify()
+        self._journals.tasks.start_soon(self._clear_up, lease.worker)
 
     async def _clear_up(self, worker: str) -> None:
         """Clear up after a lost worker, unless another one does."""
@@ -181,7 +177,7 @@ class Takeover:
                 await sleep(LONGEST_PAUSE)
                 continue
             with move_on_after(SCAN_INTERVAL * self._membership.lease):
-                await self.rescan.wait()
+                await self._rescan.wait()
 
     async def _scan(self, subject: str, *, again: bool) -> list[KeptOutcome]:
         """Add a note for each goal whose worker is gone; `again` also if that was done before.
@@ -209,7 +205,7 @@ class Takeover:
         self._noted.add(record.sequence)
         action = action_of(record.subject)
         self._broker.add_note(self._names.left(action), bytes(goal.goal_id))
-        if action in self._store.journals:
+        if action in self._journals.by_action:
             self._unreadable[action].look_at(goal)
 
     # Notes
@@ -250,7 +246,7 @@ class Takeover:
         async with aclosing(self._broker.notes(subject)) as notes:
             while True:
                 while not self._has_room(journal):
-                    await self.room.wait()
+                    await self._journals.room.wait()
                 note = await anext(notes)
                 if self._has_room(journal):
                     await self._take_one_wanted(journal, others, note)
@@ -322,12 +318,12 @@ class Takeover:
     def _on_hint(self, message: Message) -> None:
         try:
             subject = message.data.decode("ascii")
-            journal = self._store.journals.get(action_of(subject))
+            journal = self._journals.by_action.get(action_of(subject))
             goal_id = GoalID(bytes.fromhex(last_token(subject)))
         except (ValueError, IndexError):
             return
         if journal is not None and journal.waits(goal_id):
-            self._store.tasks.start_soon(self._look_at, journal, goal_id)
+            self._journals.tasks.start_soon(self._look_at, journal, goal_id)
 
     async def _look_at(self, journal: FleetJournal, goal_id: GoalID) -> None:
         """Let go of a goal if its record has another owner."""

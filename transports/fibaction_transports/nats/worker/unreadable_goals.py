@@ -48,9 +48,9 @@ from fibaction_transports.nats.broker.broker import (
     OnMessage,
 )
 from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.journals import WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
 from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry
-from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.workers import FleetWorkers
 
 HOLD, LONGEST_HOLD = 1.0, 4.0
@@ -128,8 +128,7 @@ class UnreadableGoals:
 
     def __init__(
         self,
-        broker: Broker,
-        store: FleetStore,
+        journals: WorkerJournals,
         journal: FleetJournal,
         lost: LostWorkers,
         workers: FleetWorkers,
@@ -137,10 +136,10 @@ class UnreadableGoals:
         ends: bool,
     ) -> None:
         """Take those that no worker can run if the server `ends` them."""
-        self._broker = broker
-        self._names = store.names
-        self._membership = store.membership
-        self._counts = store.unreadable
+        self._broker = journals.broker
+        self._names = journals.names
+        self._membership = journals.membership
+        self._counts = journals.unreadable
         self._journal = journal
         self._lost = lost
         self._workers = workers

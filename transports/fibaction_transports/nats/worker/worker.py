@@ -1,8 +1,14 @@
-"""`Worker`: one member of a fleet, which serves actions and keeps their goals at the brokers."""
+"""`Worker`: one member of a fleet, which serves actions and keeps their goals at the brokers.
+
+Its parts get each other by their constructors, in this order: the journals, which all others know;
+the leases of other workers; what takes goals over; what repairs streams; the limits; the store for
+the servers; and the offers to clients. What a part has to do when the worker is fenced, or joins
+again, is in that part (`MemberPart`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Callable, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from anyio import CancelScope
@@ -11,84 +17,122 @@ from msgspec.structs import replace
 
 from fibaction.border.abc import Endpoint
 from fibaction.border.event_loop import Background
+from fibaction.border.goal_store import GoalStore, StoredGoal, no_obstacle
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ConnectionLost, TransportError
+from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
 from fibaction_transports.nats.lines.line import WorkerLines
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, ServedAction
 from fibaction_transports.nats.settings import FleetSettings
-from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.limits.fleet_limits import FleetLimits
 from fibaction_transports.nats.worker.lost_streams import LostStreams
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.offers import Offers
-from fibaction_transports.nats.worker.store import FleetStore
 from fibaction_transports.nats.worker.takeover import Takeover
 from fibaction_transports.nats.workers import FleetWorkers
 
 
-class Worker:
+class FleetStore(GoalStore):
+    """The store of one worker: the goals of all its servers, kept by the brokers."""
+
+    tells_statuses = True
+
+    def __init__(self, journals: WorkerJournals, takeover: Takeover, limits: FleetLimits) -> None:
+        self._journals = journals
+        self._takeover = takeover
+        self._limits = limits
+
+    @asynccontextmanager
+    async def open(
+        self,
+        action: str,
+        *,
+        max_results: int,
+        claim: Callable[[StoredGoal], None],
+        lose: Callable[[GoalID], None],
+        obstacle: Callable[[StoredGoal], str] = no_obstacle,
+        ends_unreadable: bool = False,
+    ) -> AsyncGenerator[FleetJournal, None]:
+        """See `GoalStore.open`. Goals are claimed from when the block begins."""
+        opened = self._journals.open(
+            action,
+            max_results=max_results,
+            claim=claim,
+            lose=lose,
+            obstacle=obstacle,
+            key_places=self._limits.places,
+        )
+        async with opened as journal, Background() as tasks:
+            self._takeover.start(journal, tasks, ends_unreadable=ends_unreadable)
+            yield journal
+
+
+class Worker(MemberPart):
     """A worker that has joined its fleet."""
 
     def __init__(
-        self, broker: Broker, names: FleetNames, settings: FleetSettings, membership: Membership
+        self,
+        broker: Broker,
+        names: FleetNames,
+        settings: FleetSettings,
+        membership: Membership,
+        tasks: TaskGroup,
     ) -> None:
+        """Work in the background, in these tasks."""
         self._broker = broker
         self._names = names
         self._settings = settings
         self._membership = membership
-        self.store = FleetStore(broker, names, membership)
+        self._journals = WorkerJournals(broker, names, membership, tasks)
+        workers = FleetWorkers(broker, names, tasks, membership.lease)
+        lost = LostWorkers(broker, names, membership, workers)
+        self._takeover = Takeover(self._journals, workers, lost)
+        self._streams = LostStreams(self._journals, self._takeover, settings.replicas)
+        limits = FleetLimits(
+            broker,
+            names,
+            membership,
+            workers,
+            tasks,
+            has_ended=lost.has_ended,
+            open_stream=self._streams.open_keys,
+        )
+        self.store = FleetStore(self._journals, self._takeover, limits)
         """The store for the servers of this worker."""
-        self._offers = Offers(broker, names, membership, self.store)
+        self._offers = Offers(self._journals)
         self._served: tuple[ServedAction, ...] = ()
-        self._takeover: Takeover
-        membership.describe = self._describe
-        membership.on_join = self._joined
-        membership.on_fence = self._fenced
-        self.store.on_room = self._room_changed
+        membership.add(self)
 
     @property
     def name(self) -> str:
         """The name of the worker."""
         return self._membership.worker
 
-    async def open(self, tasks: TaskGroup) -> None:
-        """Start the work in the background, in these tasks.
+    @property
+    def has_goals_left(self) -> bool:
+        """True if a server has stopped whose goals could not be released."""
+        return self._journals.has_goals_left
+
+    async def start(self) -> None:
+        """Stay in the fleet, and take goals over.
 
         Raises:
             TransportError: The brokers do not answer.
         """
-        self.store.tasks = tasks
+        tasks = self._journals.tasks
         tasks.start_soon(self._membership.run, name="lease of the worker")
         tasks.start_soon(self._membership.fence_in_time, name="fence of the worker")
-        lease = self._membership.lease
-        workers = FleetWorkers(self._broker, self._names, tasks, lease)
-        self._takeover = Takeover(self._broker, self._names, self.store, self._membership, workers)
-        streams = LostStreams(
-            self._broker,
-            self._names,
-            self._settings.replicas,
-            self._membership,
-            self.store,
-            self._takeover,
-        )
-        lost = LostWorkers(self._broker, self._names, self._membership, workers)
-        self.store.limits = FleetLimits(
-            self._broker,
-            self._names,
-            self._membership,
-            workers,
-            tasks,
-            has_ended=lost.has_ended,
-            open_stream=streams.open_keys,
-        )
         try:
             await self._takeover.open()
-            await streams.open()
+            await self._streams.open()
         except (BrokerAway, ConnectionLost) as exc:
             raise TransportError(f"cannot join the fleet: {exc}") from exc
-        tasks.start_soon(streams.run, name="streams of the fleet")
+        tasks.start_soon(self._streams.run, name="streams of the fleet")
 
     @asynccontextmanager
     async def serve(self, endpoints: Iterable[Endpoint]) -> AsyncGenerator[None, None]:
@@ -109,7 +153,7 @@ class Worker:
                 raise TransportError(f"cannot serve in the fleet: {exc}") from exc
             stack.callback(lines.close)
             stack.push_async_callback(server.drain)  # while the lines are open
-            kept = self.store.journals
+            kept = self._journals.by_action
             self._served = tuple(
                 ServedAction(endpoint.info, name in kept) for name, endpoint in mapping.items()
             )
@@ -125,26 +169,12 @@ class Worker:
         self._served = ()
         self._membership.note_change()
 
-    def _describe(self, entry: LeaseEntry) -> None:
-        unreadable = self.store.unreadable
+    def describe(self, entry: LeaseEntry) -> None:
+        """See `MemberPart.describe`."""
+        unreadable = self._journals.unreadable
         entry.actions = tuple(
             replace(one, unreadable=unreadable.get(one.info.name, 0)) for one in self._served
         )
-        entry.goals = len(self.store)
-        entry.has_room = self._offers.has_room
-
-    def _room_changed(self) -> None:
-        self._offers.note_room()
-        self._takeover.room.notify()
-
-    def _fenced(self) -> None:
-        self.store.lose_all()
-        self._room_changed()
-
-    def _joined(self) -> None:
-        self._room_changed()
-        self._takeover.rescan.notify()
-        self.store.limits.look_at_all()
 
 
 @asynccontextmanager
@@ -159,11 +189,12 @@ async def open_worker(
     """
     membership = Membership(broker, names, settings.worker, settings.lease)
     await membership.join()
-    worker = Worker(broker, names, settings, membership)
+    worker: Worker | None = None
     try:
         async with Background() as tasks:
-            await worker.open(tasks)
+            worker = Worker(broker, names, settings, membership, tasks)
+            await worker.start()
             yield worker
     finally:
         with CancelScope(shield=True):
-            await membership.leave(is_clean=not worker.store.has_goals_left)
+            await membership.leave(is_clean=worker is None or not worker.has_goals_left)

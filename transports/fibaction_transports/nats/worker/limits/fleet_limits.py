@@ -21,12 +21,12 @@ from fibaction_transports.nats.broker.broker import (
     Message,
 )
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, Membership
+from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, MemberPart, Membership
 from fibaction_transports.nats.worker.limits.key_turns import KeyTurns
 from fibaction_transports.nats.workers import FleetWorkers
 
 
-class FleetLimits:
+class FleetLimits(MemberPart):
     """The limits of one worker."""
 
     def __init__(
@@ -56,6 +56,7 @@ class FleetLimits:
         self._open_stream = open_stream
         self._limits: dict[str, FleetPlaces] = {}
         self._hints: BrokerSubscription | None = None
+        membership.add(self)
 
     @property
     def longest_lease(self) -> float:
@@ -93,8 +94,8 @@ class FleetLimits:
         if turns is not None:
             turns.look()
 
-    def look_at_all(self) -> None:
-        """Look at the records of all keys soon: the worker has joined the fleet again."""
+    def joined(self) -> None:
+        """See `MemberPart.joined`: look at the records of all keys soon."""
         for turns in self.turns.values():
             turns.look()
 
