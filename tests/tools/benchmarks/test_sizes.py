@@ -1,0 +1,56 @@
+"""What docs/growth.md shows is what was measured."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.tools.benchmarks import size_page
+from tests.tools.benchmarks.size_page import Direction, Report, Series
+from tests.tools.benchmarks.sizes import PLANS
+
+REPORT = size_page.read()
+
+
+def test_each_direction_is_measured_to_its_largest_size() -> None:
+    measured = {one.name: list(one.sizes) for one in REPORT.directions}
+    assert measured == {name: plan.sizes for name, plan in PLANS.items()}
+
+
+def test_the_tables_of_the_page_are_made_of_the_report() -> None:
+    page = size_page.PAGE.read_text(encoding="utf-8")
+    assert size_page.page_of(page, REPORT) == page
+
+
+def test_the_picture_is_made_of_the_report() -> None:
+    drawn = (size_page.FOLDER / "sizes.svg").read_text(encoding="utf-8")
+    assert size_page.picture(REPORT) == drawn
+
+
+@pytest.mark.parametrize(
+    ("of", "size", "text"),
+    [
+        ("goals", 100_000, "100,000"),
+        ("bytes", 1, "1 B"),
+        ("bytes", 32_000, "32 kB"),
+        ("bytes", 64_000_000, "64 MB"),
+    ],
+)
+def test_a_size_is_shown_as_people_write_it(of: str, size: int, text: str) -> None:
+    assert size_page.size_text(of, size) == text
+
+
+def test_one_of_something_is_not_many() -> None:
+    assert size_page.label("connections", 1) == "1 connection"
+    assert size_page.label("connections", 10) == "10 connections"
+    assert size_page.label("bytes", 1) == "1 B"
+
+
+def test_a_figure_that_says_nothing_is_a_dash_and_no_bar() -> None:
+    series = Series("Each megabyte", "µs", [None, 200.0, 400.0])
+    direction = Direction("payloads", "bytes", [1, 10**6, 10**7], [series])
+    row = size_page.table(direction).splitlines()[-1]
+    assert row == f"| Each megabyte | {size_page.NOTHING} | 200 µs | 400 µs | 2 |"
+    drawn = size_page.picture(Report("a machine", "2026-01-01", [direction]))
+    assert drawn.count("<rect") == size_page.picture(
+        Report("", "", [direction._replace(sizes=[1, 2], series=[Series("s", "µs", [1.0, 2.0])])])
+    ).count("<rect")
