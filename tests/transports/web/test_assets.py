@@ -22,6 +22,7 @@ from tests.transports.web.test_web_transport import http
 pytestmark = pytest.mark.anyio
 
 MOST_BYTES = 160_000
+"""What a browser gets of the console."""
 MOST_BYTES_OF_API_PAGE = 24_000
 
 
@@ -162,15 +163,22 @@ def test_every_file_that_the_page_and_its_modules_name_is_served_at_a_relative_a
                 assert wanted in all_assets(), f"{path} imports {name}"
 
 
-def test_all_files_of_the_console_are_served_and_small() -> None:
-    folder = files("fibaction_transports.web") / "console"
-    sizes = {one.name: len(one.read_bytes()) for one in folder.iterdir()}
-    assert {f".{name.rpartition('.')[2]}" for name in sizes} <= set(MEDIA_TYPES)
-    assert sum(sizes.values()) <= MOST_BYTES
-
-
-def test_the_page_of_the_rest_interface_is_small() -> None:
-    folder = files("fibaction_transports.web") / "api_page"
-    sizes = {one.name: len(one.read_bytes()) for one in folder.iterdir()}
-    assert {f".{name.rpartition('.')[2]}" for name in sizes} <= set(MEDIA_TYPES)
-    assert sum(sizes.values()) <= MOST_BYTES_OF_API_PAGE
+@pytest.mark.parametrize(
+    ("folder", "path", "page", "most"),
+    [
+        ("console", "/console/", "/", MOST_BYTES),
+        ("api_page", "/docs/", "/docs", MOST_BYTES_OF_API_PAGE),
+    ],
+)
+def test_all_files_of_a_page_are_served_and_small(
+    folder: str, path: str, page: str, most: int
+) -> None:
+    names = {one.name for one in (files("fibaction_transports.web") / folder).iterdir()}
+    assert {f".{name.rpartition('.')[2]}" for name in names} <= set(MEDIA_TYPES)
+    served = {
+        name: len(asset.body)
+        for name, asset in all_assets().items()
+        if name == page or name.startswith(path)
+    }
+    assert len(served) == len(names)
+    assert sum(served.values()) <= most

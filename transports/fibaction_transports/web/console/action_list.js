@@ -1,6 +1,6 @@
 /** The list of actions, with the number of active goals of each. */
 
-import { arrange, h, setText, show } from "./dom.js";
+import { arrange, h, markCurrent, setText, show } from "./dom.js";
 import { linkTo, openLink } from "./goal_text.js";
 
 export class ActionList {
@@ -53,11 +53,7 @@ export class ActionList {
   }
 
   mark(item, isShown, count) {
-    if (isShown) {
-      item.link.setAttribute("aria-current", "page");
-    } else {
-      item.link.removeAttribute("aria-current");
-    }
+    markCurrent(item.link, isShown, "page");
     show(item.count, count > 0);
     setText(item.count, count ? `${count} active` : "");
   }

@@ -1,6 +1,6 @@
 /** The page of one action, or of all of them: form, goals, timeline, and the goal that is shown. */
 
-import { announce, h, show } from "./dom.js";
+import { announce, errorPlace, h, show, tellError } from "./dom.js";
 import { confirmed } from "./dialogs.js";
 import { GoalForm } from "./form.js";
 import { GoalList } from "./goal_list.js";
@@ -28,7 +28,7 @@ export class ActionPage {
       input.addEventListener("input", () => store.change());
     }
     this.missing = h("p", { class: "error", role: "status", hidden: true });
-    this.error = h("p", { class: "error", role: "alert", hidden: true });
+    this.error = errorPlace();
     this.place = h("div", { class: "goal-place" });
     this.form = info && !store.isRecording ? new GoalForm(info, (goal) => this.send(goal)) : null;
     const title = h("h1", {}, info ? info.name : "All actions");
@@ -101,8 +101,7 @@ export class ActionPage {
   }
 
   fail(text) {
-    this.error.textContent = text;
-    show(this.error, Boolean(text));
+    tellError(this.error, text);
   }
 
   async cancel(record) {

@@ -1,6 +1,6 @@
 /** A chart of numbers on a canvas, with its legend as text. */
 
-import { announce, h, setText, show } from "./dom.js";
+import { announce, button, h, setText, show } from "./dom.js";
 import { Zoom, listen } from "./zoom.js";
 
 const HEIGHT = 150;
@@ -68,7 +68,7 @@ export class Chart {
     this.chart = chart;
     this.canvas = h("canvas", { role: "img", tabindex: 0, "aria-label": `Chart of ${chart.title}`, "aria-keyshortcuts": "+ - ArrowLeft ArrowRight 0" });
     this.zoom = new Zoom();
-    this.whole = h("button", { type: "button", class: "quiet", hidden: true, onclick: () => this.showWhole() }, "Show all");
+    this.whole = button("Show all", () => this.showWhole(), { class: "quiet", hidden: true });
     this.values = chart.lines.map(() => h("b"));
     const names = chart.lines.map((line, index) =>
       h("span", { class: `key line-${index % 6}` }, `${shortName(line, chart)} `, this.values[index]),

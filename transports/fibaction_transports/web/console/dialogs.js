@@ -1,6 +1,6 @@
 /** Questions to the person at the page: each is a dialog that the browser makes modal. */
 
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
 
 function open(title, body, buttons) {
   const heading = h("h2", { id: "dialog-title" }, title);
@@ -21,8 +21,8 @@ export function confirmed(title, text, yes, no) {
     const buttons = h(
       "div",
       { class: "buttons" },
-      h("button", { type: "button", class: "danger", onclick: answer(true) }, yes),
-      h("button", { type: "button", onclick: answer(false) }, no),
+      button(yes, answer(true), { class: "danger" }),
+      button(no, answer(false)),
     );
     const dialog = open(title, h("p", {}, text), buttons);
     dialog.addEventListener("cancel", () => resolve(false));
@@ -50,7 +50,7 @@ export function askToken(reason) {
 /** Show the keys. */
 export function showKeys(keys) {
   const rows = keys.map(([key, text]) => h("tr", {}, h("td", {}, h("kbd", {}, key)), h("td", {}, text)));
-  const close = h("button", { type: "button", onclick: () => dialog.close() }, "Close");
+  const close = button("Close", () => dialog.close());
   const body = h("table", { class: "keys" }, h("tbody", {}, ...rows));
   const dialog = open("Keyboard shortcuts", body, h("div", { class: "buttons" }, close));
 }

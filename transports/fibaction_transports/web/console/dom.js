@@ -24,6 +24,31 @@ function fill(element, properties, children) {
   return element;
 }
 
+/** Return a new button. */
+export function button(text, onclick, properties = {}) {
+  return h("button", { type: "button", onclick, ...properties }, text);
+}
+
+/** Return a place for the text of an error, which `tellError` tells. */
+export function errorPlace() {
+  return h("p", { class: "error", role: "alert", hidden: true });
+}
+
+/** Tell an error, or none any more if the text is empty. */
+export function tellError(place, text) {
+  place.textContent = text;
+  show(place, Boolean(text));
+}
+
+/** Mark a link as the one to what is shown, or as another. */
+export function markCurrent(link, isCurrent, how = "true") {
+  if (isCurrent) {
+    link.setAttribute("aria-current", how);
+  } else {
+    link.removeAttribute("aria-current");
+  }
+}
+
 /** Replace the text of an element, if it is another one. */
 export function setText(element, text) {
   if (element.textContent !== text) {

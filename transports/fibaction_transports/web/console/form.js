@@ -1,7 +1,7 @@
 /** A form for a goal, made from its JSON Schema. */
 
 import { bytesField } from "./bytes_field.js";
-import { h, show } from "./dom.js";
+import { button, errorPlace, h, show, tellError } from "./dom.js";
 import { FieldError, labelled } from "./field_parts.js";
 import { pairsField } from "./pairs_field.js";
 import { defaultOf, fits, fixedOf, hasOtherKeys, isLeftOut, kindOf, resolverOf, variantName, withBytes } from "./schema.js";
@@ -181,7 +181,7 @@ function listField({ schema, name, value, resolve, level }) {
   const add = (one) => {
     const start = one ?? defaultOf(schema.items, resolve);
     const field = fieldFor(schema.items, `${name}[${items.length}]`, start, resolve, level + 1);
-    const remove = h("button", { type: "button", class: "quiet", "aria-label": `Remove ${name}[${items.length}]` }, "×");
+    const remove = button("×", null, { class: "quiet", "aria-label": `Remove ${name}[${items.length}]` });
     const item = { field, element: h("div", { class: "item" }, field.element, remove) };
     remove.addEventListener("click", () => set(items.filter((other) => other !== item).map((other) => other.field.read())));
     items.push(item);
@@ -193,7 +193,7 @@ function listField({ schema, name, value, resolve, level }) {
     (values ?? []).forEach(add);
   };
   set(value);
-  const more = h("button", { type: "button", onclick: () => add() }, `Add to ${name}`);
+  const more = button(`Add to ${name}`, () => add());
   const element = h("fieldset", {}, h("legend", {}, name), list, more);
   return { element, read: () => items.map(({ field }) => field.read()), set };
 }
@@ -229,9 +229,9 @@ export class GoalForm {
     this.field = fieldFor(info.goal, isObject ? "" : "goal", start, resolve);
     this.json = jsonField({ schema: {}, of: info.goal, name: "goal", value: start, resolve });
     this.isJson = false;
-    this.toggle = h("button", { type: "button", class: "quiet", "aria-pressed": "false", onclick: () => this.switch() }, "Edit as JSON");
+    this.toggle = button("Edit as JSON", () => this.switch(), { class: "quiet", "aria-pressed": "false" });
     this.button = h("button", { type: "submit", class: "main" }, "Send goal");
-    this.error = h("p", { class: "error", role: "alert", hidden: true });
+    this.error = errorPlace();
     show(this.json.element, false);
     const parts = [this.field.element, this.json.element, this.error];
     const buttons = h("div", { class: "buttons" }, this.button, this.toggle);
@@ -269,8 +269,7 @@ export class GoalForm {
   }
 
   fail(text) {
-    this.error.textContent = text;
-    show(this.error, Boolean(text));
+    tellError(this.error, text);
   }
 
   async send() {

@@ -1,6 +1,6 @@
 /** A table of goals, with a search and a filter. */
 
-import { arrange, h, setText, show } from "./dom.js";
+import { arrange, button, h, markCurrent, setText, show } from "./dom.js";
 import { durationOf, linkTo, openLink, shortId, showBadge, stateOf, stepOf, timeOf } from "./goal_text.js";
 import { summaryOf } from "./values.js";
 
@@ -24,7 +24,7 @@ class Row {
     this.client = h("td", { class: "client" });
     this.oncancel = oncancel;
     const name = `Cancel ${shortId(record.id)}`;
-    this.cancel = h("button", { type: "button", class: "quiet", "aria-label": name, onclick: () => this.oncancel(this.record) }, "Cancel");
+    this.cancel = button("Cancel", () => this.oncancel(this.record), { class: "quiet", "aria-label": name });
     const action = withAction ? h("td", {}, h("a", { href: linkTo(record.action) }, record.action)) : null;
     this.element = h(
       "tr",
@@ -59,11 +59,7 @@ class Row {
     setText(this.time, [timeOf(record.sentAt), durationOf(record.seconds())].filter(Boolean).join(", "));
     show(this.cancel, record.isActive && record.status !== "CANCELING");
     this.element.classList.toggle("current", isShown);
-    if (isShown) {
-      this.link.setAttribute("aria-current", "true");
-    } else {
-      this.link.removeAttribute("aria-current");
-    }
+    markCurrent(this.link, isShown);
   }
 }
 
@@ -76,8 +72,8 @@ export class GoalList {
     this.search = h("input", { type: "search", placeholder: "Search goals", "aria-label": "Search goals", onkeydown: (event) => event.key === "Enter" && this.open() });
     const names = Object.keys(FILTERS).map((name) => h("option", {}, name));
     this.filter = h("select", { "aria-label": "Filter goals" }, ...names);
-    this.cancelAll = h("button", { type: "button", onclick: oncancelAll }, "Cancel all");
-    this.forget = h("button", { type: "button", class: "quiet", onclick: onforget }, "Clear history");
+    this.cancelAll = button("Cancel all", oncancelAll);
+    this.forget = button("Clear history", onforget, { class: "quiet" });
     this.body = h("tbody");
     this.note = h("p", { class: "note" });
     const action = withAction ? h("th", { scope: "col" }, "Action") : null;

@@ -2,7 +2,7 @@
 
 import { shapeOf } from "./action_shape.js";
 import { Chart } from "./chart.js";
-import { h, setText, show } from "./dom.js";
+import { button, h, setText, show } from "./dom.js";
 import { GoalFamily } from "./goal_family.js";
 import { Images } from "./images.js";
 import { counted, durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
@@ -32,8 +32,8 @@ export class GoalView {
     this.imageList = h("div", {});
     this.goalImages = h("div", {});
     this.resultImages = h("div", {});
-    this.cancel = h("button", { type: "button", class: "danger", onclick: () => oncancel(this.record) }, "Cancel goal");
-    this.again = h("button", { type: "button", onclick: () => onagain(this.record) }, "Use as new goal");
+    this.cancel = button("Cancel goal", () => oncancel(this.record), { class: "danger" });
+    this.again = button("Use as new goal", () => onagain(this.record));
     this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.planeList, this.chartList, this.text, this.imageList, this.latest, this.log);
     this.element = h(
       "section",

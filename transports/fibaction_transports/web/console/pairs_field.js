@@ -1,6 +1,6 @@
 /** A field for an object whose keys a person names: a row of a key and a value for each. */
 
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
 import { FieldError, labelled } from "./field_parts.js";
 import { defaultOf } from "./schema.js";
 
@@ -15,7 +15,7 @@ export function pairsField({ schema, name, value, resolve, level, fieldFor }) {
     const input = h("input", { type: "text", autocomplete: "off", spellcheck: "false" });
     input.value = key;
     const field = fieldFor(inner, `value ${count}`, one ?? defaultOf(inner, resolve), resolve, level + 1);
-    const remove = h("button", { type: "button", class: "quiet", "aria-label": `Remove value ${count} of ${name}` }, "×");
+    const remove = button("×", null, { class: "quiet", "aria-label": `Remove value ${count} of ${name}` });
     const element = h("div", { class: "item" }, h("div", {}, labelled({}, `key ${count}`, input), field.element), remove);
     const row = { input, field };
     remove.addEventListener("click", () => {
@@ -34,7 +34,7 @@ export function pairsField({ schema, name, value, resolve, level, fieldFor }) {
     Object.entries(values ?? {}).forEach(([key, one]) => add(key, one));
   };
   set(value);
-  const more = h("button", { type: "button", onclick: () => add("", undefined).focus() }, `Add to ${name}`);
+  const more = button(`Add to ${name}`, () => add("", undefined).focus());
   const read = () => {
     const seen = new Set();
     return Object.fromEntries(rows.map(({ input, field }) => {

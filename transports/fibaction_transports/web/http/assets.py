@@ -1,6 +1,7 @@
 """`Assets`: the static files that a web server has: its pages, and the client for JavaScript.
 
-The pages are the console, at the root, and that of the REST interface, at `/docs`.
+The pages are the console, at the root, and that of the REST interface, at `/docs`. They come
+without the comments of their sources.
 
 They are resources of this package, read once by a process. Only the names that were found then are
 served, so a path that climbs out of the folder is one of the many that do not exist.
@@ -21,6 +22,7 @@ from pathlib import PurePosixPath
 from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import excerpt
 from fibaction_transports.web.http.exchange import Exchange
+from fibaction_transports.web.http.page_source import COMMENTED, without_comments
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:;"
@@ -125,7 +127,14 @@ def all_assets() -> dict[str, Asset]:
         files_in = (web / folder).iterdir()
         found |= {f"{path}/{one.name}": one for one in files_in if one.name != "index.html"}
     return {
-        path: Asset(one.read_bytes(), MEDIA_TYPES[suffix])
+        path: Asset(_body_of(path, one), MEDIA_TYPES[suffix])
         for path, one in found.items()
         if (suffix := PurePosixPath(one.name).suffix) in MEDIA_TYPES
     }
+
+
+def _body_of(path: str, file: Traversable) -> bytes:
+    """Return what is served of a file: all of it if it is of the client for JavaScript."""
+    body = file.read_bytes()
+    is_of_page = path.endswith(COMMENTED) and path.removeprefix("/") not in CLIENT
+    return without_comments(body) if is_of_page else body
