@@ -75,3 +75,15 @@ class BridgeProcess(RobotProcess):
     def program(self) -> list[str]:
         """Return the module to run, and its arguments."""
         return ["fibaction", "bridge", self._robot.url, self.url]
+
+
+class ArchiveProcess(RobotProcess):
+    """A process whose server has goals in its history that it remembers no more."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._file = folder / "goals.db"
+
+    def program(self) -> list[str]:
+        """Return the module to run, and its arguments."""
+        return ["tests.browser.archive", self.url, str(self._file)]

@@ -195,6 +195,34 @@ test("the goal of an executor is told with its parent and its step", async () =>
   assert.deepEqual(info.parent, { id: meta.parent, step: "count" });
 });
 
+test("a goal of a list has its labels, and a page of the history its goals", async () => {
+  const folder = mkdtempSync(path.join(tmpdir(), "fibaction-"));
+  const keeper = await new Robot(await freePort(), "--store", path.join(folder, "goals.db"), "--history", "1").start();
+  try {
+    const connection = connect(keeper.url);
+    const sent = [];
+    for (const to of [1, 2, 3]) {
+      const goal = await connection.sendGoal(COUNT, { to }, { meta: { order: String(to % 2), traceparent: "00-1" } });
+      await goal.outcome;
+      sent.unshift(goal.id);
+    }
+    const info = await new Promise((resolve) => connection.watch(COUNT, (one) => one.id === sent[0] && resolve(one)));
+    assert.deepEqual([info.labels, info.worker], [{ order: "1" }, ""]);
+    const past = (limit, after, labels) =>
+      connection.request(20, COUNT, limit, [[], "", null, null, limit, after, true], labels);
+    const first = await past(2, null, []);
+    assert.deepEqual(first.map(({ id }) => id), sent.slice(0, 2));
+    const place = [first[1].stamp, Uint8Array.from(first[1].id.match(/../g), (pair) => parseInt(pair, 16))];
+    assert.deepEqual((await past(2, place, [])).map(({ id }) => id), sent.slice(2));
+    const odd = await past(10, null, [["order", "1"]]);
+    assert.deepEqual(odd.map(({ status, labels }) => [status, labels]), Array(2).fill(["SUCCEEDED", { order: "1" }]));
+    await assert.rejects(connection.request(20, "nothing", 1, [[], "", null, null, 1, null, true], []), { name: "ServerNotFound" });
+  } finally {
+    await keeper.kill();
+    rmSync(folder, { recursive: true });
+  }
+});
+
 test("a watch that the server rejects tells its error", async () => {
   const error = await new Promise((resolve) => connect().watch("nothing", () => {}, resolve));
   assert.equal(error.name, "ServerNotFound");

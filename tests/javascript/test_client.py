@@ -31,9 +31,12 @@ IN_NODE = [
     for name in (
         "action_shape",
         "chart",
+        "comparison",
         "dom",
         "feedback_parts",
         "field_parts",
+        "goal_export",
+        "goal_filter",
         "goal_record",
         "goal_text",
         "places",
@@ -48,7 +51,7 @@ IN_NODE = [
     )
 ]
 """The modules of the console that are tested without a browser."""
-MOST_BYTES = 6_400
+MOST_BYTES = 6_500
 """README.md says 6 kB; what it is rounded from includes all that keeps a page alive."""
 PATIENCE = 110.0
 PICK_UP = load_action(ROOT / "tests/action_files/robot_msgs/action/PickUp.action")

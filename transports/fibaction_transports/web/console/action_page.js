@@ -4,29 +4,34 @@ import { announce, errorPlace, h, show, tellError } from "./dom.js";
 import { confirmed } from "./dialogs.js";
 import { GoalForm } from "./form.js";
 import { GoalList } from "./goal_list.js";
-import { counted, linkTo, shortId, stateOf } from "./goal_text.js";
+import { counted, linkTo, openLink, shortId, stateOf } from "./goal_text.js";
 import { GoalView } from "./goal_view.js";
+import { PastGoals } from "./past_goals.js";
 import { Timeline } from "./timeline.js";
 
 const A_MOMENT = 1000;
 
 export class ActionPage {
   /** Make the page of an action; without an `info`, that of all actions. */
-  constructor(store, info) {
+  constructor(store, info, onfilter) {
     this.store = store;
     this.info = info;
     this.view = null;
     this.states = new Map();
+    this.past = new PastGoals(store);
     this.timeline = new Timeline({ withAction: !info });
     this.list = new GoalList({
       withAction: !info,
       oncancel: (record) => this.cancel(record),
       oncancelAll: () => this.cancelAll(),
       onforget: store.isRecording ? null : () => this.forget(),
+      onmore: store.isRecording ? () => store.change() : () => this.past.more(info?.name, this.list.filter.past),
+      onfilter: () => {
+        onfilter(this.list.filter.query);
+        this.past.reset();
+        store.change();
+      },
     });
-    for (const input of [this.list.search, this.list.filter]) {
-      input.addEventListener("input", () => store.change());
-    }
     this.missing = h("p", { class: "error", role: "status", hidden: true });
     this.error = errorPlace();
     this.place = h("div", { class: "goal-place" });
@@ -51,12 +56,14 @@ export class ActionPage {
         store: this.store,
         oncancel: (one) => this.cancel(one),
         onagain: this.store.isRecording ? null : (one) => this.useAgain(one),
+        onretry: (one) => this.retry(one),
+        onlabel: (label) => this.choose(label),
       });
       this.place.replaceChildren(this.view.element);
     }
     this.element.classList.toggle("with-goal", Boolean(record));
     this.view?.update(record);
-    this.list.update(goals, record?.key);
+    this.list.update(goals, record?.key, this.past.text);
     this.timeline.update(goals, record?.key);
     this.tellEnds(goals);
   }
@@ -84,7 +91,28 @@ export class ActionPage {
 
   async send(goal) {
     const record = await this.store.send(this.info, goal);
-    window.location.hash = linkTo(record.action, record.id).slice(1);
+    openLink(linkTo(record.action, record.id), false);
+  }
+
+  /** Send a goal once more as a new one, with its labels, after a question. */
+  async retry(record) {
+    const info = this.store.actions.get(record.action);
+    const text = `This sends the goal ${shortId(record.id)} of ${record.action} once more, as a new goal.`;
+    if (await confirmed("Send this goal again?", text, "Send again", "Do not send")) {
+      try {
+        const sent = await this.store.send(info, record.goal, record.labels);
+        this.fail("");
+        openLink(linkTo(sent.action, sent.id));
+      } catch (error) {
+        this.fail(error.reason ? `Rejected: ${error.reason}` : error.message);
+      }
+    }
+  }
+
+  /** List the goals of a label. */
+  choose(label) {
+    this.list.filter.choose(label);
+    this.list.element.scrollIntoView({ block: "nearest" });
   }
 
   useAgain(record) {
@@ -92,7 +120,7 @@ export class ActionPage {
       this.form.set(record.goal);
       this.focusForm();
     } else {
-      window.location.hash = linkTo(record.action, record.id).slice(1);
+      openLink(linkTo(record.action, record.id), false);
     }
   }
 

@@ -37,14 +37,13 @@ export function keepToken(token) {
 }
 
 /**
- * Return the action and the goal in the fragment: `#/arm/drive/5fda41e0`. An action may have the
- * name of what looks like a goal, so the known names count first.
+ * Return the action and the goal in the fragment, and the choice of goals: `#/arm/drive/5fda41e0`,
+ * or `#/arm/drive?client=ann`. An action may have the name of what looks like a goal, so the known
+ * names count first.
  */
 export function shownIn(fragment, actions) {
-  const path = fragment.replace(/^#\/?/, "").split("/").map(decodeURIComponent).join("/");
-  if (!path || actions.has(path)) {
-    return { action: path, goal: "" };
-  }
-  const found = /^(.*)\/([0-9a-f]{8,32})$/.exec(path);
-  return found ? { action: found[1], goal: found[2] } : { action: path, goal: "" };
+  const [, address, query] = /^#?\/?([^?]*)(.*)$/.exec(fragment);
+  const path = address.split("/").map(decodeURIComponent).join("/");
+  const found = !actions.has(path) && /^(.*)\/([0-9a-f]{8,32})$/.exec(path);
+  return found ? { action: found[1], goal: found[2], query } : { action: path, goal: "", query };
 }

@@ -36,6 +36,8 @@ export class GoalRecord {
     this.place = 0;
     this.queueLength = 0;
     this.parent = null;
+    this.labels = {};
+    this.worker = "";
     this.goal = undefined;
     this.result = undefined;
     this.reason = "";
@@ -46,6 +48,7 @@ export class GoalRecord {
     this.recent = [];
     this.handle = null;
     this.isPast = false;
+    this.isListed = false; // by a history, which has told neither what was sent nor the result
     this.isThin = false;
     this.undescribed = null;
     const { text, charts, progress, images, places } = shapeOf(info);
@@ -83,6 +86,13 @@ export class GoalRecord {
       this.endedAt = now;
       this.place = 0;
     }
+  }
+
+  /** Take what a list of the server tells of the goal, but for its status. */
+  setFacts({ stamp, client, place, queueLength, parent, labels, worker }) {
+    this.sentAt = millisecondsOf(stamp);
+    this.parent = parent ?? this.parent;
+    Object.assign(this, { client, place, queueLength, labels: labels ?? {}, worker: worker ?? "" });
   }
 
   /** Take the times that the server tells; one of an earlier version tells none. */
@@ -126,13 +136,13 @@ export class GoalRecord {
   kept() {
     const { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason } =
       this;
-    const { parent, feedback, feedbackCount, feedbackDropped } = this;
+    const { parent, labels, worker, feedback, feedbackCount, feedbackDropped } = this;
     const drawn = this.undescribed ?? {
       points: this.series.kept(MOST_KEPT_POINTS),
       trails: this.trails.map((trail) => trail.kept(MOST_KEPT_POINTS)),
     };
     return { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason,
-      parent, feedback, feedbackCount, feedbackDropped, ...drawn, text: this.text.kept() };
+      parent, labels, worker, feedback, feedbackCount, feedbackDropped, ...drawn, text: this.text.kept() };
   }
 
   /** Return the record of a goal in the history. */

@@ -75,14 +75,16 @@ export function stepOf(parent) {
   return parent.step || "without a name";
 }
 
-/** Go to an address within the page, and to its content. */
-export function openLink(address) {
+/** Go to an address within the page, and perhaps to its content. */
+export function openLink(address, hasFocus = true) {
   window.location.hash = address.slice(1);
-  document.getElementById("content").focus();
+  if (hasFocus) {
+    document.getElementById("content").focus();
+  }
 }
 
-/** Return the address of a goal within the page. */
+/** Return the address of a goal within the page: with the whole ID, which stays true. */
 export function linkTo(action, id = "") {
   const name = action.split("/").map(encodeURIComponent).join("/");
-  return `#/${name}${id ? `/${shortId(id)}` : ""}`;
+  return `#/${name}${id && `/${id}`}`;
 }

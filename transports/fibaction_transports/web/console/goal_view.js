@@ -2,8 +2,10 @@
 
 import { shapeOf } from "./action_shape.js";
 import { Chart } from "./chart.js";
+import { Comparison } from "./comparison.js";
 import { button, h, setText, show } from "./dom.js";
 import { GoalFamily } from "./goal_family.js";
+import { labelsOf } from "./goal_filter.js";
 import { Images } from "./images.js";
 import { counted, durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
 import { Planes } from "./plane.js";
@@ -12,7 +14,8 @@ import { textOf } from "./values.js";
 const A_LINE = 24;
 
 export class GoalView {
-  constructor(record, { store, oncancel, onagain }) {
+  constructor(record, { store, oncancel, onagain, onretry, onlabel }) {
+    this.store = store;
     this.mayUseAgain = Boolean(onagain);
     this.family = new GoalFamily(store);
     this.badge = h("span", { class: "badge" });
@@ -34,12 +37,21 @@ export class GoalView {
     this.resultImages = h("div", {});
     this.cancel = button("Cancel goal", () => oncancel(this.record), { class: "danger" });
     this.again = button("Use as new goal", () => onagain(this.record));
+    this.retry = button("Send again", () => onretry(this.record), { class: "quiet" });
+    this.compare = button("Compare", () => this.setBasis(this.record.key), { class: "quiet" });
+    this.find = button("Find in a recording", () => document.getElementById("open").click(), { class: "quiet", hidden: store.isRecording });
+    this.comparison = new Comparison({ onstop: () => this.setBasis("") });
+    this.labels = h("p", { class: "labels" });
+    this.onlabel = onlabel;
     this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.planeList, this.chartList, this.text, this.imageList, this.latest, this.log);
     this.element = h(
       "section",
       { class: "card goal", "aria-label": "Goal" },
       h("header", {}, h("h2", {}, "Goal ", h("code", {}, shortId(record.id))), this.badge, h("span", { class: "space" }), this.again, this.cancel),
       this.facts,
+      this.labels,
+      h("div", { class: "links" }, this.compare, this.find, this.retry),
+      this.comparison.element,
       this.family.element,
       this.bar,
       this.reason,
@@ -65,6 +77,23 @@ export class GoalView {
     });
   }
 
+  /** Compare with a goal from now on; with none if the key is empty. */
+  setBasis(key) {
+    this.store.basis = key;
+    this.store.change();
+    this.compare.focus();
+  }
+
+  /** Show the labels, as buttons that list the goals of each. */
+  updateLabels(record) {
+    const labels = labelsOf(record);
+    show(this.labels, labels.length > 0);
+    if (labels.join() !== this.shownLabels) {
+      this.shownLabels = labels.join();
+      this.labels.replaceChildren("Labels: ", ...labels.map((label) => button(label, () => this.onlabel(label), { class: "quiet", title: "List the goals of this label" })));
+    }
+  }
+
   /** Show the goal as it is now. */
   update(record) {
     if (record.series !== this.series) {
@@ -73,6 +102,8 @@ export class GoalView {
     this.record = record;
     showBadge(this.badge, record);
     setText(this.facts, factsOf(record));
+    this.updateLabels(record);
+    this.comparison.update(this.store.goals.get(this.store.basis), record);
     this.family.update(record);
     setText(this.reason, record.reason);
     show(this.reason, Boolean(record.reason));
@@ -81,7 +112,9 @@ export class GoalView {
     setText(this.goal, record.goal === undefined ? "not known" : textOf(record.goal));
     setText(this.result, resultOf(record));
     show(this.cancel, record.isActive && record.status !== "CANCELING");
-    show(this.again, this.mayUseAgain && record.goal !== undefined);
+    const isKnown = this.mayUseAgain && record.goal !== undefined;
+    show(this.again, isKnown);
+    show(this.retry, isKnown && !record.isActive && Boolean(record.info));
     this.images.forEach(([of, images]) => images.show(record[of]));
     this.updateFeedback(record);
   }
@@ -101,7 +134,8 @@ export class GoalView {
 
   updateFeedback(record) {
     const dropped = record.feedbackDropped ? `, ${record.feedbackDropped} dropped` : "";
-    setText(this.feedbackTitle, `Feedback: ${counted(record.feedbackCount, "message")}${dropped}`);
+    const kept = record.isListed ? ", not in the history" : "";
+    setText(this.feedbackTitle, `Feedback: ${counted(record.feedbackCount, "message")}${dropped}${kept}`);
     this.updateText(record);
     show(this.latest, record.feedback !== undefined && !(record.text.path?.length === 0 && record.text.pieces.length));
     setText(this.latest, textOf(record.feedback));
@@ -127,6 +161,6 @@ function resultOf(record) {
 
 function factsOf(record) {
   const sender = record.isMine ? "this page" : record.client || "an unknown client";
-  const facts = [record.action, `sent ${timeOf(record.sentAt)} by ${sender}`, durationOf(record.seconds()), record.id];
+  const facts = [record.action, `sent ${timeOf(record.sentAt)} by ${sender}`, durationOf(record.seconds()), record.worker && `worker ${record.worker}`, record.id];
   return facts.filter(Boolean).join(" · ");
 }

@@ -86,7 +86,9 @@ class Console {
   openRecording(file) {
     if (file) {
       this.store.state = "closed"; // it asks no more
-      window.location.hash = "#/";
+      if (!this.store.shown.goal) { // else the goal is looked for in the recording
+        window.location.hash = "#/";
+      }
       setText(document.getElementById("open"), "Close");
       this.use(new RecordedStore(file, file.name, decode));
       this.connection.close(); // the end is not shown
@@ -118,31 +120,50 @@ class Console {
 
   /** Show the action and the goal in the address. */
   route() {
-    const { action, goal } = shownIn(window.location.hash, this.store.actions);
+    const { action, goal, query } = shownIn(window.location.hash, this.store.actions);
     const record = this.store.goalsOf(action).find((one) => goal && one.id.startsWith(goal));
     const isSame = this.store.shown.action === action && this.store.shown.goal === (record?.key ?? "");
     if (!isSame) {
       this.store.show(action, record?.id);
     }
+    if (goal && !record) {
+      this.store.lookUp(action, goal);
+    }
     const info = this.store.actions.get(action);
     if (!this.page || this.page.info !== info) {
-      this.page = new ActionPage(this.store, info);
+      this.page = new ActionPage(this.store, info, (chosen) => this.keepQuery(chosen));
+      this.query = "";
       this.content.replaceChildren(this.page.element);
       document.title = info ? `${info.name} · fibaction console` : "fibaction console";
     }
+    if (query !== this.query) {
+      this.query = query;
+      this.page.list.filter.query = query;
+      this.page.past.reset();
+    }
+  }
+
+  /** Put the choice of goals into the address. */
+  keepQuery(query) {
+    this.query = query;
+    window.history.replaceState(null, "", (window.location.hash.split("?")[0] || "#/") + query);
   }
 
   /** Return what the address names and the server does not have; empty if all is there. */
   missing() {
     const { action, goal } = shownIn(window.location.hash, this.store.actions);
-    if (!this.store.isDescribed || this.store.state !== "ready" || !action) {
+    const { isDescribed, isRecording, state, actions, goals, shown } = this.store;
+    if (!isDescribed || !(isRecording || state === "ready") || !action) {
       return "";
     }
-    if (!this.store.actions.has(action)) {
-      return `The server has no action ${action}. The others are in the list.`;
+    const where = isRecording ? "recording" : "server";
+    if (!actions.has(action)) {
+      return `The ${where} has no action ${action}. The others are in the list.`;
     }
-    const isThere = !goal || this.store.goals.has(this.store.shown.goal);
-    return isThere ? "" : `The server knows no goal ${goal} of ${action}: it may have forgotten it.`;
+    if (!goal || goals.has(shown.goal)) {
+      return "";
+    }
+    return isRecording ? `The recording has no goal ${goal} of ${action}.` : `The server knows no goal ${goal} of ${action}: it may have forgotten it.`;
   }
 
   update() {
@@ -176,18 +197,17 @@ class Console {
     }
     const { action, goal } = this.store.shown;
     const record = this.store.goals.get(goal);
-    const shown = record ? linkTo(this.page.info ? action : record.action, record.id) : "";
     const go = (address) => {
       window.location.hash = (address ?? "#/").slice(1);
     };
     const deeds = {
       "/": () => this.actions.search.focus(),
       n: () => this.page.focusForm(),
-      j: () => go(this.page.list.neighbour(shown, 1)),
-      k: () => go(this.page.list.neighbour(shown, -1)),
+      j: () => go(this.page.list.neighbour(1)),
+      k: () => go(this.page.list.neighbour(-1)),
       c: () => record?.isActive && this.page.cancel(record),
       "?": () => showKeys(KEYS),
-      Escape: () => go(action ? linkTo(action) : "#/"),
+      Escape: () => go((action ? linkTo(action) : "#/") + this.query),
     };
     if (deeds[event.key]) {
       event.preventDefault();

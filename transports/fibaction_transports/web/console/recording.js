@@ -195,4 +195,5 @@ export class RecordedStore extends Store {
   /** Nothing of a recording changes. */
   async follow() {}
   async refreshPlaces() {}
+  async lookUp() {}
 }

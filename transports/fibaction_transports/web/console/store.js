@@ -7,14 +7,16 @@
  * of the action that is shown. Changes are collected, and listeners are told once for each frame.
  */
 
-import { ACTIVE, GoalRecord, millisecondsOf } from "./goal_record.js";
+import { ACTIVE, GoalRecord } from "./goal_record.js";
 import { stored } from "./values.js";
 
 const MOST_FOLLOWED = 20;
-const MOST_GOALS = 1000;
+const MOST_GOALS = 2000;
 const ASK_AGAIN = 2000;
 const ASK_PLACES = 27; // a message of the protocol that only this page sends
 const MOST_PLACES = 1000;
+const WATCH_STATUS = 20; // which also asks for goals of the history
+const MOST_OF_A_TIME = 100; // goals that were accepted in one nanosecond
 const FORGOTTEN = "the server does not know it any more";
 
 /** Return the ID of a new goal. Pages without TLS do not have `crypto.randomUUID`. */
@@ -41,6 +43,7 @@ export class Store {
     this.watches = new Map();
     this.sending = new Set();
     this.shown = { action: "", goal: "" };
+    this.basis = ""; // the key of the goal that others are compared with
     this.state = "connecting";
     this.onchange = () => {};
     this.frame = 0;
@@ -166,11 +169,7 @@ export class Store {
     const record = this.recordOf(info, told.id);
     const wasKnown = record.sentAt > 0;
     record.isPast = false;
-    record.sentAt = millisecondsOf(told.stamp);
-    record.client = told.client;
-    record.place = told.place;
-    record.queueLength = told.queueLength;
-    record.parent = told.parent ?? record.parent;
+    record.setFacts(told);
     if (!record.handle) {
       record.feedbackCount = Math.max(record.feedbackCount, Number(told.feedbackCount));
       record.setStatus(told.status, wasKnown ? Date.now() : 0);
@@ -179,6 +178,39 @@ export class Store {
     record.reason ||= told.reason;
     this.follow(record);
     this.change();
+  }
+
+  /** Take a goal that the history of the server has; of one that is known, more may be told. */
+  takePast(info, told) {
+    const isKnown = this.goals.has(`${info.name}/${told.id}`);
+    const record = this.recordOf(info, told.id);
+    record.setFacts(told);
+    if (!isKnown) {
+      record.feedbackCount = Number(told.feedbackCount);
+      record.setStatus(told.status, 0);
+      Object.assign(record, { isPast: true, isListed: true, reason: told.reason });
+    }
+    record.setTimes(told);
+    this.change();
+  }
+
+  /** Look up a goal that a link names by its whole ID: the history of the server may have it. */
+  async lookUp(action, id) {
+    const info = this.actions.get(action);
+    const key = `${action}/${id}`;
+    if (!info || id.length < 32 || this.lookedUp === key || this.state !== "ready") {
+      return;
+    }
+    this.lookedUp = key;
+    try {
+      const handle = await this.connection.attach(action, id, { observe: true, feedback: false });
+      handle.leave();
+      const page = [[], "", handle.stamp, handle.stamp, MOST_OF_A_TIME, null, true];
+      const goals = await this.connection.request(WATCH_STATUS, action, MOST_OF_A_TIME, page, []);
+      goals.filter((told) => told.id === id).forEach((told) => this.takePast(info, told));
+    } catch {
+      // The server does not know it either.
+    }
   }
 
   /** Take that a server does not know a goal any more. If it was active, it is lost. */
@@ -254,7 +286,8 @@ export class Store {
     if (isBusy || !(needsEnd || this.isWanted(record))) {
       return;
     }
-    if (!record.isActive && (record.isPast || record.hasEnd)) {
+    const isWhole = record.hasEnd || (record.isPast && !record.isListed);
+    if (!record.isActive && isWhole) {
       return;
     }
     record.isAsking = true;
@@ -316,7 +349,7 @@ export class Store {
     record.setStatus(outcome.status);
     record.result = outcome.result ?? undefined;
     record.reason = outcome.reason || record.reason;
-    record.feedbackDropped = Number(outcome.feedbackDropped ?? 0);
+    record.feedbackDropped = record.isListed ? 0 : Number(outcome.feedbackDropped ?? 0);
     record.hasEnd = true;
     if (outcome.status === "UNKNOWN") {
       record.reason = FORGOTTEN;
@@ -324,7 +357,9 @@ export class Store {
     if (record.key !== this.shown.goal) {
       record.thin();
     }
-    this.keep(record);
+    if (!record.isListed) {
+      this.keep(record);
+    }
   }
 
   keep(record) {
@@ -336,12 +371,12 @@ export class Store {
   // What a person does
 
   /** Send a goal, and return its record; a rejection is an error with its reason. */
-  async send(info, goal) {
+  async send(info, goal, labels = null) {
     const id = newId();
     const key = `${info.name}/${id}`;
     this.sending.add(key); // its status may come before the answer
     try {
-      const handle = await this.connection.sendGoal(info.name, goal, { id });
+      const handle = await this.connection.sendGoal(info.name, goal, { id, meta: labels });
       const record = this.recordOf(info, id);
       record.isMine = true;
       record.goal = goal;

@@ -98,6 +98,10 @@ export interface GoalInfo extends CanceledGoal {
   endedAt: bigint | null;
   /** Reason of an abort or a cancel; may be empty. */
   reason: string;
+  /** The labels that its client has given it. */
+  labels: Record<string, string>;
+  /** The worker of a fleet that has the goal, or had it at its end; empty if there is none. */
+  worker: string;
   /** Changes that were left out so far, because the client read too slowly. */
   dropped: number;
 }
@@ -189,7 +193,10 @@ export class Connection<
     action: keyof Actions & string, callback: (goal: GoalInfo) => void,
     onerror?: (error: Error) => void,
   ): () => void;
-  /** Send another request of the protocol: its tag, and its fields behind the ID. */
+  /**
+   * Send another request of the protocol: its tag, and its fields after the ID. The answer is the
+   * fields of the server's answer; for a page of the history (tag 20), it is a list of `GoalInfo`.
+   */
   request(tag: number, ...fields: unknown[]): Promise<any[]>;
   close(): void;
 }

@@ -293,6 +293,13 @@ class Goal {
   }
 }
 
+const stampOf = (time) => time == null ? null : BigInt(time);
+const infoOf = (id, stamp, status, dropped, feedbackCount = 0, client = "", place = 0,
+  queueLength = 0, attempt = 1, parent, began, ended, reason = "", labels, worker = "") => ({
+  id: hexOf(id), stamp: BigInt(stamp), status: STATUSES[status], dropped, feedbackCount, client,
+  place, queueLength, attempt, parent: parent && { id: hexOf(parent[0]), step: parent[1] },
+  beganAt: stampOf(began), endedAt: stampOf(ended), reason, labels: labels ?? {}, worker });
+
 class Watch {
   followers = new Set();
   goals = new Map();
@@ -316,15 +323,11 @@ class Watch {
     this._forget();
   }
 
-  [GOAL_CHANGED](id, stamp, status, dropped, feedbackCount = 0, client = "", place = 0,
-    queueLength = 0, attempt = 1, parent, began, ended, reason = "") {
+  [GOAL_CHANGED](...fields) {
+    const info = infoOf(...fields);
     this._connection._grant(this, 1);
-    id = hexOf(id);
-    this._before.delete(id);
-    this._tell({ id, stamp: BigInt(stamp), status: STATUSES[status], dropped, feedbackCount, client,
-      place, queueLength, attempt, parent: parent && { id: hexOf(parent[0]), step: parent[1] },
-      beganAt: began == null ? null : BigInt(began), endedAt: ended == null ? null : BigInt(ended),
-      reason });
+    this._before.delete(info.id);
+    this._tell(info);
     this._forget();
   }
 
@@ -432,9 +435,13 @@ export class Connection {
   }
 
   request(...message) {
+    let goals; // of a page of the history
     return new Promise((resolve, fail) => this._open({
-      opening: () => message,
+      opening: () => (goals = [], message),
       answer: (...fields) => resolve(fields),
+      [WATCHING]() {},
+      [GOAL_CHANGED]: (...fields) => goals.push(infoOf(...fields)),
+      [FINISHED]: () => resolve(goals),
       fail,
     }));
   }

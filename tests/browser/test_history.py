@@ -1,0 +1,231 @@
+"""The console with the goals that only the history of the server has."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
+
+from fibaction.observe.recordings.recording_file import Record
+from tests.browser.archive import GOALS, PAINT
+from tests.browser.served import ArchiveProcess, RobotProcess
+from tests.browser.test_console import goal, open_action
+
+
+@pytest.fixture(scope="module")
+def archive(
+    browser: Browser, tmp_path_factory: pytest.TempPathFactory
+) -> Generator[RobotProcess, None, None]:
+    """Start one server with a past for all tests, which do not change it."""
+    with ArchiveProcess(tmp_path_factory.mktemp("archive")) as running:
+        yield running
+
+
+def rows(page: Page) -> Locator:
+    return page.get_by_role("table", name="Goals").locator("tbody tr")
+
+
+def choose_label(page: Page, label: str) -> None:
+    """Let the list have the goals of a label, those of the history included."""
+    filters = page.get_by_text("Client, label and time")
+    if not page.get_by_label("Label", exact=True).is_visible():
+        filters.click()
+    page.get_by_label("Label", exact=True).fill(label)
+    page.get_by_role("button", name="Older goals").click()
+
+
+def open_order(page: Page, number: int) -> None:
+    """Open the goal of an order."""
+    choose_label(page, f"order={number}")
+    expect(rows(page)).to_have_count(1)
+    rows(page).get_by_role("link").click()
+    expect(goal(page).get_by_label("Goal", exact=True)).to_contain_text(f'"order": {number}')
+
+
+def test_older_goals_come_from_the_history_page_by_page(page: Page, archive: RobotProcess) -> None:
+    open_action(page, archive, "paint")
+    expect(page.get_by_text("No goal yet.")).to_be_visible()
+    page.get_by_role("button", name="Older goals").click()
+    expect(rows(page)).to_have_count(200)
+    page.get_by_role("button", name="Older goals").click()
+    expect(rows(page)).to_have_count(GOALS)
+    page.get_by_role("button", name="Older goals").click()
+    expect(page.get_by_text("The history of the server has no older goals.")).to_be_visible()
+    page.get_by_label("Filter goals").select_option("not succeeded")
+    expect(rows(page)).to_have_count(GOALS // 10)
+    expect(rows(page).first).to_contain_text("the can is empty")
+
+
+def test_all_actions_have_their_history_in_one_list(page: Page, archive: RobotProcess) -> None:
+    page.goto(f"{archive.url}/#/")
+    expect(page.get_by_role("navigation").get_by_role("link", name="polish")).to_be_visible()
+    choose_label(page, "order=7")
+    expect(rows(page)).to_have_count(2)
+    expect(rows(page).filter(has_text="polish")).to_have_count(1)
+    expect(rows(page).filter(has_text="paint")).to_contain_text("order=7 wall=north")
+
+
+def test_goals_are_chosen_by_client_label_and_time(page: Page, archive: RobotProcess) -> None:
+    open_action(page, archive, "paint")
+    choose_label(page, "wall=south")
+    expect(rows(page)).to_have_count(GOALS // 2)
+    page.get_by_label("Since", exact=True).fill("2020-01-01T00:00")
+    expect(rows(page)).to_have_count(GOALS // 2)
+    page.get_by_label("Until", exact=True).fill("2020-01-02T00:00")
+    expect(rows(page)).to_have_count(0)
+    page.get_by_role("button", name="Older goals").click()
+    expect(page.get_by_text("The history of the server has no older goals.")).to_be_visible()
+    page.get_by_label("Until", exact=True).fill("")
+    page.get_by_label("Client", exact=True).fill("nobody like it")
+    expect(rows(page)).to_have_count(0)
+    page.get_by_label("Client", exact=True).fill("")
+    page.get_by_label("Label", exact=True).fill("wall")
+    expect(rows(page)).to_have_count(GOALS // 2)
+
+
+def test_the_address_has_the_choice_and_another_page_reads_it(
+    page: Page, context: BrowserContext, archive: RobotProcess
+) -> None:
+    open_action(page, archive, "paint")
+    choose_label(page, "order=12")
+    page.get_by_label("Search goals").fill("south")
+    page.get_by_label("Since", exact=True).fill("2020-01-01T00:00")
+    expect(page).to_have_url(re.compile(r"/#/paint\?search=south&label=order%3D12&since=20"))
+    other = context.new_page()
+    other.goto(page.url)
+    expect(other.get_by_label("Search goals")).to_have_value("south")
+    expect(other.get_by_label("Label", exact=True)).to_have_value("order=12")
+    expect(other.get_by_label("Since", exact=True)).to_have_value("2020-01-01T00:00")
+    other.get_by_role("button", name="Older goals").click()
+    expect(rows(other)).to_have_count(1)
+    rows(other).get_by_role("link").click()
+    expect(other).to_have_url(re.compile(r"/#/paint/[0-9a-f]{32}\?search=south&"))
+    other.get_by_role("link", name="paint", exact=True).first.click()
+    expect(other.get_by_label("Search goals")).to_have_value("")
+
+
+def test_a_link_to_a_goal_stays_true_when_the_server_has_forgotten_it(
+    page: Page, browser: Browser, archive: RobotProcess
+) -> None:
+    open_action(page, archive, "paint")
+    open_order(page, 17)
+    address = page.url
+    other = browser.new_page()
+    other.goto(address.split("?")[0])
+    expect(goal(other).locator(".badge")).to_have_text("✓ succeeded")
+    expect(goal(other).get_by_label("Result", exact=True)).to_contain_text('"liters": 4.25')
+    expect(goal(other)).to_contain_text("Labels: order=17")
+    expect(goal(other)).to_contain_text("Feedback: 1 message, not in the history")
+    other.goto(f"{archive.url}/#/paint/{'ab' * 16}")
+    expect(other.get_by_text("it may have forgotten it")).to_be_visible()
+    other.close()
+
+
+def test_a_label_of_a_goal_lists_the_goals_that_have_it(page: Page, archive: RobotProcess) -> None:
+    open_action(page, archive, "paint")
+    open_order(page, 18)
+    goal(page).get_by_role("button", name="wall=south").click()
+    page.get_by_role("button", name="Older goals").click()
+    expect(rows(page)).to_have_count(GOALS // 2)
+
+
+def test_two_goals_are_compared(page: Page, archive: RobotProcess) -> None:
+    open_action(page, archive, "paint")
+    open_order(page, GOALS - 1)
+    goal(page).get_by_role("button", name="Compare", exact=True).click()
+    comparison = page.get_by_role("region", name="Comparison")
+    expect(comparison).to_contain_text("Open the other goal.")
+    open_order(page, GOALS)
+    for text in ("result.liters", "goal.color", "succeeded", "aborted", "the can is empty"):
+        expect(comparison).to_contain_text(text)
+    expect(comparison).to_contain_text(re.compile(r"goal\.order\s*229\s*230"))
+    expect(comparison).not_to_contain_text("goal.spots[0].y")
+    for theme in ("light", "dark"):
+        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
+    comparison.get_by_role("button", name="Stop comparing").click()
+    expect(comparison).to_be_hidden()
+
+
+def test_a_goal_of_the_past_is_sent_again_with_its_labels(
+    page: Page, browser: Browser, tmp_path: Path
+) -> None:
+    with ArchiveProcess(tmp_path) as own:
+        open_action(page, own, "paint")
+        open_order(page, 21)
+        before = goal(page).locator("header code").inner_text()
+        goal(page).get_by_role("button", name="Send again").click()
+        page.get_by_role("dialog").get_by_role("button", name="Send again").click()
+        expect(goal(page).locator("header code")).not_to_have_text(before)
+        expect(goal(page).locator(".facts")).to_contain_text("by this page")
+        expect(goal(page).get_by_label("Result", exact=True)).to_contain_text('"liters": 5.25')
+        expect(goal(page)).to_contain_text("Labels: order=21")
+
+
+def saved(page: Page, name: str) -> str:
+    with page.expect_download() as download:
+        page.get_by_role("button", name=name).click()
+    return download.value.path().read_text()
+
+
+def test_the_list_is_saved_as_json_and_csv(page: Page, archive: RobotProcess) -> None:
+    open_action(page, archive, "paint")
+    choose_label(page, "wall=south")
+    expect(rows(page)).to_have_count(GOALS // 2)
+    goals = json.loads(saved(page, "Save as JSON"))
+    assert len(goals) == GOALS // 2
+    assert {one["labels"]["wall"] for one in goals} == {"south"}
+    lines = list(csv.DictReader(saved(page, "Save as CSV").splitlines()))
+    assert [line["goal_id"] for line in lines] == [one["goal_id"] for one in goals]
+
+
+def recording_of(goal_id: str, folder: Path) -> Path:
+    """Write a recording of one goal of the past, with its feedback."""
+    begin = 1_790_000_000_000_000_000
+    fields: list[dict[str, Any]] = [
+        {"event": "server", "info": PAINT.info},
+        {"event": "accepted", "goal_id": goal_id, "client": "ann", "data": {"order": 30}},
+        {"event": "feedback", "goal_id": goal_id, "number": 1, "data": 1},
+        {"event": "end", "goal_id": goal_id, "status": "SUCCEEDED", "data": {"liters": 7}},
+    ]
+    records = [Record(begin, action="paint", **one) for one in fields]
+    file = folder / "painted.jsonl"
+    file.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
+    return file
+
+
+def test_a_goal_of_the_past_is_found_in_a_recording(
+    page: Page, archive: RobotProcess, tmp_path: Path
+) -> None:
+    open_action(page, archive, "paint")
+    open_order(page, 31)
+    found = re.search("[0-9a-f]{32}", page.url)
+    assert found is not None
+    for goal_id, text in ((found[0], "by ann"), ("cd" * 16, "The recording has no goal")):
+        with page.expect_file_chooser() as choosing:
+            goal(page).get_by_role("button", name="Find in a recording").click()
+        choosing.value.set_files(recording_of(goal_id, tmp_path))
+        expect(page.locator("#connection")).to_have_text("recording painted.jsonl")
+        expect(page.locator("#content")).to_contain_text(text)
+        page.get_by_role("button", name="Close", exact=True).click()
+        expect(goal(page).get_by_label("Goal", exact=True)).to_contain_text('"order": 31')
+
+
+def test_on_a_phone_the_history_does_not_scroll_sideways(page: Page, archive: RobotProcess) -> None:
+    page.set_viewport_size({"width": 390, "height": 800})
+    open_action(page, archive, "paint")
+    open_order(page, 40)
+    goal(page).get_by_role("button", name="Compare", exact=True).click()
+    open_order(page, 41)
+    expect(page.get_by_role("region", name="Comparison")).to_contain_text("goal.order")
+    width = page.evaluate("document.documentElement.scrollWidth")
+    assert width <= 390

@@ -1,0 +1,108 @@
+/** The choice of goals in a list: words, a state, a client, a label, and a span of time. */
+
+import { h } from "./dom.js";
+import { stateOf } from "./goal_text.js";
+import { pickedOf } from "./time_field.js";
+import { summaryOf } from "./values.js";
+
+const STATES = {
+  all: { fits: () => true, ended: [] },
+  active: { fits: (goal) => goal.isActive, ended: null },
+  ended: { fits: (goal) => !goal.isActive, ended: [] },
+  "not succeeded": { fits: (goal) => !goal.isActive && goal.status !== "SUCCEEDED", ended: [5, 6] },
+};
+const NANOSECONDS = 1_000_000n; // of a millisecond
+
+export class GoalFilter {
+  /** Make the fields; `onchange` is called with each change of a person. */
+  constructor(onchange) {
+    this.onchange = onchange;
+    const field = (type, more) => h("input", { type, autocomplete: "off", oninput: onchange, ...more });
+    this.search = field("search", { placeholder: "Search goals", "aria-label": "Search goals" });
+    this.state = h("select", { "aria-label": "Filter goals", oninput: onchange }, ...Object.keys(STATES).map((name) => h("option", {}, name)));
+    this.client = field("search");
+    this.label = field("search", { placeholder: "key=value" });
+    this.since = field("datetime-local");
+    this.until = field("datetime-local");
+    const named = { Client: this.client, Label: this.label, Since: this.since, Until: this.until };
+    const fields = Object.entries(named).map(([name, input]) => h("label", {}, name, input));
+    this.more = h("details", { class: "more" }, h("summary", {}, "Client, label and time"), h("div", { class: "tools" }, ...fields));
+  }
+
+  /** Choose the goals of a label. */
+  choose(label) {
+    this.label.value = label;
+    this.more.open = true;
+    this.onchange();
+  }
+
+  /** The choice as the end of an address; empty if all goals are wanted. */
+  get query() {
+    const { search, client, label, since, until } = this;
+    const state = this.state.selectedIndex ? this.state.value : "";
+    const times = [since, until].map(({ value }) => value && new Date(value).toISOString());
+    const parts = { search: search.value, state, client: client.value, label: label.value, since: times[0], until: times[1] };
+    const text = new URLSearchParams(Object.entries(parts).filter(([, value]) => value)).toString();
+    return text && `?${text}`;
+  }
+
+  set query(text) {
+    const parts = new URLSearchParams(text);
+    for (const name of ["search", "client", "label"]) {
+      this[name].value = parts.get(name) ?? "";
+    }
+    for (const name of ["since", "until"]) {
+      this[name].value = pickedOf(parts.get(name) ?? "", "date-time").slice(0, 16);
+    }
+    this.state.value = parts.get("state") ?? "all";
+    this.state.selectedIndex = Math.max(this.state.selectedIndex, 0);
+    this.more.open ||= [this.client, this.label, this.since, this.until].some(({ value }) => value);
+  }
+
+  /** Return a function that tells whether a goal is wanted. */
+  reader() {
+    const words = this.search.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const { fits } = STATES[this.state.value];
+    const [client, [key, value], since, until] = [this.client.value, this.labelParts, timeIn(this.since), timeIn(this.until)];
+    return (goal) =>
+      fits(goal) && goal.client.includes(client) &&
+      (!key || (value === undefined ? key in goal.labels : goal.labels[key] === value)) &&
+      !(goal.sentAt < since) && !(goal.sentAt > until) && matches(goal, words);
+  }
+
+  /** The key and the value of the label; the value is undefined if any will do. */
+  get labelParts() {
+    const [key, ...rest] = this.label.value.trim().split("=");
+    return [key, rest.length ? rest.join("=") : undefined];
+  }
+
+  /** What a server is asked of its history, as its fields have it; null if nothing there is wanted. */
+  get past() {
+    const statuses = STATES[this.state.value].ended;
+    const [key, value] = this.labelParts;
+    const stamps = [timeIn(this.since), timeIn(this.until)].map((time) => Number.isNaN(time) ? null : BigInt(time) * NANOSECONDS);
+    return statuses && { page: [statuses, this.client.value, ...stamps], labels: key && value !== undefined ? [[key, value]] : [] };
+  }
+}
+
+/** Return the time in a field in milliseconds; NaN if it is empty. */
+function timeIn({ value }) {
+  return new Date(value).getTime();
+}
+
+function matches(goal, words) {
+  if (!words.length) {
+    return true;
+  }
+  const { id, action, client, reason, parent, worker } = goal;
+  const labels = labelsOf(goal).join(" ");
+  const text = [id, action, stateOf(goal), client, worker, reason, labels, summaryOf(goal.goal, 500), parent?.step, parent?.id]
+    .join(" ")
+    .toLowerCase();
+  return words.every((word) => text.includes(word));
+}
+
+/** Return the labels of a goal as texts such as `order=17`. */
+export function labelsOf({ labels }) {
+  return Object.entries(labels).map(([key, value]) => `${key}=${value}`);
+}
