@@ -1,7 +1,7 @@
 """`Assets`: the static files that a web server has: its pages, and the client for JavaScript.
 
 The pages are the console, at the root, and that of the REST interface, at `/docs`. They come
-without the comments of their sources.
+without the comments and the indents of their sources.
 
 They are resources of this package, read once by a process. Only the names that were found then are
 served, so a path that climbs out of the folder is one of the many that do not exist.
@@ -22,7 +22,7 @@ from pathlib import PurePosixPath
 from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import excerpt
 from fibaction_transports.web.http.exchange import Exchange
-from fibaction_transports.web.http.page_source import COMMENTED, without_comments
+from fibaction_transports.web.http.page_source import COMMENTED, as_served
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:;"
@@ -137,4 +137,4 @@ def _body_of(path: str, file: Traversable) -> bytes:
     """Return what is served of a file: all of it if it is of the client for JavaScript."""
     body = file.read_bytes()
     is_of_page = path.endswith(COMMENTED) and path.removeprefix("/") not in CLIENT
-    return without_comments(body) if is_of_page else body
+    return as_served(body) if is_of_page else body
