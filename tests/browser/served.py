@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Self
 
 from tests.support.ports import free_port
 
@@ -36,9 +37,14 @@ class RobotProcess:
         command = [sys.executable, "-m", *self.program()]
         self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
-        if not self._process.stdout.readline().strip():
+        line = self._process.stdout.readline().strip()
+        if not line:
             self.kill()
             raise RuntimeError("the robot has not started")
+        self.take(line)
+
+    def take(self, line: str) -> None:
+        """Take the line that the process has printed, for a process whose line says more."""
 
     def program(self) -> list[str]:
         """Return the module to run, and its arguments."""
@@ -57,7 +63,7 @@ class RobotProcess:
             self._process.stdout.close()
             self._process = None
 
-    def __enter__(self) -> RobotProcess:
+    def __enter__(self) -> Self:
         self.start()
         return self
 
@@ -87,3 +93,21 @@ class ArchiveProcess(RobotProcess):
     def program(self) -> list[str]:
         """Return the module to run, and its arguments."""
         return ["tests.browser.archive", self.url, str(self._file)]
+
+
+class RecordingProcess(RobotProcess):
+    """A process of `fibaction console` with a recording."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self._file = file
+        self.address = ""
+        """The address of the page, with its token."""
+
+    def program(self) -> list[str]:
+        """Return the module to run, and its arguments."""
+        return ["fibaction", "console", str(self._file), "--no-open", "--port", str(self.port)]
+
+    def take(self, line: str) -> None:
+        """Take the address from the line that the process has printed."""
+        self.address = line.split(" at ")[1].split(" , ")[0]

@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, BrowserContext, FilePayload, Locator, P
 
 from fibaction.observe.recordings.recording_file import Record
 from tests.browser.robot import DRIVE
-from tests.browser.served import BridgeProcess, RobotProcess
+from tests.browser.served import BridgeProcess, RecordingProcess, RobotProcess
 
 ID = re.compile("[0-9a-f]{8}")
 LONG = "2000"
@@ -832,6 +832,25 @@ def test_a_recording_is_shown_in_place_of_the_server(
     page.get_by_role("button", name="Close", exact=True).click()
     expect(page.locator("#connection")).to_have_text("connected")
     expect(action(page, "fibonacci")).to_be_visible()
+
+
+def test_a_command_opens_a_recording_in_the_page(page: Page, tmp_path: Path) -> None:
+    file = recording(tmp_path)
+    with RecordingProcess(file) as served:
+        page.goto(served.address)
+        expect(page.locator("#connection")).to_have_text("recording today.jsonl")
+        expect(row(page, "cdcdcdcd")).to_contain_text("too far")
+        page.get_by_role("link", name="abababab", exact=True).click()
+        expect(goal(page)).to_contain_text("Feedback: 3 messages")
+        expect(page.get_by_role("button", name="Open a recording")).to_have_count(0)
+        page.reload()
+        expect(page.locator("#connection")).to_have_text("recording today.jsonl")
+        expect(goal(page)).to_contain_text("Feedback: 3 messages")
+        file.unlink()
+        page.reload()
+        expect(page.get_by_role("alert")).to_have_text(
+            "today.jsonl cannot be read: the server answers with the status 404"
+        )
 
 
 def test_a_file_that_is_not_a_recording_says_so(

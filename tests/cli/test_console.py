@@ -141,6 +141,65 @@ def test_the_browser_gets_the_address_with_the_token(
     assert opened == [f"{found[2]}/#token={found[3]}"]
 
 
+def test_a_recording_is_served_with_the_page_until_a_signal_comes(
+    tmp_path: Path, invoke: Invoke, started: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "to day.jsonl"
+    file.write_text('{"time":1,"event":"server","action":"count"}\n')
+    process = started("console", str(file), "--no-open")
+    line = lines_until("console of", process)[-1]
+    found = re.search(
+        r"at (http://127\.0\.0\.1:\d+)/\?recording=to%20day\.jsonl#token=(\S+) ,", line
+    )
+    assert found is not None
+    url, token = found.groups()
+    assert fetched(f"{url}/recording")[0] == 401
+    assert fetched(f"{url}/recording", token) == (200, file.read_bytes())
+    assert fetched(f"{url}/actions", token) == (200, b"[]")
+    process.send_signal(SIGTERM)
+    assert ended(process).code == 0
+
+    opened: list[str] = []
+
+    def open_and_stop(address: str) -> None:
+        opened.append(address)
+        signal.raise_signal(SIGTERM)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(webbrowser, "open", open_and_stop)
+    assert invoke("console", str(file)).exit_code == 0
+    assert ["/?recording=to%20day.jsonl#token=" in address for address in opened] == [True]
+
+
+def test_no_recording_is_served_and_no_browser_opened_where_none_is_wanted(
+    tmp_path: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "today.jsonl"
+    file.write_text('{"time":1,"event":"server","action":"count"}\n')
+    monkeypatch.setattr(console, "say", lambda _: signal.raise_signal(SIGTERM))
+    monkeypatch.setattr(webbrowser, "open", pytest.fail)
+    assert invoke("console", str(file), "--no-open").exit_code == ExitCode.SUCCEEDED
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (None, "cannot be read: No such file or directory; name a file, or a URL as in tcp://"),
+        ("", "is not a recording of fibaction, or is empty"),
+        ("hello\n", "is not a recording of fibaction, or is empty"),
+    ],
+)
+def test_a_file_that_is_not_a_recording_is_one_sentence(
+    tmp_path: Path, invoke: Invoke, text: str | None, told: str
+) -> None:
+    file = tmp_path / "today.jsonl"
+    if text is not None:
+        file.write_text(text)
+    result = invoke("console", str(file))
+    assert result.exit_code == ExitCode.USAGE
+    assert told in result.stderr
+
+
 # The actions
 
 

@@ -1,4 +1,5 @@
-"""`fibaction console`: the page to operate the actions of any server, on this machine only.
+"""`fibaction console`: the page to operate the actions of any server, on this machine only; or to
+look at a recording.
 
 The page is part of every web server of this library. So this verb serves what it has connected to
 once more, at an `http://` address of this machine, and opens that. Actions that come later are
@@ -13,6 +14,9 @@ import secrets
 import sys
 import webbrowser
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
 
 import anyio
 import click
@@ -24,7 +28,7 @@ from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.options import reject_inproc, url_of
 from fibaction.cli.output.lines import note, say
-from fibaction.cli.process.exit_codes import ExitCode, message_of, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.logs import log_with_time
 from fibaction.cli.process.signals import stop_signals
 from fibaction.types.action import ActionInfo
@@ -42,9 +46,10 @@ PERIOD = 1.0
 Examples:
   fibaction console tcp://192.168.0.7:7400
   fibaction console ros2:// --port 8080
-  fibaction console nats://127.0.0.1:4222/fleet --no-open""",
+  fibaction console nats://127.0.0.1:4222/fleet --no-open
+  fibaction console today.jsonl""",
 )
-@click.argument("url", metavar="[URL]", required=False)
+@click.argument("source", metavar="[URL|FILE]", required=False)
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
@@ -54,17 +59,36 @@ Examples:
 )
 @click.option("--no-open", is_flag=True, help="Print the address, and open no browser.")
 @click.pass_context
-def console_command(context: click.Context, url: str | None, port: int, no_open: bool) -> None:
-    """Open a page in the browser to watch and operate the actions of a server.
+def console_command(context: click.Context, source: str | None, port: int, no_open: bool) -> None:
+    """Open a page in the browser to watch and operate the actions of a server, or to look at a
+    recording of `fibaction serve --record` or `fibaction record`.
 
     The page is served on this machine only, with a token of its own in the address.
 
     Ctrl-C or SIGTERM ends it; the goals continue at their server. A second one ends at once.
     """
-    there = url or url_of(context)
-    reject_inproc(there)
+    there = source or url_of(context)
+    opens = not no_open and can_open(os.environ, sys.platform)
     with log_with_time():
-        run(console, there, port, opens=not no_open and can_open(os.environ, sys.platform))
+        if "://" not in there:
+            check_is_recording(there)
+            run(show_recording, there, port, opens=opens)
+        else:
+            reject_inproc(there)
+            run(console, there, port, opens=opens)
+
+
+def check_is_recording(path: str) -> None:
+    """Raise `Failure` if a file is not a recording that has begun."""
+    from fibaction.observe.recordings.recording_file import read_records
+
+    try:
+        record = next(read_records(path), None)
+    except OSError as exc:
+        advice = "name a file, or a URL as in tcp://127.0.0.1:7400"
+        raise Failure(f"{path} cannot be read: {exc.strerror}; {advice}", ExitCode.USAGE) from exc
+    if record is None:
+        raise Failure(f"{path} is not a recording of fibaction, or is empty", ExitCode.USAGE)
 
 
 def can_open(environment: Mapping[str, str], platform: str) -> bool:
@@ -76,9 +100,7 @@ def can_open(environment: Mapping[str, str], platform: str) -> bool:
 
 async def console(url: str, port: int, *, opens: bool) -> int:
     """Serve the actions of a server with the console, until a signal comes."""
-    token = secrets.token_urlsafe(16)
-    page = transport_for(f"http://127.0.0.1:{port}", tokens={token: "console"})
-    assert isinstance(page, WireTransport)
+    page, token = page_at(port)
     async with stop_signals() as stop, connect(url) as connection:
         found = ReachableActions(connection)
         found.take(await connection.actions())
@@ -95,6 +117,32 @@ async def console(url: str, port: int, *, opens: bool) -> int:
             await stop.wait()
             tasks.cancel_scope.cancel()
     return ExitCode.SUCCEEDED
+
+
+async def show_recording(path: str, port: int, *, opens: bool) -> int:
+    """Serve a recording with the console, until a signal comes."""
+    page, token = page_at(port, recording=path)
+    async with (
+        stop_signals() as stop,
+        open_server({}, page.server_settings) as server,
+        page.accept_lines(server) as where,
+        anyio.create_task_group() as tasks,
+    ):
+        address = f"{where}/?recording={quote(Path(path).name)}#token={token}"
+        say(f"console of {path} at {address} , Ctrl-C stops it")
+        if opens:
+            tasks.start_soon(open_page, address)
+        await stop.wait()
+        tasks.cancel_scope.cancel()
+    return ExitCode.SUCCEEDED
+
+
+def page_at(port: int, **settings: Any) -> tuple[WireTransport, str]:
+    """Return the server of the page at a port of this machine, and its token."""
+    token = secrets.token_urlsafe(16)
+    page = transport_for(f"http://127.0.0.1:{port}", tokens={token: "console"}, **settings)
+    assert isinstance(page, WireTransport)
+    return page, token
 
 
 async def open_page(address: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from functools import cached_property
+from os import PathLike
 from typing import Any, ClassVar, Unpack
 
 from anyio.abc import Listener
@@ -36,6 +37,7 @@ class HttpTransport(WebSocketTransport):
         *WebSocketTransport.own_settings,
         "console",
         "metrics",
+        "recording",
     )
     own_url_settings: ClassVar = {**WebSocketTransport.own_url_settings, "console": boolean}
     plain_scheme = "http"
@@ -50,6 +52,7 @@ class HttpTransport(WebSocketTransport):
         *,
         console: bool = True,
         metrics: Metrics | None = None,
+        recording: str | PathLike[str] | None = None,
         **settings: Unpack[WebSocketKeywords],
     ) -> None:
         """Take what a `WebSocketTransport` takes.
@@ -60,6 +63,8 @@ class HttpTransport(WebSocketTransport):
             path: The path of the server; it begins with `/`.
             console: Serve the console as a page at the path.
             metrics: Serve these at `/metrics`; they are a watcher, too, for `serve`.
+            recording: File of a recording to serve at `/recording`, which the console shows at the
+                address `?recording=NAME`.
             settings: Those of a `WebSocketTransport`.
 
         Raises:
@@ -68,6 +73,7 @@ class HttpTransport(WebSocketTransport):
         super().__init__(host, port, path, **settings)
         self._console = console
         self._metrics = metrics
+        self._recording = recording
 
     @cached_property
     def _served(self) -> dict[WireServer, HttpServer]:
@@ -76,7 +82,13 @@ class HttpTransport(WebSocketTransport):
     @asynccontextmanager
     async def accept_lines(self, server: WireServer) -> AsyncGenerator[str, None]:
         admitted = self._rules()
-        application = WebApplication(server, admitted, console=self._console, metrics=self._metrics)
+        application = WebApplication(
+            server,
+            admitted,
+            console=self._console,
+            metrics=self._metrics,
+            recording=self._recording,
+        )
         self._served[server] = HttpServer(application, server, admitted, self._scheme)
         try:
             async with super().accept_lines(server) as url:

@@ -5,7 +5,7 @@ import { ActionList } from "./action_list.js";
 import { ActionPage } from "./action_page.js";
 import { keepToken, serverAddress, shownIn, takeToken } from "./address.js";
 import { askToken, showKeys } from "./dialogs.js";
-import { h, setText } from "./dom.js";
+import { h, setText, show } from "./dom.js";
 import { linkTo } from "./goal_text.js";
 import { History } from "./history.js";
 import { RecordedStore } from "./recording.js";
@@ -54,6 +54,7 @@ class Console {
 
   connect(token) {
     const address = serverAddress();
+    this.token = token;
     this.connection = new Connection(address, { token, onstate: (state) => this.takeState(state) });
     this.use(new Store(this.connection, new History(address)));
   }
@@ -83,20 +84,40 @@ class Console {
   }
 
   /** Show a recording in place of the server. */
-  openRecording(file) {
+  openRecording(file, name = file?.name) {
     if (file) {
       this.store.state = "closed"; // it asks no more
-      if (!this.store.shown.goal) { // else the goal is looked for in the recording
+      if (!this.store.shown.goal && file.name) { // else the goal is looked for in the recording
         window.location.hash = "#/";
       }
       setText(document.getElementById("open"), "Close");
-      this.use(new RecordedStore(file, file.name, decode));
+      this.use(new RecordedStore(file, name, decode));
       this.connection.close(); // the end is not shown
+    }
+  }
+
+  /** Show the recording that the server of the page has, if the address names it. */
+  async openServed(name) {
+    const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
+    try {
+      const answer = await fetch("recording", { headers });
+      if (!answer.ok) {
+        throw new Error(`the server answers with the status ${answer.status}`);
+      }
+      show(document.getElementById("open"), false);
+      this.openRecording(await answer.blob(), name);
+    } catch (error) {
+      this.page.fail(`${name} cannot be read: ${error.message}`);
     }
   }
 
   takeState(state) {
     if (this.store.isRecording) {
+      return;
+    }
+    const recording = new URLSearchParams(window.location.search).get("recording");
+    if (state === "ready" && recording) {
+      this.openServed(recording);
       return;
     }
     this.store.takeState(state);

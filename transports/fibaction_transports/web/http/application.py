@@ -23,6 +23,7 @@ task group, in which `_hold` is, cancels the rest. So nothing runs after the blo
 from __future__ import annotations
 
 from contextlib import suppress
+from os import PathLike
 
 import anyio
 from anyio import CancelScope
@@ -48,6 +49,7 @@ from fibaction_transports.web.http.exchange import (
 from fibaction_transports.web.http.handshake import SUBPROTOCOL
 from fibaction_transports.web.http.probes import Probes
 from fibaction_transports.web.http.problems import RETRY, Problem, problem_of
+from fibaction_transports.web.http.recording_answer import ServedRecording
 from fibaction_transports.web.rest.handlers import RestInterface
 from fibaction_transports.web.rosbridge.server.channel import (
     RosbridgeAsgiChannel,
@@ -75,13 +77,17 @@ class WebApplication:
         *,
         console: bool = True,
         metrics: Metrics | None = None,
+        recording: str | PathLike[str] | None = None,
     ) -> None:
-        """Serve the console, too, unless it is not wanted, and metrics, if there are some."""
+        """Serve the console, too, unless it is not wanted, and metrics and a recording, if there
+        are some.
+        """
         self._server = server
         self._assets = Assets(console=console)
         self._rules = rules
         self._rest = RestInterface(server)
         self._probes = Probes(metrics, self._rest.admit)
+        self._recording = ServedRecording(recording, self._rest.admit)
         self._requests: set[CancelScope] = set()
         self._sockets: set[CancelScope] = set()
         self._changed = Notifier()  # of both
@@ -167,7 +173,7 @@ class WebApplication:
             await exchange.answer(308, b"", ("Location", f"{exchange.root}/"))
         elif (asset := self._assets.find(exchange)) is not None:
             await answer_with(asset, exchange)
-        elif not await self._probes.answer(exchange):
+        elif not (await self._probes.answer(exchange) or await self._recording.answer(exchange)):
             await self._rest.handle(exchange)
 
     async def _tell(self, exchange: Exchange, problem: Problem, *, is_wrong: bool = True) -> None:

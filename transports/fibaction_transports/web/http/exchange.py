@@ -225,8 +225,11 @@ class Exchange:
 
     def begin_events(self, status: int, *headers: tuple[str, str]) -> None:
         """Begin to answer with a stream of events."""
-        kind = ("Content-Type", EVENT_STREAM)
-        self._begin(status, [*headers, kind, ("X-Accel-Buffering", "no")])
+        self.begin_stream(status, EVENT_STREAM, *headers, ("X-Accel-Buffering", "no"))
+
+    def begin_stream(self, status: int, kind: str, *headers: tuple[str, str]) -> None:
+        """Begin to answer with a body of that media type, which is written piece by piece."""
+        self._begin(status, [*headers, ("Content-Type", kind)])
 
     async def write(self, data: bytes) -> None:
         """Write a piece of a stream.
