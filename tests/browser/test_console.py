@@ -9,6 +9,7 @@ import time
 import zlib
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -353,6 +354,82 @@ def test_the_places_of_a_goal_are_drawn_from_above(page: Page, robot: RobotProce
     assert place.evaluate(some)
     page.reload()
     expect(place).to_be_visible()
+
+
+def test_a_view_from_above_is_zoomed_by_buttons_wheel_drag_and_keys(
+    page: Page, robot: RobotProcess
+) -> None:
+    drive(page, robot)
+    view = goal(page).get_by_role("img", name="From above (m)")
+    whole = goal(page).locator(".plane").get_by_role("button", name="Show all")
+    told = page.locator("#announcer")
+    part = re.compile(r"From above \(m\): [-\d.e]+ to [-\d.e]+, [-\d.e]+ to [-\d.e]+")
+
+    def change(how: Callable[[], object], shown: str | re.Pattern[str]) -> None:
+        before = told.inner_text()
+        how()
+        expect(told).not_to_have_text(before)
+        expect(told).to_have_text(shown)
+
+    goal(page).get_by_role("button", name="Zoom out: From above").click()  # of the whole
+    expect(told).to_have_text("From above (m): all")
+    expect(whole).to_have_count(0)
+    change(goal(page).get_by_role("button", name="Zoom in: From above").click, part)
+    expect(whole).to_be_visible()
+    change(whole.click, "From above (m): all")
+    expect(view).to_be_focused()
+
+    view.scroll_into_view_if_needed()
+    box = view.bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.keyboard.down("Control")
+    change(lambda: page.mouse.wheel(0, -100), part)
+    page.keyboard.up("Control")
+    page.mouse.down()
+    change(lambda: page.mouse.move(x + 40, y + 20), part)
+    page.mouse.up()
+    before = told.inner_text()
+    page.mouse.move(x, y)  # the drag is over
+    expect(told).to_have_text(before)
+    change(lambda: view.press("0"), "From above (m): all")
+
+    for key in ("+", "ArrowLeft", "ArrowUp"):
+        change(partial(view.press, key), part)
+    change(lambda: view.press("-"), "From above (m): all")
+    change(lambda: view.press("="), part)
+    change(lambda: view.dblclick(), "From above (m): all")
+    change(lambda: view.press("+"), part)
+    for theme in ("light", "dark"):
+        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
+    change(lambda: view.press("Escape"), "From above (m): all")
+    expect(goal(page)).to_have_count(1)
+
+
+PINCH = """canvas => {
+  const { left, top } = canvas.getBoundingClientRect();
+  const tell = (type, pointerId, x) => {
+    const place = { clientX: left + x, clientY: top + 120 };
+    canvas.dispatchEvent(new PointerEvent(type, { pointerId, button: 0, ...place }));
+  };
+  canvas.setPointerCapture = () => {};
+  tell("pointerdown", 11, 150);
+  tell("pointerdown", 12, 250);
+  tell("pointermove", 12, 350);
+  tell("pointerup", 11, 150);
+  tell("pointercancel", 12, 350);
+}"""
+
+
+def test_two_fingers_zoom_a_view_from_above(page: Page, robot: RobotProcess) -> None:
+    drive(page, robot)
+    view = goal(page).get_by_role("img", name="From above (m)")
+    view.evaluate(PINCH)
+    expect(page.locator("#announcer")).to_have_text(re.compile(r"From above \(m\): .* to "))
+    expect(goal(page).locator(".plane.zoomed")).to_be_visible()
 
 
 def test_places_on_the_earth_are_drawn_on_a_map(page: Page, robot: RobotProcess) -> None:

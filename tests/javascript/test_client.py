@@ -41,6 +41,7 @@ IN_NODE = [
         "goal_text",
         "places",
         "plane",
+        "plane_zoom",
         "recording",
         "schema",
         "series",

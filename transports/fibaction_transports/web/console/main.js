@@ -22,6 +22,7 @@ const KEYS = [
   ["j, k", "Next, previous goal"],
   ["c", "Cancel the goal that is shown"],
   ["+, −, ←, →, 0", "At a chart: zoom in, zoom out, move, show all"],
+  ["+, −, ← → ↑ ↓, 0", "At a view from above: the same"],
   ["Esc", "Close the goal"],
   ["?", "Show these keys"],
 ];

@@ -1,9 +1,10 @@
 /** The places of a goal from above: where it is to go, where it was, and the paths, to scale. */
 
 import { cleared, drawThrough, labelled, shortNumber, ticksOf } from "./chart.js";
-import { arrange, h, setText, show } from "./dom.js";
+import { announce, arrange, button, h, setText, show } from "./dom.js";
 import { valueAt } from "./feedback_parts.js";
 import { counted } from "./goal_text.js";
+import { PlaneZoom, listenToPlane } from "./plane_zoom.js";
 
 const HEIGHT = 280;
 const MARGIN = { left: 58, right: 14, top: 12, bottom: 24 };
@@ -51,13 +52,35 @@ class Plane {
   constructor(axes, unit) {
     this.axes = axes;
     this.layers = [];
+    this.drawn = [];
     const title = axes === "map" ? "Map" : "From above";
     this.title = unit ? `${title} (${unit})` : title;
-    this.canvas = h("canvas", { role: "img" });
+    this.canvas = h("canvas", { role: "img", tabindex: 0, "aria-keyshortcuts": "+ - ArrowLeft ArrowRight ArrowUp ArrowDown 0" });
+    this.zoom = new PlaneZoom();
+    this.area = null;
+    listenToPlane(this.canvas, this.zoom, { area: () => this.area, onzoom: () => this.tellZoom() });
+    const press = (key) => () => this.area && this.zoom.press(key, this.area) && this.tellZoom();
+    const named = (text, key, name) => button(text, press(key), { "aria-label": `${name}: ${this.title}` });
+    this.whole = button("Show all", () => this.showWhole(), { hidden: true });
+    const zooms = h("div", { class: "zooms" }, this.whole, named("−", "-", "Zoom out"), named("+", "+", "Zoom in"));
     this.frame = h("span", {});
     this.keys = h("span", { class: "keys-of-plane" });
     const caption = h("figcaption", {}, h("strong", {}, this.title), this.frame, this.keys);
-    this.element = h("figure", { class: "chart plane", hidden: true }, caption, this.canvas);
+    this.element = h("figure", { class: "chart plane", hidden: true }, caption, this.canvas, zooms);
+  }
+
+  /** Draw the part of the zoom, and tell it to a screen reader. */
+  tellZoom() {
+    this.draw();
+    const { low, high } = this.area;
+    const part = [0, 1].map((axis) => `${shortNumber(low[axis])} to ${shortNumber(high[axis])}`).join(", ");
+    announce(`${this.title}: ${this.zoom.part ? part : "all"}`);
+  }
+
+  showWhole() {
+    this.zoom.reset();
+    this.canvas.focus();
+    this.tellZoom();
   }
 
   update(record) {
@@ -70,23 +93,35 @@ class Plane {
     show(this.element, drawn.reduce((sum, layer) => sum + layer.points.length, 0) > 1);
     const names = drawn.map((layer) => `${layer.name} ${layer.value.textContent}`).join("; ");
     this.canvas.setAttribute("aria-label", `${this.title}: ${names}`);
-    this.draw(drawn);
+    this.drawn = drawn;
+    this.draw();
   }
 
-  draw(layers) {
+  draw() {
+    const layers = this.drawn;
     const width = this.canvas.clientWidth;
     if (!width || this.element.hidden) {
       return;
     }
     const [pen, style] = cleared(this.canvas, HEIGHT);
-    const area = areaOf(layers.flatMap((layer) => layer.points), width, this.axes);
+    const area = areaOf(layers.flatMap((layer) => layer.points), width, this.axes, this.zoom);
+    const newest = layers[0]?.points.slice(-1)[0]; // such as where a robot is
+    const isShown = newest && [0, 1].every((axis) => area.low[axis] <= newest[axis] && newest[axis] <= area.high[axis]);
+    this.area = { ...area, focus: isShown ? newest.slice(0, 2) : null };
+    show(this.whole, Boolean(this.zoom.part));
+    this.element.classList.toggle("zoomed", Boolean(this.zoom.part));
     drawGrid(pen, area, width);
     if (this.axes === "map") {
       drawScale(pen, area, style, width);
     }
+    pen.save();
+    pen.beginPath();
+    pen.rect(MARGIN.left, MARGIN.top, ...area.size);
+    pen.clip();
     for (const layer of layers) {
       drawLayer(pen, layer, area, style.getPropertyValue(layer.color));
     }
+    pen.restore();
   }
 }
 
@@ -115,23 +150,28 @@ export class Planes {
 }
 
 /**
- * Return the scales, which are the same in both directions: all points are inside. A degree of
- * longitude is shorter than one of latitude.
+ * Return the scales, which are the same in both directions: all points are inside, unless a zoom
+ * shows a part. A degree of longitude is shorter than one of latitude.
  */
-export function areaOf(points, width, axes) {
+export function areaOf(points, width, axes, zoom = new PlaneZoom()) {
   const bounds = [0, 1].map((axis) => [
     points.reduce((least, point) => Math.min(least, point[axis]), Infinity),
     points.reduce((most, point) => Math.max(most, point[axis]), -Infinity),
   ]);
-  const [middleX, middleY] = bounds.map(([low, high]) => (low + high) / 2);
-  const squeeze = axes === "map" ? Math.max(Math.cos((middleY * Math.PI) / 180), 0.01) : 1;
+  const center = bounds.map(([low, high]) => (low + high) / 2);
+  const squeeze = axes === "map" ? Math.max(Math.cos((center[1] * Math.PI) / 180), 0.01) : 1;
   const room = [width - MARGIN.left - MARGIN.right, HEIGHT - MARGIN.top - MARGIN.bottom];
   const [sizeX, sizeY] = bounds.map(([low, high]) => high - low);
-  const scaleY = 0.9 * Math.min(room[0] / Math.max(sizeX * squeeze, LEAST[axes]), room[1] / Math.max(sizeY, LEAST[axes]));
+  const most = 0.9 * Math.min(room[0] / Math.max(sizeX * squeeze, LEAST[axes]), room[1] / Math.max(sizeY, LEAST[axes]));
+  const whole = { middle: center, scaleY: most, low: bounds.map(([low]) => low), high: bounds.map(([, high]) => high) };
+  const { middle, scaleY } = zoom.of(whole);
   const scaleX = scaleY * squeeze;
-  const at = (x, y) => [MARGIN.left + room[0] / 2 + (x - middleX) * scaleX, MARGIN.top + room[1] / 2 - (y - middleY) * scaleY];
-  const [halfX, halfY] = [room[0] / scaleX / 2, room[1] / scaleY / 2];
-  return { at, scaleX, scaleY, low: [middleX - halfX, middleY - halfY], high: [middleX + halfX, middleY + halfY] };
+  const [left, top] = [MARGIN.left + room[0] / 2, MARGIN.top + room[1] / 2];
+  const at = (x, y) => [left + (x - middle[0]) * scaleX, top - (y - middle[1]) * scaleY];
+  const pointAt = (x, y) => [middle[0] + (x - left) / scaleX, middle[1] - (y - top) / scaleY];
+  const halves = [room[0] / scaleX / 2, room[1] / scaleY / 2];
+  const [low, high] = [-1, 1].map((side) => middle.map((one, axis) => one + side * halves[axis]));
+  return { at, pointAt, scaleX, scaleY, middle, whole, size: room, low, high };
 }
 
 function drawGrid(pen, area, width) {
