@@ -91,6 +91,22 @@ def test_goals_are_chosen_by_client_label_and_time(page: Page, archive: RobotPro
     expect(rows(page)).to_have_count(GOALS // 2)
 
 
+def test_times_that_no_stamp_can_tell_choose_all_goals_or_none(
+    page: Page, archive: RobotProcess
+) -> None:
+    open_action(page, archive, "paint")
+    page.get_by_text("Client, label and time").click()
+    page.get_by_label("Since", exact=True).fill("0002-01-01T00:00")
+    page.get_by_label("Until", exact=True).fill("9999-12-31T00:00")
+    page.get_by_role("button", name="Older goals").click()
+    expect(rows(page)).to_have_count(200)
+    page.get_by_label("Until", exact=True).fill("0003-01-01T00:00")
+    page.get_by_role("button", name="Older goals").click()
+    expect(page.get_by_text("The history of the server has no older goals.")).to_be_visible()
+    expect(rows(page)).to_have_count(0)
+    expect(page.locator("#connection")).to_have_text("connected")
+
+
 def test_the_address_has_the_choice_and_another_page_reads_it(
     page: Page, context: BrowserContext, archive: RobotProcess
 ) -> None:

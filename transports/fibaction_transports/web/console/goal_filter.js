@@ -11,7 +11,7 @@ const STATES = {
   ended: { fits: (goal) => !goal.isActive, ended: [] },
   "not succeeded": { fits: (goal) => !goal.isActive && goal.status !== "SUCCEEDED", ended: [5, 6] },
 };
-const NANOSECONDS = 1_000_000n; // of a millisecond
+const LAST_TIME = 9e12; // milliseconds; the last that a stamp can tell is a little later
 
 export class GoalFilter {
   /** Make the fields; `onchange` is called with each change of a person. */
@@ -40,7 +40,7 @@ export class GoalFilter {
   get query() {
     const { search, client, label, since, until } = this;
     const state = this.state.selectedIndex ? this.state.value : "";
-    const times = [since, until].map(({ value }) => value && new Date(value).toISOString());
+    const times = [since, until].map((input) => (Number.isNaN(timeIn(input)) ? "" : new Date(input.value).toISOString()));
     const parts = { search: search.value, state, client: client.value, label: label.value, since: times[0], until: times[1] };
     const text = new URLSearchParams(Object.entries(parts).filter(([, value]) => value)).toString();
     return text && `?${text}`;
@@ -80,7 +80,7 @@ export class GoalFilter {
   get past() {
     const statuses = STATES[this.state.value].ended;
     const [key, value] = this.labelParts;
-    const stamps = [timeIn(this.since), timeIn(this.until)].map((time) => Number.isNaN(time) ? null : BigInt(time) * NANOSECONDS);
+    const stamps = [timeIn(this.since), timeIn(this.until)].map((time) => (Number.isNaN(time) ? null : stampOf(time)));
     return statuses && { page: [statuses, this.client.value, ...stamps], labels: key && value !== undefined ? [[key, value]] : [] };
   }
 }
@@ -88,6 +88,11 @@ export class GoalFilter {
 /** Return the time in a field in milliseconds; NaN if it is empty. */
 function timeIn({ value }) {
   return new Date(value).getTime();
+}
+
+/** Return a time as a stamp of the protocol, in nanoseconds; one that no stamp can tell as the nearest. */
+function stampOf(time) {
+  return BigInt(Math.min(Math.max(time, 0), LAST_TIME)) * 1_000_000n;
 }
 
 function matches(goal, words) {
