@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.tools.benchmarks import size_page
+from tests.tools.benchmarks.pages import NOTHING
 from tests.tools.benchmarks.size_page import Direction, Report, Series
 from tests.tools.benchmarks.sizes import PLANS
 
@@ -49,7 +50,7 @@ def test_a_figure_that_says_nothing_is_a_dash_and_no_bar() -> None:
     series = Series("Each megabyte", "µs", [None, 200.0, 400.0])
     direction = Direction("payloads", "bytes", [1, 10**6, 10**7], [series])
     row = size_page.table(direction).splitlines()[-1]
-    assert row == f"| Each megabyte | {size_page.NOTHING} | 200 µs | 400 µs | 2 |"
+    assert row == f"| Each megabyte | {NOTHING} | 200 µs | 400 µs | 2 |"
     drawn = size_page.picture(Report("a machine", "2026-01-01", [direction]))
     assert drawn.count("<rect") == size_page.picture(
         Report("", "", [direction._replace(sizes=[1, 2], series=[Series("s", "µs", [1.0, 2.0])])])
