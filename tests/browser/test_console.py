@@ -697,7 +697,7 @@ def test_a_goal_survives_the_end_of_the_server_and_a_reload_of_the_page(
     page.reload()
     expect(goal(page).get_by_label("Result", exact=True)).to_contain_text("0, 1, 1, 2")
     expect(goal(page)).to_contain_text("Feedback: 3 messages")
-    page.get_by_role("button", name="Clear history").click()
+    page.get_by_role("button", name="Clear list").click()
     page.get_by_role("button", name="Clear", exact=True).click()
     expect(row(page, ended)).to_have_count(0)
 
@@ -900,7 +900,7 @@ def test_a_recording_is_shown_in_place_of_the_server(
     goal(page).get_by_text("Messages", exact=True).click()
     lines = goal(page).get_by_label("Feedback messages")
     expect(lines).to_contain_text(re.compile(r"3\.000 s.*2\.000 s.*1\.000 s", re.DOTALL))
-    for name in ("Send goal", "Use as new goal", "Cancel goal", "Clear history"):
+    for name in ("Send goal", "Use as new goal", "Cancel goal", "Clear list"):
         expect(page.get_by_role("button", name=name)).to_have_count(0)
     for theme in ("light", "dark"):
         page.emulate_media(color_scheme=theme, reduced_motion="reduce")

@@ -155,7 +155,7 @@ export class ActionPage {
 
   async forget() {
     const text = "This browser forgets the goals that have ended. The server does not.";
-    if (await confirmed("Clear the history?", text, "Clear", "Keep it")) {
+    if (await confirmed("Clear the list?", text, "Clear", "Keep it")) {
       this.store.forgetEnded();
     }
   }

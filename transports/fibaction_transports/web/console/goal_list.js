@@ -78,7 +78,7 @@ export class GoalList {
     this.search = this.filter.search;
     this.search.addEventListener("keydown", (event) => event.key === "Enter" && this.open());
     this.cancelAll = button("Cancel all", oncancelAll);
-    this.forget = button("Clear history", onforget, { class: "quiet" });
+    this.forget = button("Clear list", onforget, { class: "quiet" });
     this.body = h("tbody");
     this.note = h("p", { class: "note" });
     const action = withAction ? h("th", { scope: "col" }, "Action") : null;
