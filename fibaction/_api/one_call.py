@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Unpack, overload
 
 from fibaction._api.called_action import CalledAction
@@ -22,6 +22,7 @@ async def call(
     on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
     timeout: float | None = None,
     retry: Retry | None = None,
+    labels: Mapping[str, str] | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> ResultT: ...
 
@@ -35,6 +36,7 @@ async def call(
     on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
     timeout: float | None = None,
     retry: Retry | None = None,
+    labels: Mapping[str, str] | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> ResultT: ...
 
@@ -47,6 +49,7 @@ async def call(
     on_feedback: Callable[[Any], Awaitable[object] | object] | None = None,
     timeout: float | None = None,
     retry: Retry | None = None,
+    labels: Mapping[str, str] | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> Any:
     """Connect to a URL, or by a transport, send one goal, and return its result.
@@ -54,12 +57,14 @@ async def call(
         print(await call("tcp://127.0.0.1:7400", DRIVE, 3, on_feedback=print))
 
     A program that sends several goals keeps a connection: see `connect`, whose `settings` these
-    are. `on_feedback`, `timeout` and `retry` are those of `ActionClient.call`; neither of the last
-    two counts the time to connect.
+    are. `on_feedback`, `timeout`, `retry` and `labels` are those of `ActionClient.call`; neither
+    the timeout nor the retry counts the time to connect.
 
     Raises:
         ActionError, TypeError, ValueError: As for `connect`, and for `ActionClient.call`.
     """
     check_is_action(action, "call")
     async with connect(where, action, **settings) as client:
-        return await client.call(goal, on_feedback=on_feedback, timeout=timeout, retry=retry)
+        return await client.call(
+            goal, on_feedback=on_feedback, timeout=timeout, retry=retry, labels=labels
+        )

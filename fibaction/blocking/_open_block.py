@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, NoReturn, Unpack, overload
 
@@ -106,6 +106,7 @@ def call(
     on_feedback: Callable[[FeedbackT], object] | None = None,
     timeout: float | None = None,
     retry: Retry | None = None,
+    labels: Mapping[str, str] | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> ResultT: ...
 
@@ -119,6 +120,7 @@ def call(
     on_feedback: Callable[[FeedbackT], object] | None = None,
     timeout: float | None = None,
     retry: Retry | None = None,
+    labels: Mapping[str, str] | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> ResultT: ...
 
@@ -131,13 +133,14 @@ def call(
     on_feedback: Callable[[Any], object] | None = None,
     timeout: float | None = None,
     retry: Retry | None = None,
+    labels: Mapping[str, str] | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> Any:
     """Connect to a URL, or by a transport, send one goal, and return its result.
 
         print(call("tcp://127.0.0.1:7400", drive, 3, on_feedback=print))
 
-    Ctrl-C cancels the goal. `on_feedback`, `timeout` and `retry` are those of
+    Ctrl-C cancels the goal. `on_feedback`, `timeout`, `retry` and `labels` are those of
     `BlockingClient.call`, and `settings` those of `connect`.
 
     Raises:
@@ -146,4 +149,6 @@ def call(
     """
     check_is_action(action, "call")
     with connect(where, action, **settings) as client:
-        return client.call(goal, on_feedback=on_feedback, timeout=timeout, retry=retry)
+        return client.call(
+            goal, on_feedback=on_feedback, timeout=timeout, retry=retry, labels=labels
+        )

@@ -16,7 +16,7 @@ import msgspec
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
 from fibaction.words.errors import ActionError
-from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent
+from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 
 
@@ -114,11 +114,11 @@ class GoalStream(_Closing):
         return None
 
     @property
-    def parent(self) -> Parent | None:
-        """The goal whose executor has sent this one: see `GoalInfo.parent`. The client that sent it
-        is not told.
+    def info(self) -> GoalInfo:
+        """The goal as an entry of a list, as far as this stream knows it, without its place among
+        those that wait. The client that sent it is not told its parent and its labels.
         """
-        return None
+        return GoalInfo(self.goal_id, self.stamp, self.status, attempt=self.newest_attempt)
 
     @property
     @abstractmethod

@@ -39,7 +39,7 @@ from fibaction.feeds.feedback_window import (
 from fibaction.feeds.followed_goal import FollowedGoal
 from fibaction.feeds.hold_time import UNLIMITED_TIME, BriefHold, HoldTime
 from fibaction.words.errors import ActionError, UnknownGoal, copy_of
-from fibaction.words.goals import Outcome, Parent
+from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 
 
@@ -265,9 +265,9 @@ class FeedbackCursor(GoalStream):
         return self._log.payload
 
     @property
-    def parent(self) -> Parent | None:
+    def info(self) -> GoalInfo:
         goal: FollowedGoal = self._log.goal
-        return goal.parent
+        return goal.info
 
     @property
     def dropped(self) -> int:

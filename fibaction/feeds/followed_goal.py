@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from fibaction.words.goals import GoalID, Outcome, Parent
+from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 
 
@@ -32,8 +32,8 @@ class FollowedGoal(Protocol):
     """The outcome; None until the goal ends."""
 
     @property
-    def parent(self) -> Parent | None:
-        """The goal whose executor has sent this one; None if there is none or it is not known."""
+    def info(self) -> GoalInfo:
+        """The goal as an entry of a list, as far as it is known here."""
         ...
 
     @property
@@ -56,17 +56,26 @@ class GoalFacts:
         "goal_id",
         "held",
         "outcome",
-        "parent",
         "stamp",
+        "told_info",
         "told_status",
     )
 
     def __init__(self, goal_id: GoalID, stamp: int) -> None:
         self.goal_id = goal_id
         self.stamp = stamp
-        self.parent: Parent | None = None
         self.attempt = 1
         self.feedback_count = 0
         self.outcome: Outcome[bytes] | None = None
         self.held: Held | None = None
         self.told_status = GoalStatus.ACCEPTED
+        self.told_info: GoalInfo | None = None
+        """The goal as an entry of a list, if the other system has told all of it at once."""
+
+    @property
+    def info(self) -> GoalInfo:
+        """See `FollowedGoal.info`."""
+        if self.told_info is not None:
+            return self.told_info
+        status, count = self.told_status, self.feedback_count
+        return GoalInfo(self.goal_id, self.stamp, status, count, attempt=self.attempt)

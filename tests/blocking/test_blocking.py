@@ -508,7 +508,9 @@ def test_a_plain_function_is_served_and_called_without_an_event_loop() -> None:
     found: list[int] = []
     with blocking_serve([press, home], "tcp://127.0.0.1:0") as (url,):
         assert call(url, press, 3, on_feedback=found.append, timeout=5) == "pressed 3 times"
-        assert call(url, home) == "at home"
+        assert call(url, home, labels={"order": "17"}) == "at home"
+        with connect(url, home) as at_home:
+            assert [info.labels for info in at_home.goals()] == [{"order": "17"}]
         with connect(url, press) as client, client.send_goal(FOR_EVER) as goal:
             for number in goal.feedback:
                 if number == 3:

@@ -551,7 +551,9 @@ def test_a_stream_of_a_server_without_a_store_is_of_the_first_attempt() -> None:
 
 def test_a_stream_does_not_know_the_goal_itself_unless_it_says_so() -> None:
     assert OneEnd().goal is None
-    assert OneEnd().parent is None
+    end = OneEnd()
+    end.goal_id, end.stamp = GoalID(bytes(16)), 7
+    assert end.info == GoalInfo(end.goal_id, end.stamp, end.status)
 
 
 class Held(OneEnd):

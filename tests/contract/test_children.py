@@ -181,10 +181,10 @@ async def test_lists_and_followers_are_told_the_parent_of_a_child_also_after_its
                 event = await anext(events)
             assert event.parent == told
             follower = await arm.attach(expected)
-            assert follower.feedback.stream.parent == told
+            assert follower.feedback.stream.info.parent == told
             await goal.cancel()
             await follower.outcome()
         parents = {info.goal_id: info.parent for info in await arm.goals()}
         assert parents == {own.goal_id: None, expected: told}
         again = await arm.attach(expected)
-        assert again.feedback.stream.parent == told
+        assert again.feedback.stream.info.parent == told

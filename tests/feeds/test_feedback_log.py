@@ -18,7 +18,7 @@ from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.feeds.hold_time import MOST, SHARE
 from fibaction.words.errors import ConnectionLost, GoalKept, UnknownGoal
-from fibaction.words.goals import GoalID, Outcome, Parent
+from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 from tests.support.virtual_time import in_virtual_time
 
@@ -72,12 +72,14 @@ async def while_waiting(waiting: Callable[[], Awaitable[object]], then: Callable
             then()
 
 
-def test_a_stream_knows_the_parent_of_its_goal() -> None:
+def test_a_stream_knows_its_goal_as_an_entry_of_a_list() -> None:
     log = new_log()
     stream = log.follow()
-    assert stream.parent is None
-    log.goal.parent = Parent(GoalID(bytes(16)), "pick")
-    assert stream.parent == log.goal.parent
+    append(log, 2)
+    assert stream.info == GoalInfo(GOAL_ID, 7, GoalStatus.ACCEPTED, 2)
+    told = GoalInfo(GOAL_ID, 7, GoalStatus.SUCCEEDED, labels={"order": "17"})
+    log.goal.told_info = told
+    assert stream.info == told
 
 
 # What a follower reads

@@ -223,6 +223,21 @@ test("a goal of a list has its labels, and a page of the history its goals", asy
   }
 });
 
+test("labels go with a goal, and are told to those who follow it", async () => {
+  const connection = connect(), labels = { order: "17" };
+  const goal = await connection.sendGoal(COUNT, { to: 1, then: "wait" }, { labels });
+  const info = await new Promise((resolve) => connection.watch(COUNT, (one) =>
+    one.id === goal.id && resolve(one)));
+  const follower = await connect().attach(COUNT, goal.id);
+  assert.deepEqual([goal.labels, info.labels, follower.labels], [labels, labels, labels]);
+  assert.equal(info.worker, "");
+  const other = await connect().attach(COUNT, (await connection.sendGoal(COUNT, { to: 0 })).id);
+  assert.deepEqual(other.labels, {});
+  await goal.cancel();
+  await assert.rejects(connection.sendGoal(COUNT, { to: 1 }, { labels: { parent: "17" } }),
+    { name: "TypeError", message: "'parent' cannot be a label" });
+});
+
 test("a watch that the server rejects tells its error", async () => {
   const error = await new Promise((resolve) => connect().watch("nothing", () => {}, resolve));
   assert.equal(error.name, "ServerNotFound");

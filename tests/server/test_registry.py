@@ -1246,7 +1246,7 @@ def test_a_restored_goal_has_the_parent_that_its_meta_names() -> None:
     registry = GoalRegistry()
     child = registry.restore(stored(1, meta={"parent": str(A), "step": "pick"}))
     ended = stored(2, status=GoalStatus.ABORTED, meta={"parent": str(B)})
-    assert child.info.parent == child.parent == Parent(A, "pick")
+    assert child.info.parent == Parent(A, "pick")
     assert registry.restore(ended, until=5.0).info.parent == Parent(B)
     assert registry.restore(stored(3)).info.parent is None
 

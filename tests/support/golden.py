@@ -126,10 +126,10 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952001cb3ff0000000000000ce00010000cb402e000000000000",
     ),
     (
-        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL, PARENT),
+        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL, PARENT, {"order": "17"}),
         (
-            "992101cf17979cfe362a000001c20001c40881a56f726465720a92c410000102030405060708090a"
-            "0b0c0d0e0fa47069636b"
+            "9a2101cf17979cfe362a000001c20001c40881a56f726465720a92c410000102030405060708090a"
+            "0b0c0d0e0fa47069636b81a56f72646572a23137"
         ),
     ),
     (

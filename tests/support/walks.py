@@ -41,7 +41,7 @@ _TERMINAL = re.compile(
 _FILE = re.compile(r"<!-- file: (?P<path>[\w./]+)(?P<ros>, where ROS 2 is)? -->\n\Z")
 _END = "--- the end of a command ---"
 # What is another one in each run, in this order: IDs, stamps, processes, clients, ages of goals and
-# how much feedback they had by then. Columns are as wide as that.
+# how much feedback they had by then, also in JSON. Columns are as wide as that.
 _CHANGING = {
     r"\b[0-9a-f]{32}\b": "ID",
     r"\b\d{19}\b": "STAMP",
@@ -49,6 +49,7 @@ _CHANGING = {
     r"127\.0\.0\.1:\d{5}\b": "127.0.0.1:PORT",
     r"\b\d+\.\d s +\d+ ": "AGE COUNT ",
     r"\b\d+\.\d s\b": "AGE",
+    r'"(feedback_count|waited|ran)":[\d.e-]+': "MEASURED",
     r" +": " ",
 }
 

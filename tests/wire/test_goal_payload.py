@@ -1,12 +1,13 @@
-"""The payload and the parent of a goal in `Following`: who is told them, and when."""
+"""The payload, the parent and the labels of a goal in `Following`: who is told them, and when."""
 
 from __future__ import annotations
 
 import anyio
 import msgspec
 import pytest
+from msgspec.structs import replace
 
-from fibaction import GoalID, Parent
+from fibaction import GoalID, GoalInfo, Parent
 from fibaction.wire.frames import LEAST_FRAME
 from fibaction.wire.messages import Follow, Following, SendGoal
 from tests.wire.ends import (
@@ -83,12 +84,24 @@ async def test_a_client_that_follows_the_child_of_another_goal_is_told_its_paren
         assert told.parent == (bytes([7] * 16), "pick")
 
 
-async def test_a_stream_of_a_client_knows_the_parent_that_it_was_told() -> None:
+async def test_a_client_that_follows_a_goal_of_another_one_is_told_its_labels() -> None:
+    labeled = SendGoal(1, "fibonacci", A, GOAL, ANY, None, {"order": "17", "traceparent": "00-1"})
+    async with serving(held()) as served:
+        sender, observer = await served.greet(), await served.greet(BOB)
+        assert (await sender.ask(labeled, Following)).labels is None
+        assert (await observer.ask(follow(None, own=False), Following)).labels == {"order": "17"}
+
+
+async def test_a_stream_of_a_client_knows_the_parent_and_the_labels_that_it_was_told() -> None:
     async with reached() as (connection, server):
         endpoint = endpoint_of(connection)
         async with Running(lambda: endpoint.feedback(GOAL_ID)) as following:
             asked = await server.hear(Follow)
             parent = (bytes([7] * 16), "x" * 200)
-            await server.say(Following(asked.id, 7, EXECUTING, False, 0, 1, None, parent))
+            labels = {str(number): "" for number in range(9)}
+            await server.say(Following(asked.id, 7, EXECUTING, False, 3, 1, None, parent, labels))
             stream = await following.answer()
-    assert stream.parent == Parent(GoalID(bytes([7] * 16)), "x" * 99 + "…")
+    info = GoalInfo(GOAL_ID, 7, EXECUTING, feedback_count=3)
+    parent_told = Parent(GoalID(bytes([7] * 16)), "x" * 99 + "…")
+    fits = {str(number): "" for number in range(8)}
+    assert stream.info == replace(info, parent=parent_told, labels=fits)

@@ -232,6 +232,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         *(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS, ATTEMPTS),
         strategies.none() | BYTES,
         PARENTS,
+        strategies.none() | strategies.dictionaries(TEXT, TEXT),
     ),
     Rejected: builds(Rejected, IDS, TEXT),
     Failed: builds(Failed, IDS, NUMBERS, TEXT),
@@ -358,6 +359,7 @@ NULLABLE = {
     (Ended, "result"),
     (Following, "goal"),
     (Following, "parent"),
+    (Following, "labels"),
     (GoalChanged, "parent"),
     (GoalChanged, "began_at"),
     (GoalChanged, "labels"),
@@ -475,7 +477,7 @@ def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, gol
         "ended_at": 1,
         "past": ([5], "", None, None, 9, (1, bytes(16)), True),
     }
-    likely["labels"] = {} if isinstance(message, GoalChanged) else [("order", "17")]
+    likely["labels"] = {} if isinstance(message, GoalChanged | Following) else [("order", "17")]
     for name in message.__struct_fields__:
         if (type(message), name) in NULLABLE:
             assert taken(message, name, likely[name])

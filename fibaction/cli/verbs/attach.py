@@ -77,5 +77,5 @@ async def _attach(
 ) -> None:
     stream = await client.endpoint.feedback(goal_id)
     printer = goal_printer(feedback=True, as_json=as_json, full=full)
-    printer.accepted(goal_id, stream.stamp, stream.parent)
+    printer.accepted(goal_id, stream.stamp, stream.info.parent)
     codes.append(await print_goal(stream, client.action, printer, live=not full))

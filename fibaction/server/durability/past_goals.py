@@ -12,7 +12,6 @@ from fibaction.server.goal_logs import GoalLogs
 from fibaction.words.errors import LimitReached, ServerFailed, StoreError, UnknownGoal
 from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import GoalID, GoalInfo, Outcome
-from fibaction.words.meta import parent_in
 
 HISTORY_FAILED = "the server cannot read the history of its goals"
 
@@ -70,7 +69,7 @@ class PastGoals:
 
     def _facts(self, past: StoredGoal) -> GoalFacts:
         facts = GoalFacts(GoalID(past.goal_id), past.stamp)
-        facts.parent = parent_in(past.meta)
+        facts.told_info = past.info
         facts.attempt = max(past.attempt, 1)
         facts.feedback_count = past.feedback_count
         facts.told_status = past.status

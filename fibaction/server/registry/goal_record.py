@@ -12,7 +12,7 @@ from fibaction._runtime.text import LENGTH, shortened
 from fibaction.server.life import LIFE, Event, Phase
 from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalRejected
-from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender
+from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.meta import UNKNOWN_ORIGIN, Meta, origin_in
 from fibaction.words.statuses import INITIAL, GoalStatus
 
@@ -132,11 +132,6 @@ class GoalRecord:
         self.origin = origin_in(meta)
         if self.origin.size and self.held is not None:
             self.held.resize(self.held.size + self.origin.size)
-
-    @property
-    def parent(self) -> Parent | None:
-        """The goal whose executor has sent this one; None if there is none."""
-        return self.origin.parent
 
     @property
     def is_kept(self) -> bool:

@@ -37,6 +37,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
+from msgspec.structs import replace
+
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import FeedbackItem, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
@@ -56,6 +58,7 @@ from fibaction.wire.messages import (
     Rejected,
     SendGoal,
     StatusChanged,
+    labels_from,
     parent_from,
 )
 from fibaction.words.errors import (
@@ -65,7 +68,7 @@ from fibaction.words.errors import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome, Parent
+from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
 OnLost: TypeAlias = "Callable[[RemoteGoal, ActionError], None]"
@@ -100,6 +103,7 @@ class RemoteGoal(Call, UnreadFeedback):
         self._status = GoalStatus.UNKNOWN
         self._goal = opening.goal if isinstance(opening, SendGoal) else None
         self._parent: Parent | None = None
+        self._labels: dict[str, str] = {}
         self._outcome: Outcome[bytes] | None = None
         self._statuses: deque[GoalStatus] = deque()
         self._credit = Credits(opening.id, window, post)
@@ -116,8 +120,9 @@ class RemoteGoal(Call, UnreadFeedback):
         return self._goal
 
     @property
-    def parent(self) -> Parent | None:
-        return self._parent
+    def info(self) -> GoalInfo:
+        info, parent, labels = super().info, self._parent, self._labels
+        return replace(info, feedback_count=self._last, parent=parent, labels=labels)
 
     @property
     def is_own(self) -> bool:
@@ -266,8 +271,8 @@ class RemoteGoal(Call, UnreadFeedback):
             self.cursor = self._start = self._last = message.place
             if message.goal is not None:
                 self._goal = message.goal
-            if message.parent is not None:
-                self._parent = parent_from(message.parent)
+            self._parent = parent_from(message.parent)
+            self._labels = labels_from(message.labels)
 
     # Messages of the server
 

@@ -43,11 +43,11 @@ from fibaction.wire.messages import (
     GoalChanged,
     Watching,
     WatchStatus,
+    labels_from,
     parent_from,
 )
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.goals import GoalID, GoalInfo
-from fibaction.words.meta import fitting
 from fibaction.words.statuses import GoalStatus
 
 UNREAD = 10_000
@@ -206,7 +206,7 @@ def info_of(message: GoalChanged) -> GoalInfo:
         began_at=message.began_at,
         ended_at=message.ended_at,
         reason=message.reason and shortened(message.reason, LENGTH),
-        labels=fitting(message.labels) if message.labels else {},
+        labels=labels_from(message.labels),
         worker=message.worker and excerpt(message.worker),
     )
 

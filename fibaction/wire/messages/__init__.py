@@ -18,10 +18,12 @@ from fibaction.wire.messages.fields import (
     Ping,
     Seconds,
     label_fields,
+    labels_from,
     parent_fields,
     parent_from,
     past_fields,
     past_from,
+    told_labels,
 )
 from fibaction.wire.messages.from_client import (
     AskPeers,
@@ -95,8 +97,10 @@ __all__ = [
     "Welcome",
     "Why",
     "label_fields",
+    "labels_from",
     "parent_fields",
     "parent_from",
     "past_fields",
     "past_from",
+    "told_labels",
 ]

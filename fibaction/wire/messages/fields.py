@@ -9,7 +9,7 @@ import msgspec
 from fibaction._runtime.text import shortened
 from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage
 from fibaction.words.goals import GoalID, Parent
-from fibaction.words.meta import LONGEST_STEP, MAX_KEYS
+from fibaction.words.meta import LONGEST_STEP, MAX_KEYS, Meta, fitting
 from fibaction.words.statuses import GoalStatus
 
 VERSION = 1
@@ -73,6 +73,16 @@ def parent_fields(parent: Parent | None) -> ParentFields | None:
 def parent_from(fields: ParentFields | None) -> Parent | None:
     """Return the parent of a goal that the field of a message names."""
     return None if fields is None else Parent(GoalID(fields[0]), shortened(fields[1], LONGEST_STEP))
+
+
+def told_labels(labels: Meta) -> dict[str, str] | None:
+    """Return the labels of a goal as the field of a message; None if there are none."""
+    return fitting(labels) if labels else None
+
+
+def labels_from(field: dict[str, str] | None) -> dict[str, str]:
+    """Return the labels of a goal that the field of a message has, as far as they are allowed."""
+    return fitting(field) if field else {}
 
 
 def past_fields(page: PastPage) -> PastFields:

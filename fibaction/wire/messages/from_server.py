@@ -57,6 +57,9 @@ class Following(WireMessage, tag=33):
     parent: ParentFields | None = None
     """The goal whose executor has sent this one, and the name of the step, as in `GoalChanged`: in
     the first answer to `Follow`, for a client that did not send it."""
+    labels: dict[str, str] | None = None
+    """Labels of the goal, as in `GoalChanged`: in the first answer to `Follow`, for a client that
+    did not send it."""
 
 
 @final

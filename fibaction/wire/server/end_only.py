@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import GoalStream, GoalUpdate
 from fibaction.words.errors import ActionError
-from fibaction.words.goals import Outcome, Parent
+from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 
 
@@ -32,8 +32,8 @@ class EndOnly(GoalStream):
         return self._stream.attempt
 
     @property
-    def parent(self) -> Parent | None:
-        return self._stream.parent
+    def info(self) -> GoalInfo:
+        return self._stream.info
 
     @property
     def dropped(self) -> int:

@@ -44,11 +44,11 @@ from fibaction.wire.messages import (
     WatchStatus,
     parent_fields,
     past_from,
+    told_labels,
 )
 from fibaction.wire.server.subscriptions import RequestSubscription
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo
-from fibaction.words.meta import fitting
 from fibaction.words.statuses import GoalStatus
 
 Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces
@@ -215,7 +215,7 @@ class RequestHandlers:
             info.began_at,
             info.ended_at,
             info.reason and sendable(info.reason),
-            fitting(info.labels) if info.labels else None,
+            told_labels(info.labels),
             info.worker and sendable(info.worker),
         )
         await self._say(changed)

@@ -39,6 +39,7 @@ from fibaction.wire.messages import (
     SendGoal,
     StatusChanged,
     parent_fields,
+    told_labels,
 )
 from fibaction.words.errors import ActionError, GoalKept
 from fibaction.words.goals import GoalID, Outcome
@@ -192,7 +193,9 @@ class GoalSubscription(Subscription):
         # sent: the frames of many followers would each hold a copy of the goal.
         self._opening = self._following(stream, stream.cursor)
         if self._is_follow and not own:
-            self._opening.goal, self._opening.parent = stream.goal, parent_fields(stream.parent)
+            info, self._opening.goal = stream.info, stream.goal
+            self._opening.parent = parent_fields(info.parent)
+            self._opening.labels = told_labels(info.labels)
         if self.closed:
             self._close(stream)
         self._tell()

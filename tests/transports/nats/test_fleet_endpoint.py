@@ -239,7 +239,7 @@ async def test_a_goal_that_has_ended_is_answered_without_its_worker(fleet: FakeF
             await endpoint.send_goal(GOAL_ID, MINUS_THREE)
         followed = await endpoint.feedback(GOAL_ID, after=-1)
         assert (followed.stamp, followed.cursor, followed.dropped) == (7, 3, 0)
-        assert followed.parent == Parent(GoalID(b"\7" * 16), "count")
+        assert followed.info.parent == Parent(GoalID(b"\7" * 16), "count")
         assert (await endpoint.get_result(GOAL_ID)).status is GoalStatus.SUCCEEDED
         answer = await endpoint.cancel_goals(GOAL_ID)
         assert answer == CancelAnswer(CancelCode.GOAL_TERMINATED)

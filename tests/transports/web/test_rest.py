@@ -785,6 +785,22 @@ async def test_goals_are_found_by_the_labels_with_which_they_were_sent(tmp_path:
             assert (wrong.status, "label: '" in wrong.json["detail"]) == (400, True)
 
 
+async def test_one_goal_is_told_with_what_a_list_tells_of_it(tmp_path: Path) -> None:
+    store = SqliteStore(tmp_path / "goals.db", history=GoalHistory())
+    server = ActionServer(FIBONACCI, fibonacci, store=store, result_timeout=0)
+    async with served(server) as url:
+        sent = await fetch(url, "POST", f"{GOALS}?wait=60&label=order=17", {"order": 3})
+        listed = (await fetch(url, "GET", f"{GOALS}?past=true")).json[0]
+        past = await fetch(url, "GET", f"{GOALS}/{listed['goal_id']}")
+    del listed["place"], listed["queue_length"]
+    times = {"began_at", "ended_at", "waited", "ran"}
+    assert {"labels", "client", "feedback_count", *times} < listed.keys()
+    assert past.json == listed | {"result": {"sequence": [0, 1, 1, 2]}}
+    told = {name: value for name, value in sent.json.items() if name not in times}
+    assert sent.json.keys() == past.json.keys()
+    assert told.items() < past.json.items()
+
+
 async def test_goals_are_chosen_by_status_client_and_time_on_every_page() -> None:
     server = ActionServer(FIBONACCI, fibonacci, result_timeout=3600)
     async with served(server) as url:

@@ -38,7 +38,7 @@ from fibaction.wire.messages import Follow, Following, SendGoal, parent_fields
 from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError, UnknownGoal
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
-from fibaction.words.meta import parent_in
+from fibaction.words.meta import labels_in, parent_in
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
 from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
 from fibaction_transports.nats.names import FleetNames
@@ -202,6 +202,7 @@ def ended_goal(opening: SendGoal | Follow, stored: StoredGoal) -> RemoteGoal:
     place, attempt = stored.feedback_count, max(stored.attempt, 1)
     following = Following(opening.id, stored.stamp, stored.status, False, place, attempt)
     following.parent = parent_fields(parent_in(stored.meta))
+    following.labels = labels_in(stored.meta)
     goal.on_message(following)
     finish(goal, stored)
     return goal

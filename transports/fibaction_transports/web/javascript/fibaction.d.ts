@@ -48,7 +48,9 @@ export interface SendOptions {
   signal?: AbortSignal;
   /** False if the feedback is not wanted. */
   feedback?: boolean;
-  /** Text that goes with the goal: its trace, `{ traceparent }`, and its labels, `{ order: "17" }`. */
+  /** Labels of the goal, to find it again: `{ order: "17" }`. */
+  labels?: Record<string, string>;
+  /** Other text that goes with the goal: its trace, `{ traceparent }`. */
   meta?: Record<string, string>;
 }
 
@@ -98,9 +100,9 @@ export interface GoalInfo extends CanceledGoal {
   endedAt: bigint | null;
   /** Reason of an abort or a cancel; may be empty. */
   reason: string;
-  /** The labels that its client has given it. */
+  /** Labels that its client has given it; empty if there are none. */
   labels: Record<string, string>;
-  /** The worker of a fleet that has the goal, or had it at its end; empty if there is none. */
+  /** Name of the worker of a fleet that has it, or had it at its end; empty if there is none. */
   worker: string;
   /** Changes that were left out so far, because the client read too slowly. */
   dropped: number;
@@ -125,6 +127,8 @@ export interface Goal<Action extends ActionTypes = AnyAction> {
   readonly stamp: bigint;
   /** The goal itself; null for one of another client, if the server does not tell it. */
   readonly goal: Action["goal"] | null;
+  /** Labels that its client has given it; empty if there are none. */
+  readonly labels: Readonly<Record<string, string>>;
   readonly status: Status;
   onstatus: ((status: Status) => void) | null;
   /** Number of the feedback that was read last, which `attach` takes as `after`. */

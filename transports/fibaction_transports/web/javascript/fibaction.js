@@ -137,6 +137,15 @@ function idOf(hex) {
   return Uint8Array.from(hex.match(/../g), (pair) => parseInt(pair, 16));
 }
 
+function metaOf(labels, meta) {
+  for (const key in labels) {
+    if (/^(trace(parent|state)|baggage|detached|parent|step)$/.test(key)) {
+      throw new TypeError(`'${key}' cannot be a label`);
+    }
+  }
+  return { ...labels, ...meta };
+}
+
 function deferred() {
   const parts = {};
   parts.promise = new Promise((resolve, reject) => Object.assign(parts, { resolve, reject }));
@@ -208,7 +217,7 @@ class Goal {
       : [FOLLOW, this.action, this._id, this._last, this._isOwn, credit, this._attempt];
   }
 
-  [FOLLOWING](stamp, status, latest, place, attempt = 1, goal = null) {
+  [FOLLOWING](stamp, status, latest, place, attempt = 1, goal = null, parent, labels) {
     stamp = BigInt(stamp);
     if (this.stamp && this.stamp !== stamp) { // of another server
       this._connection._leave(this, CLOSE);
@@ -216,6 +225,7 @@ class Goal {
     }
     if (!this.stamp) {
       this.goal ??= goal && decode(goal);
+      this.labels ??= labels ?? {};
       Object.assign(this, { stamp, attempt, number: place, _attempt: attempt, _last: place });
       this._latest = latest;
       this._accepted.resolve(this);
@@ -392,11 +402,10 @@ export class Connection {
       ({ id: hexOf(id), stamp: BigInt(stamp), status: STATUSES[status] }));
   }
 
-  async sendGoal(action, goal, { id, signal, feedback = true, meta = null } = {}) {
+  async sendGoal(action, goal, { id, signal, feedback = true, labels = {}, meta } = {}) {
     signal?.throwIfAborted();
     const sent = new Goal({ action, goal, _id: id ? idOf(id) : randomID(), _payload: encode(goal),
-      _isOwn: true, _meta: meta,
-      _reads: feedback, _connection: this });
+      _isOwn: true, labels, _meta: metaOf(labels, meta), _reads: feedback, _connection: this });
     const accepted = sent._accepted.promise;
     return new Promise((resolve, reject) => {
       const abort = () => {

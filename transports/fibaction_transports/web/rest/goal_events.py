@@ -18,7 +18,7 @@ from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.words.goals import Outcome
 from fibaction_transports.web.http.problems import Problem
-from fibaction_transports.web.rest.goal_list import parent_members
+from fibaction_transports.web.rest.goal_list import facts_of
 
 END = "end"
 """The ID of the last event of a goal."""
@@ -68,7 +68,7 @@ class GoalEvents:
 
     def accepted(self, stream: GoalStream) -> str:
         """Return the first event of a goal, with the newest status of it."""
-        return event("accepted", _json(goal_members(stream)))
+        return event("accepted", _json(facts_of(stream.info)))
 
     def update(self, stream: GoalStream, update: GoalUpdate) -> str:
         """Return the event of an update.
@@ -99,20 +99,6 @@ class GoalEvents:
         except PayloadError as exc:
             outcome = outcome.unreadable(exc)
         return {"status": outcome.status.name, "result": result, "reason": outcome.reason}
-
-
-def goal_members(stream: GoalStream) -> dict[str, object]:
-    """Return a goal that is followed as members of an object.
-
-    The stamp is text: JavaScript would round such a number.
-    """
-    return {
-        "goal_id": str(stream.goal_id),
-        "stamp": str(stream.stamp),
-        "status": stream.status.name,
-        "attempt": stream.newest_attempt,
-        **parent_members(stream.parent),
-    }
 
 
 def _json(members: dict[str, object]) -> str:

@@ -182,6 +182,13 @@ def page_of(
 
 def members_of(info: GoalInfo) -> dict[str, object]:
     """Return a goal of a list as members of an object."""
+    return facts_of(info) | {"place": info.place, "queue_length": info.queue_length}
+
+
+def facts_of(info: GoalInfo) -> dict[str, object]:
+    """Return a goal as members of an object, without its place among those that wait. The stamp is
+    text: JavaScript would round such a number.
+    """
     return {
         "goal_id": str(info.goal_id),
         "stamp": str(info.stamp),
@@ -189,11 +196,9 @@ def members_of(info: GoalInfo) -> dict[str, object]:
         "attempt": info.attempt,
         "feedback_count": info.feedback_count,
         "client": info.client,
-        "place": info.place,
-        "queue_length": info.queue_length,
         "reason": info.reason,
         **_times(info),
-        **parent_members(info.parent),
+        **_parent(info.parent),
         **({"labels": info.labels} if info.labels else {}),
         **({"worker": info.worker} if info.worker else {}),
     }
@@ -211,7 +216,7 @@ def _times(info: GoalInfo) -> dict[str, object]:
     return known
 
 
-def parent_members(parent: Parent | None) -> dict[str, object]:
+def _parent(parent: Parent | None) -> dict[str, object]:
     """Return the parent of a goal as a member of an object; none if the goal has no parent."""
     if parent is None:
         return {}

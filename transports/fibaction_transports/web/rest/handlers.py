@@ -34,9 +34,10 @@ from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import trace_meta, with_labels
 from fibaction_transports.web.http.exchange import Exchange
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
-from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
+from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of
 from fibaction_transports.web.rest.goal_list import (
     cancel_stamp_in,
+    facts_of,
     labels_of,
     listed,
     members_of,
@@ -239,7 +240,7 @@ class RestInterface:
             outcome = stream.known_outcome()
         else:
             outcome = await wait_for_end(exchange, stream, wait)
-        members = goal_members(stream)
+        members = facts_of(stream.info)
         if outcome is not None:
             members |= _events_of(endpoint).outcome_members(outcome)
         await exchange.answer(status, msgspec.json.encode(members), *headers)
