@@ -32,7 +32,6 @@ if TYPE_CHECKING:
         Schedule,
         action,
     )
-    from fibaction.stores.goal_history import GoalHistory
     from fibaction.stores.sqlite_store import SqliteStore
     from fibaction.types.action import Action, ActionInfo
     from fibaction.wire.auth import Peer, Permission
@@ -58,6 +57,7 @@ if TYPE_CHECKING:
         TransportError,
         UnknownGoal,
     )
+    from fibaction.words.goal_history import GoalHistory
     from fibaction.words.goals import (
         ActionPeers,
         CancelAnswer,
@@ -100,7 +100,7 @@ else:
         "words.progress": "Progress",
         "words.returned": "Return",
         "words.statuses": "GoalEvent GoalStatus",
-        "stores.goal_history": "GoalHistory",
+        "words.goal_history": "GoalHistory",
         "stores.sqlite_store": "SqliteStore",
         "border.watchers": "Watcher",
         "wire.auth": "Peer Permission",

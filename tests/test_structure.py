@@ -22,7 +22,7 @@ AMBIGUOUS_CONSTANTS: dict[str, int] = {}
 FACADES = {
     # The settings of a user, by keyword: a call names the few that it needs.
     "DdsTransport.__init__": 18,
-    "NatsTransport.__init__": 10,
+    "NatsTransport.__init__": 12,
     "Ros2Transport.__init__": 14,
     "RosbridgeTransport.__init__": 12,
     # Click passes each option of a command as a parameter.

@@ -30,6 +30,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
+from copy import copy
 from typing import TypeAlias
 
 import msgspec
@@ -122,6 +123,13 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
         self.goal, self.checkpoint = b"", None
         if self.meta is not None:
             self.meta = meta_after_end(self.meta)
+
+    def listed(self) -> StoredGoal:
+        """Return what a list of a history tells of the goal: all but its request and its result."""
+        line = copy(self)
+        line.goal, line.result, line.checkpoint = b"", None, None
+        line.meta, line.reason = meta_after_end(self.meta), shortened(self.reason, LENGTH)
+        return line
 
     def as_new(self, stamp: int) -> StoredGoal:
         """Return a goal that was given up as a new one, to run from its last checkpoint.

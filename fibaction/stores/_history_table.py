@@ -36,15 +36,13 @@ from copy import copy
 from functools import partial
 from typing import TypeAlias
 
-from fibaction._runtime.text import LENGTH, shortened
 from fibaction.border.goal_store import StoredGoal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import PAGE
-from fibaction.stores.goal_history import GoalHistory
 from fibaction.stores.journal_rows import DamagedRow, WholeRecord, decode_row, encode_row
+from fibaction.words.goal_history import GoalHistory
 from fibaction.words.goal_query import GoalQuery, PastPage, Place
 from fibaction.words.goals import GoalID, GoalInfo
-from fibaction.words.meta import meta_after_end
 
 TABLE = """
 create table if not exists history(
@@ -184,17 +182,15 @@ def _oldest_end(db: sqlite3.Connection) -> int:
 
 
 def _row(number: int, action: str, goal: StoredGoal) -> Row:
-    whole, line = copy(goal), copy(goal)
+    whole = copy(goal)
     whole.reason = goal.reason.encode(errors="replace").decode()  # as `journal_rows.ended` does
-    line.goal, line.result, line.meta = b"", None, meta_after_end(goal.meta)
-    line.reason = shortened(whole.reason, LENGTH)
     return (
         number,
         action,
         goal.stamp,
         goal.goal_id,
         goal.ended_at,
-        encode_row(number, [WholeRecord(action, line)]),
+        encode_row(number, [WholeRecord(action, whole.listed())]),
         encode_row(number, [WholeRecord(action, whole)]),
     )
 

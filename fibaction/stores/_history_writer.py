@@ -14,9 +14,9 @@ from fibaction.stores._history_table import HistoryTable
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._sqlite_journal import SqliteJournal
 from fibaction.stores._writer import Batch, Writer
-from fibaction.stores.goal_history import GoalHistory
 from fibaction.stores.journal_rows import EndRecord, ended
 from fibaction.words.errors import StoreError
+from fibaction.words.goal_history import GoalHistory
 from fibaction.words.goal_query import MOST_PAST, PastPage, Place
 from fibaction.words.goals import GoalID, GoalInfo
 

@@ -13,8 +13,8 @@ from anyio import CancelScope, Event
 from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, no_obstacle
-from fibaction.stores.goal_history import GoalHistory, check_is_history
 from fibaction.words.errors import StoreError
+from fibaction.words.goal_history import GoalHistory, check_is_history
 from fibaction.words.goals import GoalID
 
 if TYPE_CHECKING:

@@ -71,6 +71,18 @@ def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:
     assert no_obstacle(a_goal(1)) == ""
 
 
+def test_a_list_of_a_history_has_all_of_a_goal_but_its_request_and_its_result() -> None:
+    meta = {"order": "17", "traceparent": "00-1"}
+    goal = a_goal(1)
+    goal.status, goal.ended_at, goal.reason, goal.meta = GoalStatus.ABORTED, 5, "x" * 300, meta
+    goal.result, goal.checkpoint = b"result", b"half"
+    line = goal.listed()
+    assert (line.goal, line.result, line.checkpoint) == (b"", None, None)
+    assert line.info == goal.info
+    assert (line.meta, len(line.reason)) == ({"order": "17"}, 200)
+    assert (goal.result, goal.meta, len(goal.reason)) == (b"result", meta, 300)
+
+
 def test_a_goal_that_was_given_up_is_one_that_has_ended_and_is_kept_whole() -> None:
     goal = a_goal(1, checkpoint=b"half")
     assert not goal.is_given_up, "it is active"

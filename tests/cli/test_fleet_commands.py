@@ -176,6 +176,32 @@ async def test_goals_that_no_worker_can_read_are_told(
     )
 
 
+@pytest.mark.promise("FLEET-13")
+def test_goals_of_a_worker_that_was_killed_are_listed_with_the_past(
+    here: Run, broker: str, start_worker: StartWorker
+) -> None:
+    url = broker.replace("robots", "past")
+    settings = "lease=2&history_days=1&history_goals=100"
+    killed = start_worker(f"{url}?worker=killed&{settings}")
+    label = ("--label", "order=17")
+    assert here("send_goal", "wait", "{seconds: 0, steps: 1}", *label, url=url).code == 0
+    goal_id = detached(here, url, *GOAL)
+    start_worker(f"{url}?worker=next&{settings}")
+    killed.kill()
+    process = here("attach", goal_id, url=url)
+    assert process.code == ExitCode.ABORTED
+    found = here("goals", "--past", "--sort", "accepted", "--json", url=url).json
+    assert [(one["status"], one["labels"]) for one in found] == [
+        ("SUCCEEDED", {"order": "17"}),
+        ("ABORTED", {}),
+    ]
+    assert [one["worker"] for one in found] == ["killed", "next"]
+    heading, row = here("goals", "--past", *label, "--csv", url=url).lines
+    assert "goal_id" in heading
+    assert found[0]["goal_id"] in row
+    assert len(here("goals", "--past", "--limit", "1", url=url).lines) == 2
+
+
 @pytest.mark.promise("KEEP-12")
 def test_a_goal_whose_worker_is_killed_ends_for_those_that_follow_it(
     started: Start, here: Run, broker: str, start_worker: StartWorker

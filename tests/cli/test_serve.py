@@ -277,7 +277,7 @@ def test_how_to_keep_goals_is_a_setting_of_a_store(
     result = invoke("serve", "robot:make", *option)
 
     assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == f"Error: {option[0]} is a setting of --store FILE\n"
+    assert result.stderr.startswith(f"Error: {option[0]} is a setting of --store FILE")
 
 
 @pytest.mark.asyncio

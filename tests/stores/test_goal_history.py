@@ -233,21 +233,6 @@ async def test_a_clock_that_was_set_back_keeps_no_goal_for_longer_than_the_numbe
         assert await stamps(kept) == [4, 3]
 
 
-@pytest.mark.parametrize(
-    ("fields", "error", "text"),
-    [
-        ({"seconds": 0}, ValueError, "seconds is more than 0, not 0"),
-        ({"seconds": math.nan}, ValueError, "seconds is more than 0, not nan"),
-        ({"seconds": "1"}, TypeError, "seconds is a number, not '1'"),
-        ({"goals": 0}, ValueError, "goals is 1 or more, not 0"),
-        ({"goals": 1.5}, TypeError, "goals is a whole number, not 1.5"),
-    ],
-)
-def test_bounds_are_checked(fields: dict[str, Any], error: type[Exception], text: str) -> None:
-    with pytest.raises(error, match=text):
-        GoalHistory(**fields)
-
-
 # Pages
 
 CLIENTS = ("robot", "arm")

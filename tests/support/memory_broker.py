@@ -21,6 +21,7 @@ from anyio import current_time, move_on_after
 
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
@@ -122,6 +123,10 @@ class MemoryBrokers:
         self.stream: BrokerStream | None = BrokerStream("first", math.inf)
         """The answer to members about each stream."""
         self.records: dict[str, _Kept] = {}
+        self.heads: dict[str, bytes] = {}
+        """The heads of the records of the past, by subject."""
+        self.history: GoalHistory | None = None
+        """The bounds of the history that was made last; these brokers remove nothing by them."""
         self._sequences: dict[str, int] = {}
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
@@ -259,6 +264,8 @@ class MemoryWatch(BrokerWatch):
         self.subject = subject
         self._news = Notifier()
         self._found: deque[list[BrokerRecord] | None] = deque()
+        self.has_heads = False
+        """True if it has the heads of records in place of their data."""
         self.begin()
 
     def begin(self) -> None:
@@ -278,7 +285,11 @@ class MemoryWatch(BrokerWatch):
         """See `BrokerWatch.next`."""
         while not self._found or self._broker.is_away:
             await self._news.wait()
-        return self._found.popleft()
+        records = self._found.popleft()
+        if records is None or not self.has_heads:
+            return records
+        heads = self._broker.shared.heads
+        return [one._replace(data=heads[one.subject]) for one in records]
 
 
 class MemoryBroker(Broker):
@@ -409,6 +420,33 @@ class MemoryBroker(Broker):
     async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
         """See `Broker.create_key_stream`."""
         await self.before("create_key_stream", "")
+
+    async def create_history_stream(
+        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
+    ) -> None:
+        """See `Broker.create_history_stream`."""
+        await self.before("create_history_stream", "")
+        self.shared.history = history
+
+    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
+        """See `Broker.add_past`."""
+        if len(data) > self.max_record - 2 * len(head):
+            self.shared.at(
+                current_time(),
+                lambda: then(PutError(PutFailure.TOO_LARGE, "maximum payload exceeded")),
+            )
+            return
+        self.shared.heads[subject] = head
+        self.put(subject, data, expected=0, then=then)
+
+    @asynccontextmanager
+    async def watch_heads(
+        self, stream: str, subject: str, since: int
+    ) -> AsyncGenerator[MemoryWatch, None]:
+        """See `Broker.watch_heads`; `since` leaves out nothing."""
+        async with self.watch(stream, subject) as watch:
+            watch.has_heads = True
+            yield watch
 
     async def find_stream(self, stream: str) -> BrokerStream | None:
         """See `Broker.find_stream`."""

@@ -105,3 +105,5 @@ async def test_a_stream_of_a_client_knows_the_parent_and_the_labels_that_it_was_
     parent_told = Parent(GoalID(bytes([7] * 16)), "x" * 99 + "…")
     fits = {str(number): "" for number in range(8)}
     assert stream.info == replace(info, parent=parent_told, labels=fits)
+    stream.told_info = GoalInfo(GOAL_ID, 7, EXECUTING, worker="a")
+    assert stream.info == stream.told_info

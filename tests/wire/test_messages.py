@@ -54,10 +54,12 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
     label_fields,
+    labels_from,
     parent_fields,
     parent_from,
     past_fields,
     past_from,
+    told_labels,
 )
 from fibaction.words.errors import ProtocolError
 from fibaction.words.goal_query import GoalQuery, PastPage
@@ -822,3 +824,10 @@ def test_numbers_that_cannot_be_sent_keep_their_meaning() -> None:
         2**63 - 1,
         bytes(16),
     )
+
+
+def test_of_labels_those_are_told_and_taken_that_a_goal_may_have() -> None:
+    most = {str(number): "" for number in range(8)}
+    assert told_labels({}) is None
+    assert labels_from(None) == {}
+    assert told_labels({**most, "8": ""}) == labels_from({**most, "8": ""}) == most

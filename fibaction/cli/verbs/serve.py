@@ -27,8 +27,8 @@ from fibaction.cli.process.logs import log_events, log_with_time
 from fibaction.cli.process.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.process.serve_watchers import metrics_of, recorded
 from fibaction.cli.process.signals import stop_signals
-from fibaction.stores.goal_history import DAY, GoalHistory
 from fibaction.stores.sqlite_store import SqliteStore
+from fibaction.words.goal_history import DAY, GoalHistory
 from fibaction.words.statuses import GoalStatus
 
 LAST_SECONDS = 0.5
@@ -99,7 +99,10 @@ def serve_command(
     if sync is not None and store is None:
         raise Failure("--sync is a setting of --store FILE", ExitCode.USAGE)
     if history is not None and store is None:
-        raise Failure("--history is a setting of --store FILE", ExitCode.USAGE)
+        raise Failure(
+            "--history is a setting of --store FILE; in a fleet, append ?history_days=7 to the URL",
+            ExitCode.USAGE,
+        )
     where = urls or (url_of(context),)
     reject_inproc(*where)  # beside another one it is for clients in the module itself
     sync = sync or "full"

@@ -95,6 +95,8 @@ class RemoteGoal(Call, UnreadFeedback):
         self._on_ended: Callable[[], None] | None = None
         self.lost_at: float | None = None
         """Time at which it was lost, noted by `on_lost`; None when a server continues with it."""
+        self.told_info: GoalInfo | None = None
+        """The goal as an entry of a list, if its end was told with all of it."""
         self._is_released = False
         self._opening = opening
         self._window = window
@@ -121,6 +123,8 @@ class RemoteGoal(Call, UnreadFeedback):
 
     @property
     def info(self) -> GoalInfo:
+        if self.told_info is not None:
+            return self.told_info
         info, parent, labels = super().info, self._parent, self._labels
         return replace(info, feedback_count=self._last, parent=parent, labels=labels)
 
@@ -271,8 +275,10 @@ class RemoteGoal(Call, UnreadFeedback):
             self.cursor = self._start = self._last = message.place
             if message.goal is not None:
                 self._goal = message.goal
-            self._parent = parent_from(message.parent)
-            self._labels = labels_from(message.labels)
+            if message.parent is not None:
+                self._parent = parent_from(message.parent)
+            if message.labels is not None:
+                self._labels = labels_from(message.labels)
 
     # Messages of the server
 

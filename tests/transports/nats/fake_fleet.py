@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import anyio
@@ -33,6 +33,7 @@ from fibaction.wire.channel import Line
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ServerNotFound
+from fibaction.words.goal_history import GoalHistory
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from fibaction_transports.nats.broker.broker import (
     Broker,
@@ -160,6 +161,20 @@ class FakeBroker(Broker):
 
     async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
         """Do nothing."""
+
+    async def create_history_stream(
+        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
+    ) -> None:
+        raise NotImplementedError
+
+    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
+        raise NotImplementedError
+
+    def watch_heads(
+        self, stream: str, subject: str, since: int
+    ) -> AbstractAsyncContextManager[BrokerWatch]:
+        """Watch records that are their own heads."""
+        return self.watch(stream, subject)
 
     def put(
         self, subject: str, data: bytes, *, expected: int, ttl: float | None = None, then: Stored

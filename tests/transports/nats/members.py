@@ -53,6 +53,7 @@ class Member:
         self.membership = Membership(self.broker, NAMES, name, LEASE)
         self.journals: WorkerJournals
         self.journal: FleetJournal
+        self.takeover: Takeover
         self.claimed: list[StoredGoal] = []
         self.lost: list[GoalID] = []
         self.cannot_run: set[GoalID] = set()
@@ -113,7 +114,7 @@ async def member(
         workers = FleetWorkers(made.broker, NAMES, tasks, 5)
         made.journals = WorkerJournals(made.broker, NAMES, made.membership, tasks)
         lost = LostWorkers(made.broker, NAMES, made.membership, workers)
-        takeover = Takeover(made.journals, workers, lost)
+        takeover = made.takeover = Takeover(made.journals, workers, lost)
         await takeover.open()
         made.journal = await stack.enter_async_context(
             made.journals.open(

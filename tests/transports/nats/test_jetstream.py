@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
 import anyio
@@ -31,7 +32,7 @@ from fibaction_transports.nats.broker.jetstream import (
 from fibaction_transports.nats.broker.login import BrokerInfo
 from fibaction_transports.nats.broker.nats_broker import NatsBroker
 from fibaction_transports.nats.broker.note_queue import NoteQueue
-from fibaction_transports.nats.broker.record_watch import RecordWatch, delivery
+from fibaction_transports.nats.broker.record_watch import HEAD, RecordWatch, delivery
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from tests.transports.nats.scripted_client import NO_RESPONDERS, ScriptedClient, failed
@@ -107,6 +108,22 @@ async def test_a_heartbeat_tells_of_records_that_did_not_come(
     watch._on_message(delivered(1))
     watch._on_message(control(**last))
     assert watch._is_broken is is_broken
+
+
+@pytest.mark.asyncio
+async def test_heads_are_complete_though_the_last_records_were_removed_meanwhile() -> None:
+    watch = RecordWatch(NatsClient(FleetSettings("f")), "stream", "s", since=0)
+    watch._is_broken = False
+    headers = {HEAD: base64.b64encode(b"head").decode()}
+    watch._on_message(delivered(1, 1)._replace(headers=headers))
+    watch._on_message(control(Nats_Consumer_Stalled="stalled"))
+    assert not watch._is_complete
+    watch._on_message(control(Nats_Last_Consumer="1"))
+    assert watch._is_complete
+    watch._on_message(control(Nats_Last_Consumer="1"))
+    watch._on_message(delivered(2)._replace(headers={HEAD: "?"}))
+    assert [record.data for record in watch._records] == [b"head", b""]
+    assert not watch._is_broken
 
 
 @pytest.mark.asyncio

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from typing import Any
 
 import anyio
@@ -11,6 +12,7 @@ import pytest
 from fibaction import ActionServer, InvalidURL, ServerNotFound, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.wire.tls_files import TlsFiles
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats import NatsTransport
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.nats_server import NatsServer
@@ -46,6 +48,16 @@ def test_what_is_not_given_has_defaults() -> None:
     assert NatsTransport().settings.fleet == "fibaction"
 
 
+def test_a_history_has_both_bounds_if_one_of_them_is_given() -> None:
+    assert transport_of("nats:///f").settings.history is None
+    in_days = transport_of("nats:///f?history_days=0.5").settings.history
+    in_goals = transport_of("nats:///f?history_goals=7").settings.history
+    assert in_days == GoalHistory(seconds=43200)
+    assert in_goals == GoalHistory(goals=7)
+    both = transport_of("nats:///f", history_days=math.inf, history_goals=8).settings.history
+    assert both == GoalHistory(seconds=math.inf, goals=8)
+
+
 def test_one_word_before_the_at_sign_is_a_token_for_the_brokers() -> None:
     settings = transport_of("nats://s%2Fcret@host/f").settings
     assert (settings.login_token, settings.user) == ("s/cret", "")
@@ -79,6 +91,8 @@ def test_arguments_count_for_more_than_the_url() -> None:
         ("nats://host/f?lease=1", "lease is between 2 and 3600 s, not 1"),
         ("nats://host/f?lease=x", "the setting 'lease' cannot be 'x'"),
         ("nats://host/f?replicas=4", "replicas is 1, 3 or 5, not 4"),
+        ("nats://host/f?history_days=0", "history_days is more than 0, not 0"),
+        ("nats://host/f?history_goals=0", "history_goals is 1 or more, not 0"),
         ("nats://host/f?tokens=a", "'tokens': it is given in code"),
         ("nats://host/f?password=a", "has no setting 'password'"),
         ("nats://host/f?worker=a&worker=b", "setting given twice"),

@@ -16,8 +16,10 @@ hexadecimal digits. IDs of goals are 32 hexadecimal digits.
     fib.<fleet>.left.<action>            note of a goal without a worker, in that stream as well
     fib.<fleet>.key.<limit>.<key>        places of a key, in the stream FIB_<fleet>_KEYS
     fib.<fleet>.turn.<worker>            hint to a worker that it has a place of a key by now
+    fib.<fleet>.past.<action>.<goal>.<stamp>    goal that has ended, in FIB_<fleet>_HISTORY
 
-A fleet has the last stream only if a schedule has a `fleet_limit`. The key is a digest.
+A fleet has the stream of the keys only if a schedule has a `fleet_limit`, and that of the history
+only if a worker keeps one. The key is a digest.
 """
 
 from __future__ import annotations
@@ -76,6 +78,8 @@ class FleetNames:
 
         self.keys = f"FIB_{token}_KEYS"
         """The stream of the places of keys."""
+        self.history = f"FIB_{token}_HISTORY"
+        """The stream of the goals of the past."""
 
     def offer(self, action: str) -> str:
         """Return the subject of offers to workers that can run a goal of the action now."""
@@ -129,6 +133,17 @@ class FleetNames:
     def all_keys(self) -> str:
         """Return the subject of the places of all keys."""
         return f"{self.root}.key.{ANY}.{ANY}"
+
+    def past(self, action: str, goal_id: GoalID | None = None, stamp: int | None = None) -> str:
+        """Return the subject of a goal of the past; without an ID or a stamp, that of all such
+        goals of the action.
+        """
+        goal, when = (ANY if given is None else given for given in (goal_id, stamp))
+        return f"{self.root}.past.{token_of(action)}.{goal}.{when}"
+
+    def all_past(self) -> str:
+        """Return the subject of all goals of the past."""
+        return f"{self.root}.past.{ANY}.{ANY}.{ANY}"
 
     def turn(self, worker: str) -> str:
         """Return the subject of hints to a worker that it has a place of a key by now."""

@@ -16,6 +16,7 @@ from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import ConfiguredTransport
 from fibaction.words.errors import TransportError
+from fibaction.words.goal_history import DAY, GoalHistory
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 
@@ -36,7 +37,14 @@ class NatsTransport(ConfiguredTransport):
     """
 
     own_settings = ("tls",)
-    own_url_settings: ClassVar = {"worker": str, "lease": float, "replicas": int, "creds": str}
+    own_url_settings: ClassVar = {
+        "worker": str,
+        "lease": float,
+        "replicas": int,
+        "history_days": float,
+        "history_goals": int,
+        "creds": str,
+    }
     tls_schemes = ("nats+tls",)
 
     def __init__(
@@ -47,6 +55,8 @@ class NatsTransport(ConfiguredTransport):
         worker: str = "",
         lease: float | None = None,
         replicas: int | None = None,
+        history_days: float | None = None,
+        history_goals: int | None = None,
         user: str = "",
         password: str = "",
         login_token: str = "",
@@ -56,9 +66,9 @@ class NatsTransport(ConfiguredTransport):
     ) -> None:
         """Take the brokers and the fleet, and the settings of each transport over the wire.
 
-        A URL has `worker`, `lease`, `replicas`, `creds` and the text, number and boolean settings
-        after its `?`, and the login for the brokers before an `@`. With `nats+tls://` it has the
-        paths `ca`, `cert` and `key` as well.
+        A URL has `worker`, `lease`, `replicas`, `history_days`, `history_goals`, `creds` and the
+        text, number and boolean settings after its `?`, and the login for the brokers before an
+        `@`. With `nats+tls://` it has the paths `ca`, `cert` and `key` as well.
 
         Args:
             servers: The brokers, each as `host` or `host:port`; one that answers is enough.
@@ -68,6 +78,10 @@ class NatsTransport(ConfiguredTransport):
                 three brokers, and 5 with one.
             replicas: The number of brokers that keep each record; None for three if there are
                 three, and one otherwise.
+            history_days: Days after its end for which the fleet keeps a goal in its history;
+                `math.inf` without this bound, None for 30.
+            history_goals: The number of goals in the history, of all actions together; None for
+                10,000. Without both, this worker keeps no history.
             user: The user for the brokers.
             password: The password of the user.
             login_token: The token for the brokers; the setting `token` is for the workers.
@@ -88,6 +102,7 @@ class NatsTransport(ConfiguredTransport):
             worker=worker,
             lease=0.0 if lease is None else lease,
             replicas=0 if replicas is None else replicas,
+            history=_history(history_days, history_goals),
             user=user,
             password=password,
             login_token=login_token,
@@ -192,6 +207,25 @@ class NatsTransport(ConfiguredTransport):
                 f"{self.url} needs asyncio: run this program on asyncio, as with asyncio.run() or"
                 f" anyio.run()"
             )
+
+
+def _history(days: float | None, goals: int | None) -> GoalHistory | None:
+    """Return the bounds of a history; None if there is none.
+
+    Raises:
+        ValueError: One of them is out of range.
+    """
+    if days is None and goals is None:
+        return None
+    if days is not None and not days > 0:
+        raise ValueError(f"history_days is more than 0, not {days:g}")
+    if goals is not None and goals < 1:
+        raise ValueError(f"history_goals is 1 or more, not {goals}")
+    history = GoalHistory()
+    return GoalHistory(
+        seconds=history.seconds if days is None else days * DAY,
+        goals=history.goals if goals is None else goals,
+    )
 
 
 def _server(text: str) -> str:

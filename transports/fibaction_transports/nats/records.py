@@ -98,6 +98,7 @@ encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 """Returns a value of this module as bytes."""
 
 _goal_decoder = msgspec.msgpack.Decoder(GoalEntry, dec_hook=_made)
+_past_decoder = msgspec.msgpack.Decoder(StoredGoal, dec_hook=_made)
 _lease_decoder = msgspec.msgpack.Decoder(LeaseEntry)
 _question_decoder = msgspec.msgpack.Decoder(RoomQuestion)
 _offer_decoder = msgspec.msgpack.Decoder(RoomOffer)
@@ -118,6 +119,16 @@ def goal_entry(data: bytes) -> GoalEntry:
     """
     entry: GoalEntry = _decoded(_goal_decoder, data, "the record of a goal")
     return entry
+
+
+def past_goal(data: bytes) -> StoredGoal:
+    """Return the goal in a record of the history, or in the head of one.
+
+    Raises:
+        ProtocolError: The bytes are not one.
+    """
+    goal: StoredGoal = _decoded(_past_decoder, data, "a record of the history")
+    return goal
 
 
 def lease_entry(data: bytes) -> LeaseEntry:

@@ -11,6 +11,7 @@ import msgspec
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import TransportError
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.names import token_of
 
 MANY = 3
@@ -36,6 +37,8 @@ class FleetSettings(msgspec.Struct, frozen=True):
     """Seconds after which a worker counts as lost; 0 for the default."""
     replicas: int = 0
     """Brokers that keep each record; 0 for the default."""
+    history: GoalHistory | None = None
+    """The bounds of the history that this worker keeps; None if it keeps none."""
     user: str = ""
     password: str = ""
     login_token: str = ""

@@ -1,13 +1,15 @@
 """`Broker`: the interface of a connection to brokers, as far as a fleet uses them.
 
 Everything else in this package is written against it. `NatsBroker` is the real one; the simulation
-has another, on virtual time. There are three kinds of things:
+has another, on virtual time. There are four kinds of things:
 
 - Messages, which are not stored: `publish`, `subscribe`, `request`.
 - Records, of which the newest of each subject is stored. Each `put` names the sequence of the one
   that it replaces, and is refused if there is another by now. Sequences of a stream only grow. A
   record can have a time to live, which the broker judges; its end leaves a marker, which is a
   record without data.
+- Records of the past, which are stored once, and whose oldest ones the broker removes. Each has a
+  head, which can be read without the rest.
 - Notes, a queue from which each note is taken by one reader.
 
 No exception of a library crosses this interface.
@@ -21,6 +23,7 @@ from contextlib import AbstractAsyncContextManager
 from enum import Enum
 from typing import NamedTuple, TypeAlias
 
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.names import FleetNames
 
 
@@ -195,6 +198,17 @@ class Broker(ABC):
         """
 
     @abstractmethod
+    async def create_history_stream(
+        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
+    ) -> None:
+        """Make the stream of the history, or set the bounds of the one that is there: see
+        `create_streams`.
+
+        Raises:
+            TransportError: A stream of this name is of something else, or cannot be made.
+        """
+
+    @abstractmethod
     async def find_stream(self, stream: str) -> BrokerStream | None:
         """Return a stream; None if it is missing.
 
@@ -229,6 +243,23 @@ class Broker(ABC):
     @abstractmethod
     def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[BrokerWatch]:
         """Watch the records of a subject, which may have wildcards, while the block lasts.
+
+        Raises:
+            BrokerAway: The broker does not answer.
+        """
+
+    @abstractmethod
+    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
+        """Store a record of the past with its head, unless there is one of this subject: then it is
+        refused. `then` is as for `put`.
+        """
+
+    @abstractmethod
+    def watch_heads(
+        self, stream: str, subject: str, since: int
+    ) -> AbstractAsyncContextManager[BrokerWatch]:
+        """Watch the records of the past of a subject, as `watch` does, with their heads in place of
+        their data: those that were stored at a time or later, in nanoseconds since 1970.
 
         Raises:
             BrokerAway: The broker does not answer.

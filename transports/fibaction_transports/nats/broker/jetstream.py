@@ -211,8 +211,8 @@ def _streams(names: FleetNames) -> list[dict[str, Any]]:
     ]
 
 
-class _NoStorage(TransportError):
-    """An error for a stream that reserves more than the broker has left."""
+class NoStorage(TransportError):
+    """The error for a stream that reserves more than the broker has left."""
 
 
 async def create_streams(
@@ -230,8 +230,8 @@ async def create_streams(
     size = GOAL_BYTES
     while not made:
         try:
-            made = await _create_stream(client, {**goals, "max_bytes": size}, replicas, brokers)
-        except _NoStorage:
+            made = await create_stream(client, {**goals, "max_bytes": size}, replicas, brokers)
+        except NoStorage:
             if (size := size // 2) < LEAST_BYTES:
                 raise
     if made.get("max_bytes", -1) < 0:
@@ -254,7 +254,7 @@ async def create_key_stream(
         TransportError: A stream of this name is of something else, or cannot be made.
     """
     goals, *_others, keys = _streams(names)
-    made = await _create_stream(client, goals, replicas, brokers)
+    made = await create_stream(client, goals, replicas, brokers)
     await _create_beside(made, client, keys, replicas, brokers)
 
 
@@ -268,20 +268,25 @@ async def _create_beside(
         if limit >= 0:
             size = max(LEAST_BYTES, min(limit // SHARE, size))
         try:
-            await _create_stream(client, {**wanted, "max_bytes": size}, replicas, brokers)
-        except _NoStorage:
+            await create_stream(client, {**wanted, "max_bytes": size}, replicas, brokers)
+        except NoStorage:
             if limit // 2 < LEAST_BYTES:
                 raise
             goals = {**goals, "max_bytes": limit // 2}
-            await _update_stream(client, goals)
+            await update_stream(client, goals)
         else:
             return goals
 
 
-async def _create_stream(
+async def create_stream(
     client: NatsClient, wanted: dict[str, Any], replicas: int, brokers: int
 ) -> dict[str, Any]:
-    """Make a stream, or check the one that is there; return its settings."""
+    """Make a stream, or check the one that is there; return its settings.
+
+    Raises:
+        NoStorage: It reserves more than the broker has left.
+        TransportError: As for `create_streams`.
+    """
     name = wanted["name"]
     count = replicas or (MANY if brokers >= MANY else 1)
     placed_by = anyio.current_time() + PLACEMENT
@@ -292,12 +297,12 @@ async def _create_stream(
                 _check_stream(wanted, found)
                 if replicas and found["num_replicas"] != replicas:
                     found["num_replicas"] = replicas
-                    await _update_stream(client, found)
+                    await update_stream(client, found)
                 return found
             except ApiError as exc:
                 what = f"the stream {name} cannot be made: {exc}"
                 if NO_STORAGE in str(exc):
-                    raise _NoStorage(what) from exc
+                    raise NoStorage(what) from exc
                 if exc.number == NO_PEERS and anyio.current_time() < placed_by:
                     pass  # the one that leads has not heard of the others yet
                 elif exc.number in NO_ROOM_FOR_REPLICAS and not replicas and count > 1:
@@ -311,7 +316,8 @@ async def _create_stream(
     raise TransportError(f"the stream {name} cannot be made: JetStream does not answer")
 
 
-async def _update_stream(client: NatsClient, config: dict[str, Any]) -> None:
+async def update_stream(client: NatsClient, config: dict[str, Any]) -> None:
+    """Change the settings of a stream. Raises as `call` does."""
     await call(client, f"STREAM.UPDATE.{config['name']}", msgspec.json.encode(config))
 
 

@@ -12,6 +12,7 @@ import anyio
 import msgspec
 
 from fibaction.border.event_loop import Background
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.answers import ACK_TIMEOUT, NO_RESPONDERS, RawMessage
 from fibaction_transports.nats.broker.broker import (
@@ -30,13 +31,16 @@ from fibaction_transports.nats.broker.broker import (
     Stored,
 )
 from fibaction_transports.nats.broker.client import NatsClient
+from fibaction_transports.nats.broker.history_stream import create_history_stream
 from fibaction_transports.nats.broker.note_queue import NoteQueue
-from fibaction_transports.nats.broker.record_watch import watch_records
+from fibaction_transports.nats.broker.record_watch import HEAD, watch_records
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 
 HEADERS = 2**10
 """Bytes of a message that are left for its headers, at most."""
+EXPECTED = "Nats-Expected-Last-Subject-Sequence"
+"""The header of a write with the sequence that it replaces."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
 """Seconds until a note is added again that the broker has not taken."""
 
@@ -85,6 +89,11 @@ class NatsBroker(Broker):
     async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
         await jetstream.create_key_stream(self._client, names, replicas, self.brokers)
 
+    async def create_history_stream(
+        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
+    ) -> None:
+        await create_history_stream(self._client, names, history, replicas, self.brokers)
+
     async def find_stream(self, stream: str) -> BrokerStream | None:
         return await jetstream.find_stream(self._client, stream)
 
@@ -102,12 +111,16 @@ class NatsBroker(Broker):
             error = PutError(PutFailure.TOO_LARGE, text)
             self._client.soon(lambda: then(error))
             return
-        headers = {"Nats-Expected-Last-Subject-Sequence": str(expected)}
+        headers = {EXPECTED: str(expected)}
         if not data:
             headers["Nats-Marker-Reason"] = "Remove"
             ttl = jetstream.MARKER_TTL if ttl is None else ttl
         if ttl is not None and ttl < math.inf:
             headers["Nats-TTL"] = str(max(1, math.ceil(ttl)))
+        self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
+
+    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
+        headers = {EXPECTED: "0", HEAD: base64.b64encode(head).decode()}
         self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
 
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
@@ -141,6 +154,11 @@ class NatsBroker(Broker):
 
     def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[BrokerWatch]:
         return watch_records(self._client, stream, subject)
+
+    def watch_heads(
+        self, stream: str, subject: str, since: int
+    ) -> AbstractAsyncContextManager[BrokerWatch]:
+        return watch_records(self._client, stream, subject, since)
 
     # Notes
 

@@ -18,8 +18,10 @@ when `next` has returned it. So a reader that is slow holds the broker back, and
 
 from __future__ import annotations
 
+import base64
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from datetime import UTC, datetime
 
 import anyio
 import msgspec
@@ -38,6 +40,8 @@ from fibaction_transports.nats.broker.client import NatsClient
 
 HEARTBEAT = 2
 """Seconds between heartbeats of a consumer that has nothing to deliver."""
+HEAD = "Fibaction-Head"
+"""The header with the head of a record, in base64."""
 MISSED = 2.5
 """A consumer is gone after so many heartbeats without a message."""
 LOOK_AGAIN = 1.0
@@ -47,10 +51,16 @@ LOOK_AGAIN = 1.0
 class RecordWatch(BrokerWatch):
     """The records of a subject, and then each change."""
 
-    def __init__(self, client: NatsClient, stream: str, subject: str) -> None:
+    def __init__(
+        self, client: NatsClient, stream: str, subject: str, since: int | None = None
+    ) -> None:
+        """Watch the newest record of each subject; with `since`, the heads of all records that were
+        stored at that time or later.
+        """
         self._client = client
         self._stream = stream
         self._subject = subject
+        self._since = since
         self._inbox: BrokerSubscription | None = None
         self._consumer = ""
         self._connection = 0  # the one that the consumer belongs to
@@ -116,6 +126,7 @@ class RecordWatch(BrokerWatch):
             "idle_heartbeat": HEARTBEAT * jetstream.SECOND,
             "mem_storage": True,
             "num_replicas": 1,
+            **({} if self._since is None else _heads_since(self._since)),
         }
         body = msgspec.json.encode({"stream_name": self._stream, "config": config})
         self._records, self._flow, self._taken = [], [], 0
@@ -144,8 +155,10 @@ class RecordWatch(BrokerWatch):
                 self._flow.append(stalled)
             elif int(message.headers.get("Nats-Last-Consumer", self._taken)) > self._taken:
                 self._is_broken = True
-            else:
+            elif self._since is None or self._is_complete:
                 return
+            else:  # the rest was removed before it was delivered
+                self._is_complete = True
         elif message.status:
             self._is_broken = True
         else:
@@ -154,7 +167,8 @@ class RecordWatch(BrokerWatch):
                 self._is_broken = True
             elif not self._is_broken:
                 self._taken = number
-                self._records.append(BrokerRecord(message.subject, message.data, sequence))
+                data = message.data if self._since is None else _head_of(message)
+                self._records.append(BrokerRecord(message.subject, data, sequence))
                 if not pending:
                     self._is_complete = True
         self._news.notify()
@@ -173,6 +187,23 @@ class RecordWatch(BrokerWatch):
             self._consumer = ""
 
 
+def _heads_since(time: int) -> dict[str, object]:
+    """Return the settings of a consumer that delivers the heads of records since a time."""
+    begin = {"deliver_policy": "all"}
+    if time:
+        text = datetime.fromtimestamp(time // jetstream.SECOND, UTC).isoformat()
+        begin = {"deliver_policy": "by_start_time", "opt_start_time": text}
+    return {**begin, "headers_only": True}
+
+
+def _head_of(message: RawMessage) -> bytes:
+    """Return the head of a record; empty if it has none that can be read."""
+    try:
+        return base64.b64decode(message.headers.get(HEAD, ""), validate=True)
+    except ValueError:
+        return b""
+
+
 def delivery(reply: str) -> tuple[int, int, int]:
     """Return the sequence of a record, its number at the consumer, and how many are to come.
 
@@ -185,16 +216,16 @@ def delivery(reply: str) -> tuple[int, int, int]:
 
 @asynccontextmanager
 async def watch_records(
-    client: NatsClient, stream: str, subject: str
+    client: NatsClient, stream: str, subject: str, since: int | None = None
 ) -> AsyncGenerator[RecordWatch, None]:
-    """Watch the records of a subject while the block lasts.
+    """Watch the records of a subject, or with `since` their heads, while the block lasts.
 
     Raises:
         BrokerAway: There is no connection.
     """
     if not client.is_connected:
         raise BrokerAway(f"there is no connection to {client.url}")
-    watch = RecordWatch(client, stream, subject)
+    watch = RecordWatch(client, stream, subject, since)
     try:
         yield watch
     finally:

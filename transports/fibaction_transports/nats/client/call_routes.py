@@ -32,13 +32,12 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.border.goal_store import StoredGoal
-from fibaction.border.peer_text import clean_logger
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.client.remote_goal import RemoteGoal
-from fibaction.wire.messages import Follow, Following, SendGoal, parent_fields
+from fibaction.wire.messages import Follow, Following, SendGoal
 from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError, UnknownGoal
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
-from fibaction.words.meta import labels_in, parent_in
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
 from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
 from fibaction_transports.nats.names import FleetNames
@@ -193,16 +192,28 @@ class CallRoutes:
 def finish(goal: RemoteGoal, stored: StoredGoal) -> None:
     """End a goal by its record."""
     outcome: Outcome[bytes] = Outcome(stored.status, stored.result, stored.reason)
+    goal.told_info = stored.info
     goal.finish(outcome, stored.feedback_count, max(stored.attempt, 1))
 
 
 def ended_goal(opening: SendGoal | Follow, stored: StoredGoal) -> RemoteGoal:
-    """Return a goal that has ended, and whose owner is gone, by its record."""
+    """Return a goal that has ended, and whose owner is gone or has forgotten it, by its record."""
     goal = RemoteGoal(stored.goal_id, opening, 1, lambda message: None, math.inf)
     place, attempt = stored.feedback_count, max(stored.attempt, 1)
     following = Following(opening.id, stored.stamp, stored.status, False, place, attempt)
-    following.parent = parent_fields(parent_in(stored.meta))
-    following.labels = labels_in(stored.meta)
+    following.goal = stored.goal or None
     goal.on_message(following)
     finish(goal, stored)
     return goal
+
+
+def gone(found: FoundGoal) -> ConnectionLost:
+    """Return the error for a goal that no living worker has."""
+    goal = found.goal
+    former = (
+        f"{excerpt(goal.worker)!r}, which had it, is gone" if goal.worker else "it was released"
+    )
+    return ConnectionLost(
+        f"goal {goal.goal_id} has no worker: {former}, and no other one has taken it over; start a"
+        f" worker that has room, and whose version can read the goal"
+    )

@@ -12,6 +12,7 @@ that has goals of it. Its parts know each other in one direction only:
 - `CallRoutes` reads records, and leads goals to their owners when they are lost.
 - `GivenUpGoals` lists the goals that were given up, and lets them run again.
 - `AllStatuses` follows the statuses of all goals, from their records.
+- `FleetHistory` reads the goals of the past.
 - `FleetEndpoint` turns the methods of an `Endpoint` into calls at workers.
 """
 
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 from anyio.abc import TaskGroup
@@ -39,6 +41,7 @@ from fibaction_transports.nats.client.given_up import GivenUpGoals
 from fibaction_transports.nats.client.parts import FleetParts
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import Lines
+from fibaction_transports.nats.history.fleet_history import FleetHistory
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.workers import FleetWorkers
@@ -71,6 +74,7 @@ class FleetConnection(Connection):
             self._routes,
             places,
             self._statuses,
+            partial(FleetHistory, broker, names),
             broker.max_record,
         )
         self._given_up = GivenUpGoals(broker, names)

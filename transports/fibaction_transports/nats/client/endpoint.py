@@ -33,12 +33,12 @@ merged. Each call tries for `reconnect_timeout` seconds from its first failure (
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import anyio
 
 from fibaction.border.abc import Endpoint, GoalRequest, StatusStream
-from fibaction.border.peer_text import excerpt, shortened
+from fibaction.border.peer_text import shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
@@ -48,18 +48,23 @@ from fibaction.words.errors import (
     GoalRejected,
     InvalidMessage,
     ServerNotFound,
+    StoreError,
     UnknownGoal,
 )
+from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
 from fibaction.words.meta import size_of
 from fibaction_transports.nats.client.call_routes import (
     FoundGoal,
     ended_goal,
+    gone,
 )
 from fibaction_transports.nats.client.free_workers import Place
 from fibaction_transports.nats.client.parts import FleetParts, Placement, RetryTime
+from fibaction_transports.nats.history.fleet_history import first_of
 
 T = TypeVar("T")
+_Request: TypeAlias = Callable[[int, int], Follow]
 
 RECORD_OVERHEAD = 4096
 """Bytes of a record in addition to the goal, at most."""
@@ -71,6 +76,7 @@ class FleetEndpoint(Endpoint):
     def __init__(self, parts: FleetParts, info: ActionInfo) -> None:
         self._parts = parts
         self._info = info
+        self._history = parts.history(info.name)
 
     @property
     def info(self) -> ActionInfo:
@@ -155,15 +161,28 @@ class FleetEndpoint(Endpoint):
         def request(call_id: int, credit: int) -> Follow:
             return Follow(call_id, self._info.name, goal_id, after, own, credit, attempt)
 
+        try:
+            return await self._feedback_now(goal_id, request)
+        except (UnknownGoal, ServerNotFound):
+            past = await self._in_history(self._history.past_goal(goal_id))
+            if past is None:
+                raise
+            return ended_goal(request(self._parts.connections.next_id(), 1), past)
+
+    async def _feedback_now(self, goal_id: GoalID, request: _Request) -> RemoteGoal:
+        """Follow a goal that a worker has, or that has a record."""
         patience = RetryTime(self._parts.routes)
         while True:
             found = await self._found(goal_id, patience)
             if found is None:
                 return await self._feedback_without_record(goal_id, request)
-            error: ActionError = _gone(found)
+            error: ActionError = gone(found)
             if found.is_alive:
                 try:
-                    return await self._follow(found.goal.worker, goal_id, request)
+                    followed = await self._follow(found.goal.worker, goal_id, request)
+                    if found.goal.ended_at:
+                        followed.told_info = found.goal.info
+                    return followed
                 except (UnknownGoal, ConnectionLost, ServerNotFound) as exc:
                     error = exc
             if found.goal.ended_at:
@@ -173,9 +192,7 @@ class FleetEndpoint(Endpoint):
                     return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
             await patience.wait(error)
 
-    async def _feedback_without_record(
-        self, goal_id: GoalID, request: Callable[[int, int], Follow]
-    ) -> RemoteGoal:
+    async def _feedback_without_record(self, goal_id: GoalID, request: _Request) -> RemoteGoal:
         error: ActionError = UnknownGoal(goal_id)
         for worker in await self.workers():
             if not self._parts.workers.is_kept(worker, self._info.name):
@@ -212,7 +229,7 @@ class FleetEndpoint(Endpoint):
             elif found.goal.ended_at:
                 return CancelAnswer(CancelCode.GOAL_TERMINATED)
             else:
-                error = _gone(found)
+                error = gone(found)
             await patience.wait(error)
 
     async def _cancel_at_all(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
@@ -236,6 +253,23 @@ class FleetEndpoint(Endpoint):
     async def status(self) -> StatusStream:
         return await self._parts.statuses.follow(self._info.name)
 
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        async def ask(worker: str) -> list[GoalInfo]:
+            return await self._parts.connections.calls_of(worker).past_goals(self._info.name, page)
+
+        await self._parts.workers.ready()
+        gateways = self._parts.workers.serving(self._info.name, is_kept=False)
+        parts = await self.of_all([lease.worker for lease in gateways], ask)
+        parts.append(await self._in_history(self._history.past_goals(page)))
+        found = {(info.stamp, bytes(info.goal_id)): info for part in parts for info in part}
+        return list(first_of(found, page).values())
+
+    async def _in_history(self, reading: Awaitable[T]) -> T:
+        try:
+            return await reading
+        except StoreError as exc:
+            raise ConnectionLost(str(exc)) from exc
+
     async def wait_for_server(self) -> None:
         workers = self._parts.workers
         while True:
@@ -258,12 +292,7 @@ class FleetEndpoint(Endpoint):
             except ConnectionLost as exc:
                 await patience.wait(exc)
 
-    async def _follow(
-        self,
-        worker: str,
-        goal_id: GoalID,
-        request: Callable[[int, int], Follow],
-    ) -> RemoteGoal:
+    async def _follow(self, worker: str, goal_id: GoalID, request: _Request) -> RemoteGoal:
         is_kept = self._parts.workers.is_kept(worker, self._info.name)
         return await self._parts.connections.follow(worker, goal_id, request, is_kept=is_kept)
 
@@ -318,14 +347,3 @@ class FleetEndpoint(Endpoint):
         if errors:
             raise errors[0]
         return answers
-
-
-def _gone(found: FoundGoal) -> ConnectionLost:
-    goal = found.goal
-    former = (
-        f"{excerpt(goal.worker)!r}, which had it, is gone" if goal.worker else "it was released"
-    )
-    return ConnectionLost(
-        f"goal {goal.goal_id} has no worker: {former}, and no other one has taken it over; start a"
-        f" worker that has room, and whose version can read the goal"
-    )

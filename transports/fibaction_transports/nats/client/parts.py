@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from anyio import current_time
@@ -20,6 +21,7 @@ from fibaction_transports.nats.client.call_routes import (
 from fibaction_transports.nats.client.free_workers import RoomFinder
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
+from fibaction_transports.nats.history.fleet_history import FleetHistory
 from fibaction_transports.nats.records import LeaseEntry
 from fibaction_transports.nats.workers import FleetWorkers
 
@@ -36,6 +38,7 @@ class FleetParts:
         routes: CallRoutes,
         places: RoomFinder,
         statuses: AllStatuses,
+        history: Callable[[str], FleetHistory],
         max_record: int,
     ) -> None:
         self.workers = workers
@@ -43,6 +46,8 @@ class FleetParts:
         self.routes = routes
         self.places = places
         self.statuses = statuses
+        self.history = history
+        """Returns the history of the action of a name."""
         self.max_record = max_record
 
 

@@ -28,6 +28,7 @@ from fibaction_transports.nats.broker.broker import (
     PutError,
     PutFailure,
 )
+from fibaction_transports.nats.history.fleet_history import FleetHistory
 from fibaction_transports.nats.worker.outcomes import SECOND, KeptOutcomes
 from fibaction_transports.nats.worker.record_writes import (
     IS_STORED,
@@ -44,7 +45,7 @@ RESERVE = 512
 """Bytes by which the record of an active goal may grow, and those of its headers."""
 
 
-class FleetJournal(GoalJournal):
+class FleetJournal(FleetHistory, GoalJournal):
     """The goals of one action at one worker."""
 
     def __init__(
@@ -57,14 +58,12 @@ class FleetJournal(GoalJournal):
         obstacle: Callable[[StoredGoal], str],
         key_places: Callable[[str, int], Awaitable[KeyPlaces]],
     ) -> None:
-        self.action = action
+        super().__init__(parts.broker, parts.names, action)
         self.running = 0.0
         """The number of goals that the server can run now."""
         self.waiting = 0.0
         """The number of goals that have room in its queue."""
         self._parts = parts
-        self._broker = parts.broker
-        self._names = parts.names
         self._membership = parts.membership
         self._claim = claim
         self._lose = lose
@@ -165,7 +164,9 @@ class FleetJournal(GoalJournal):
         subject = self._names.goal(self.action, held.goal_id)
         ttl = None
         if write.kind == "end" and write.stored.keep_until:
-            ttl = max(1.0, (write.stored.keep_until - time.time_ns()) / SECOND)
+            ttl = max(
+                self._parts.history.least_ttl, (write.stored.keep_until - time.time_ns()) / SECOND
+            )
 
         def answered(answer: int | PutError) -> None:
             if held.is_first(write):
@@ -195,12 +196,13 @@ class FleetJournal(GoalJournal):
 
     def _stored(self, held: HeldGoal, write: Write, sequence: int) -> None:
         """Note that the first write of a goal is stored, and send the next one."""
-        held.sequence, held.stored = sequence, write.stored
+        before, held.stored, held.sequence = held.stored, write.stored, sequence
         held.writes.popleft()
         self._shortage.discard(held.goal_id)
         if write.kind == "end":
             self._forget(held)
             self.outcomes.add(self._names.goal(self.action, held.goal_id), held)
+            self._parts.history.add(self.action, held.stored, before)
         elif write.kind == "release":
             self._forget(held)
             self._broker.add_note(self._names.left(self.action), bytes(held.goal_id))

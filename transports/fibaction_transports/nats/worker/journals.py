@@ -18,6 +18,7 @@ from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker
+from fibaction_transports.nats.history.history_writes import HistoryWrites
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry
 from fibaction_transports.nats.worker.journal import FleetJournal
@@ -37,6 +38,8 @@ class WorkerJournals(MemberPart):
         """The tasks of the worker."""
         self.room = Notifier()
         """Notifies of a change of the room of a server, or of the membership."""
+        self.history = HistoryWrites(broker, names)
+        """The goals that are added to the history of the fleet."""
         self.by_action: dict[str, FleetJournal] = {}
         """The journals that are open, by their actions."""
         self.has_goals_left = False
@@ -76,6 +79,7 @@ class WorkerJournals(MemberPart):
         finally:
             with CancelScope(shield=True):
                 await journal.release_rest()
+                await self.history.settle()
             self.has_goals_left = self.has_goals_left or len(journal) > 0
             del self.by_action[action]
             self.room.notify()

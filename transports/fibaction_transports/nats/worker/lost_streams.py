@@ -13,21 +13,32 @@ fence itself. It makes those that are missing, and writes again what is its own:
 - the notes of goals that wait at it, and of those that a scan finds without a worker;
 - the places of keys that its goals have, if it has opened their stream (`open_keys`).
 
-What no living worker has in its memory is lost: outcomes, and goals that had no worker.
+The history (`open_history`) is made again without goals. What no living worker has in its memory is
+lost: outcomes, and goals that had no worker.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 from anyio import sleep
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import BrokerAway
+from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.worker.journals import WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE
 from fibaction_transports.nats.worker.takeover import Takeover
+
+
+class Maker(Protocol):
+    """A function that makes streams of a fleet which are missing."""
+
+    async def __call__(self, names: FleetNames, *, replicas: int) -> None: ...
+
 
 CHECKS = 4
 """The number of times that the streams are looked for in the time of one lease."""
@@ -48,7 +59,7 @@ class LostStreams:
         self._takeover = takeover
         self._replicas = replicas
         self._known: dict[str, str] = {}  # the identities of the streams
-        self._makers = [broker.create_streams]
+        self._makers: list[Maker] = [broker.create_streams]
         self._repairs: dict[str, tuple[str, Callable[[], None]]] = {
             names.workers: ("the leases of workers", self._membership.rewrite),
             names.goals: ("outcomes, and goals that had no worker", self._rewrite_goals),
@@ -72,11 +83,27 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: The stream cannot be made.
         """
-        stream = self._names.keys
-        await self._broker.create_key_stream(self._names, replicas=self._replicas)
+        make = self._broker.create_key_stream
+        await self._open(self._names.keys, make, "the places of keys", repair)
+
+    async def open_history(self, history: GoalHistory) -> None:
+        """Make the stream of the history if it is missing, with these bounds, and look for it.
+
+        Raises:
+            BrokerAway: The brokers do not answer.
+            TransportError: The stream cannot be made.
+        """
+
+        async def make(names: FleetNames, *, replicas: int) -> None:
+            await self._broker.create_history_stream(names, history, replicas=replicas)
+
+        await self._open(self._names.history, make, "the goals of the past", lambda: None)
+
+    async def _open(self, stream: str, make: Maker, what: str, repair: Callable[[], None]) -> None:
+        await make(self._names, replicas=self._replicas)
         self._known[stream] = await self._identity(stream)
-        self._makers = [self._broker.create_streams, self._broker.create_key_stream]
-        self._repairs[stream] = "the places of keys", repair
+        self._makers.append(make)
+        self._repairs[stream] = what, repair
 
     async def run(self) -> None:
         """Look for the streams, until canceled."""

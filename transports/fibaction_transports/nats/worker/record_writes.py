@@ -38,6 +38,7 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ProtocolError, StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerRecord
+from fibaction_transports.nats.history.history_writes import HistoryWrites
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE, Membership
@@ -59,6 +60,7 @@ class JournalParts(Protocol):
     membership: Membership
     tasks: TaskGroup
     room: Notifier
+    history: HistoryWrites
 
 
 class Write:

@@ -194,6 +194,7 @@ class Takeover(MemberPart):
                     goal = entry.goal
                     if goal.is_given_up:
                         given_up.append(KeptOutcome.of(goal, record.subject, record.sequence))
+                    await self._journals.history.add_left(record, entry, self._lost.is_gone)
                     is_due = goal.status.is_active and (again or record.sequence not in self._noted)
                     if is_due and await self._lost.is_gone(entry):
                         self._add_note(record, goal)

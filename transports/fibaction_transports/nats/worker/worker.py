@@ -130,6 +130,9 @@ class Worker(MemberPart):
         try:
             await self._takeover.open()
             await self._streams.open()
+            if self._settings.history is not None:
+                await self._streams.open_history(self._settings.history)
+                self._journals.history.open(tasks, self._membership.lease)
         except (BrokerAway, ConnectionLost) as exc:
             raise TransportError(f"cannot join the fleet: {exc}") from exc
         tasks.start_soon(self._streams.run, name="streams of the fleet")

@@ -13,7 +13,7 @@ DAY = 24 * 3600.0
 
 
 class GoalHistory(msgspec.Struct, frozen=True, kw_only=True):
-    """The bounds of a history: goals that have ended stay in the file until one is passed.
+    """The bounds of a history: goals that have ended stay in the store until one is passed.
 
     For example:
 
@@ -23,7 +23,7 @@ class GoalHistory(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float = 30 * DAY
     """Seconds after its end for which a goal is kept; `math.inf` without this bound."""
     goals: int = 10_000
-    """The number of goals that are kept, of all actions in the file together; those whose end is
+    """The number of goals that are kept, of all actions in the store together; those whose end is
     the longest ago go first."""
 
     def __post_init__(self) -> None:
