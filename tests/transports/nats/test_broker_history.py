@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import AsyncGenerator
 from pathlib import Path
@@ -224,16 +225,23 @@ async def test_the_goal_of_a_worker_that_is_killed_is_in_the_history_with_its_en
 
 
 @pytest.mark.promise("FLEET-13")
-async def test_the_goal_of_a_client_that_is_gone_is_in_the_history(
+async def test_the_goal_of_a_client_that_is_killed_is_in_the_history(
     shared_broker: NatsServer, fleet: str
 ) -> None:
     url = shared_broker.url(fleet)
-    query = "?history_days=1&orphans=cancel&grace=0.5"
+    query = "?history_days=1&orphans=cancel&grace=0.5&heartbeat=0.5"
     async with serve(server(), f"{url}{query}"), connect(url, COUNT) as client:
-        async with connect(url, COUNT) as leaving:
-            gone = await leaving.send_goal(-1, labels={"order": "17"})
+        sending = [sys.executable, "-m", "fibaction", "send_goal", "-u", url]
+        sending += ["--label", "order=17", "count", "--", "-1"]
+        async with (
+            client.events() as events,
+            await anyio.open_process(sending, stdout=None, stderr=None) as process,
+        ):
+            with anyio.fail_after(PATIENCE):
+                begun = await anext(events)
+            process.kill()
         [past] = await pages_of(client, 1)
-    assert (past.goal_id, past.status) == (gone.goal_id, GoalStatus.CANCELED)
+    assert (past.goal_id, past.status) == (begun.goal_id, GoalStatus.CANCELED)
     assert past.labels == {"order": "17"}
 
 
