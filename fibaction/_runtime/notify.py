@@ -7,31 +7,24 @@ from typing import TYPE_CHECKING
 
 import anyio
 
+from fibaction._runtime.asyncio_task import asyncio_task
+
 if TYPE_CHECKING:
-    import asyncio  # noqa: TID251  # the type of an event
-
-
-def _new_event() -> anyio.Event | asyncio.Event:
-    """Return an event for the tasks of this event loop.
-
-    On asyncio it is asyncio's own: anyio's takes longer to make, and a goal that is sent needs two.
-    """
-    import asyncio  # noqa: TID251  # not imported with `fibaction`, since a program may be of trio
-
-    try:  # as `asyncio_task` does, which would be one more call for each wait
-        is_asyncio = asyncio.current_task() is not None
-    except RuntimeError:  # no loop of asyncio runs
-        is_asyncio = False
-    return asyncio.Event() if is_asyncio else anyio.Event()
+    import asyncio  # noqa: TID251  # the type of a future
 
 
 class Notifier:
-    """A signal for any number of waiting tasks, and for one callback."""
+    """A signal for any number of waiting tasks, and for one callback.
 
-    __slots__ = ("_event", "on_next")
+    On asyncio each wait is a future, which costs half as much as an event: a goal has two waits at
+    least, and an event is two more objects for each.
+    """
+
+    __slots__ = ("_event", "_futures", "on_next")
 
     def __init__(self) -> None:
-        self._event: anyio.Event | asyncio.Event | None = None
+        self._futures: list[asyncio.Future[None]] | None = None
+        self._event: anyio.Event | None = None  # for the tasks of trio
         self.on_next: Callable[[], None] | None = None
         """The callback of the next `notify()`, called once; None for none.
 
@@ -40,7 +33,12 @@ class Notifier:
 
     def notify(self) -> None:
         """Wake all tasks that wait now."""
-        if self._event is not None:
+        if self._futures:
+            futures, self._futures = self._futures, None
+            for future in futures:
+                if not future.done():  # else its task was canceled just now
+                    future.set_result(None)
+        elif self._event is not None:
             self._event.set()
             self._event = None
         on_next = self.on_next
@@ -50,6 +48,18 @@ class Notifier:
 
     async def wait(self) -> None:
         """Wait for the next `notify()`."""
-        if self._event is None:
-            self._event = _new_event()
-        await self._event.wait()
+        task = asyncio_task()
+        if task is None:
+            self._event = self._event or anyio.Event()
+            await self._event.wait()
+            return
+        future: asyncio.Future[None] = task.get_loop().create_future()
+        futures = self._futures
+        if futures is None:
+            futures = self._futures = []
+        futures.append(future)
+        try:
+            await future
+        except BaseException:
+            futures.remove(future)
+            raise

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+
 import anyio
 import pytest
 
-from fibaction._runtime.notify import Notifier, _new_event
+from fibaction._runtime.notify import Notifier
 
 
 @pytest.mark.asyncio
@@ -114,23 +116,62 @@ async def test_a_listener_may_wake_and_listen_again() -> None:
 
 
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_an_event_wakes_the_tasks_of_either_loop(backend: str) -> None:
-    async def wake() -> bool:
-        event = _new_event()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(event.wait)
-            await anyio.wait_all_tasks_blocked()
-            event.set()
-        return event.is_set()
+def test_a_notifier_wakes_the_tasks_of_either_loop_again_and_again(backend: str) -> None:
+    waking = Notifier()
 
-    assert anyio.run(wake, backend=backend)
+    async def wake() -> int:
+        rounds = 0
+        while rounds < 3:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(waking.wait)
+                tasks.start_soon(waking.wait)
+                await anyio.wait_all_tasks_blocked()
+                waking.notify()
+            rounds += 1
+        return rounds
+
+    assert anyio.run(wake, backend=backend) == 3
 
 
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_a_wait_for_an_event_is_canceled_by_a_scope(backend: str) -> None:
+def test_a_wait_is_canceled_by_a_scope(backend: str) -> None:
     async def wait() -> bool:
         with anyio.move_on_after(0) as scope:
-            await _new_event().wait()
+            await Notifier().wait()
         return scope.cancelled_caught
 
     assert anyio.run(wait, backend=backend)
+
+
+@pytest.mark.asyncio
+async def test_a_task_that_is_canceled_in_the_turn_of_the_wake_does_not_disturb_the_others() -> (
+    None
+):
+    waking = Notifier()
+    woken: list[str] = []
+
+    async def wait(scope: anyio.CancelScope, name: str) -> None:
+        with scope:
+            await waking.wait()
+            woken.append(name)
+
+    impatient = anyio.CancelScope()
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(wait, impatient, "the canceled one")
+        tasks.start_soon(wait, anyio.CancelScope(), "the other")
+        await anyio.wait_all_tasks_blocked()
+        impatient.cancel()
+        waking.notify()
+    assert woken == ["the other"]
+    assert impatient.cancelled_caught
+
+
+@pytest.mark.asyncio
+async def test_waits_that_were_canceled_leave_nothing_behind() -> None:
+    waking = Notifier()
+    for _ in range(10):
+        with anyio.move_on_after(0):
+            await waking.wait()
+    gc.collect()
+    futures = [one for one in gc.get_referents(waking) if isinstance(one, list)]
+    assert futures in ([], [[]])
