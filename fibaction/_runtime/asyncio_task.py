@@ -1,8 +1,11 @@
-"""asyncio behind anyio: its task and its event loop, which run the caller."""
+"""asyncio behind anyio: its task, its event loop and its clock, which run the caller."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+
+from anyio import current_time
 
 if TYPE_CHECKING:
     import asyncio  # noqa: TID251  # the one module that asks for it, for all
@@ -16,6 +19,15 @@ def asyncio_task() -> asyncio.Task[Any] | None:
         return asyncio.current_task()
     except RuntimeError:  # no loop of asyncio runs
         return None
+
+
+def loop_clock() -> Callable[[], float]:
+    """Return the clock of the caller's event loop, for code that needs the time very often.
+
+    anyio's `current_time` looks for the loop at each call, which takes longer than to read a clock.
+    """
+    task = asyncio_task()
+    return current_time if task is None else task.get_loop().time
 
 
 def asyncio_loop() -> asyncio.AbstractEventLoop:

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from fibaction._runtime.asyncio_task import asyncio_task
-
 if TYPE_CHECKING:
     import asyncio  # noqa: TID251  # the type of a future
 
@@ -48,7 +46,12 @@ class Notifier:
 
     async def wait(self) -> None:
         """Wait for the next `notify()`."""
-        task = asyncio_task()
+        import asyncio  # noqa: TID251  # not imported with `fibaction`: a program may be of trio
+
+        try:  # as `asyncio_task` does, which would be one more call for each wait
+            task = asyncio.current_task()
+        except RuntimeError:  # no loop of asyncio runs
+            task = None
         if task is None:
             self._event = self._event or anyio.Event()
             await self._event.wait()

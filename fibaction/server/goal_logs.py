@@ -3,12 +3,12 @@
 Theory of operation
 -------------------
 
-A goal is followed from its `FeedbackLog`. An active goal has one (`_active`). After the end of the
-goal, a log is kept by its followers (`HeldBytes` has a weak reference), and, if the statuses are
-followed, for RECENT_TIME (`_recent`): such a follower learns of a goal by its status, and then asks
-for its feedback. Without a log, an ended goal is followed without its feedback, by a new one; so it
-has one log at a time, which loses the result if results take too many bytes. The payload of a goal
-is in its log, too, for those who have not sent it.
+A goal is followed from its `FeedbackLog`. The record of an active goal has it (`GoalRecord.log`).
+After the end of the goal, a log is kept by its followers (`HeldBytes` has a weak reference), and,
+if the statuses are followed, for RECENT_TIME (`_recent`): such a follower learns of a goal by its
+status, and then asks for its feedback. Without a log, an ended goal is followed without its
+feedback, by a new one; so it has one log at a time, which loses the result if results take too many
+bytes. The payload of a goal is in its log, too, for those who have not sent it.
 
 One task, `forget_expired`, frees what has expired. It sleeps until the next expiry, and while
 nothing can expire, until a goal ends.
@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from weakref import ref
 
 import anyio
-from anyio import current_time
 from anyio.lowlevel import cancel_shielded_checkpoint
 
 from fibaction._runtime.notify import Notifier
@@ -54,6 +54,7 @@ class GoalLogs:
         self,
         registry: GoalRegistry,
         watchers: Watchers,
+        now: Callable[[], float],
         *,
         window: int,
         latest: bool,
@@ -61,14 +62,15 @@ class GoalLogs:
     ) -> None:
         """Remember `window` feedback messages of a goal, of which slow readers get the latest if
         `latest`. If the statuses `are_told_elsewhere`, they may be followed without this server's
-        knowledge.
+        knowledge. `now` is the clock of the event loop.
         """
         self._registry = registry
         self._watchers = watchers
+        self.now = now
+        """The clock of the event loop."""
         self._window = window
         self._latest = latest
         self._are_told_elsewhere = are_told_elsewhere
-        self._active: dict[GoalID, FeedbackLog[GoalRecord]] = {}
         self.kept: GoalKept | None = None
         """The error for goals that are not known here, once the server has let goals go that it
         keeps: a client that asks for one of them is to ask again after the next start."""
@@ -84,7 +86,7 @@ class GoalLogs:
         log = self._watchers.accepted(
             goal, self._window, self._latest, self._registry.budget, payload
         )
-        self._active[goal.goal_id] = log
+        goal.log = log
         log.tell_status()
         if self._statuses.is_followed:
             goal.changed = self._statuses.publish(goal.info)
@@ -107,14 +109,14 @@ class GoalLogs:
     def keep(self, log: FeedbackLog[GoalRecord], error: GoalKept) -> None:
         """End the streams of a goal that is kept, and that is to be asked for again later."""
         self.kept = error
-        del self._active[log.goal.goal_id]
+        log.goal.log = None
         log.fail(error)
         self._tell_left(log, error)
         self.ended.notify()
 
     def lose(self, log: FeedbackLog[GoalRecord], error: ActionError) -> None:
         """End the streams of a goal that is elsewhere; to followers of statuses it is unknown."""
-        del self._active[log.goal.goal_id]
+        log.goal.log = None
         log.fail(error)
         self._tell_unknown(log.goal.goal_id)
         self._tell_left(log, error)
@@ -131,7 +133,7 @@ class GoalLogs:
         """Notify the followers of the goal, and of the statuses, of the goal's end. Keep its log
         for its followers only.
         """
-        del self._active[log.goal.goal_id]
+        log.goal.log = None
         are_followed = self._statuses.is_followed or self._are_told_elsewhere
         if are_followed:
             self._recent.append((now + RECENT_TIME, log))
@@ -174,19 +176,18 @@ class GoalLogs:
 
     def owner_of(self, goal_id: GoalID) -> bytes:
         """Return the owner of a goal; empty if it is unknown: see `Endpoint.owner_of`."""
-        goal = self._registry.find(goal_id, now=current_time())
+        goal = self._registry.find(goal_id, now=self.now())
         return b"" if goal is None else goal.sender.owner
 
     def _find(self, goal_id: GoalID) -> GoalRecord:
-        goal = self._registry.find(goal_id, now=current_time())
+        goal = self._registry.find(goal_id, now=self.now())
         if goal is None:
             raise UnknownGoal(goal_id) if self.kept is None else copy_of(self.kept)
         return goal
 
     def _log_of(self, goal: GoalRecord) -> FeedbackLog[GoalRecord]:
-        log = self._active.get(goal.goal_id)
-        if log is not None:
-            return log
+        if goal.log is not None:
+            return goal.log
         held = goal.held
         assert held is not None
         log = None if held.log is None else held.log()
@@ -207,14 +208,14 @@ class GoalLogs:
         while True:
             while (next_expiry := self._next_expiry()) == math.inf:
                 await self.ended.wait()
-            now = current_time()
+            now = self.now()
             # The feedback of a goal that ends from now on may expire before older results do.
             sooner = min(next_expiry, now + RECENT_TIME)
             await anyio.sleep_until(max(sooner, now + EXPIRY_STEP))
             await self._expire_all()
 
     async def _expire_all(self) -> None:
-        while self.expire(current_time()):
+        while self.expire(self.now()):
             await cancel_shielded_checkpoint()
 
     def _next_expiry(self) -> float:

@@ -26,6 +26,7 @@ from typing import Generic
 
 from anyio import move_on_after
 
+from fibaction._runtime.asyncio_task import loop_clock
 from fibaction._runtime.own_thread import HomeLoop
 from fibaction._runtime.tasks import Background
 from fibaction.server.admission.admission import Admission
@@ -81,6 +82,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.logs = logs = GoalLogs(
             registry,
             watchers,
+            loop_clock(),
             window=settings.feedback_window,
             latest=settings.feedback == "latest",
             are_told_elsewhere=keeper.tells_statuses,

@@ -7,7 +7,7 @@ import anyio
 import anyio.to_thread
 import pytest
 
-from fibaction._runtime.asyncio_task import asyncio_loop, asyncio_task
+from fibaction._runtime.asyncio_task import asyncio_loop, asyncio_task, loop_clock
 
 
 @pytest.mark.asyncio
@@ -43,3 +43,15 @@ async def test_the_loop_is_that_of_the_caller(
     if not has_sniffio:
         monkeypatch.setitem(sys.modules, "sniffio", None)
     assert asyncio_loop() is asyncio.get_running_loop()
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_the_clock_of_a_loop_is_that_of_anyio(backend: str) -> None:
+    async def look() -> None:
+        now = loop_clock()
+        before = anyio.current_time()
+        assert before <= now() <= anyio.current_time()
+        await anyio.sleep(0.01)
+        assert now() > before
+
+    anyio.run(look, backend=backend)

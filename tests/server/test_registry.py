@@ -801,6 +801,13 @@ def test_a_goal_that_is_over_the_bytes_is_to_be_rejected_unless_results_can_make
     assert registry.budget.used == 0
 
 
+def test_goals_alone_that_take_too_many_bytes_let_nothing_expire() -> None:
+    registry = GoalRegistry(max_bytes=10)
+    accepted(registry, A, payload=bytes(11))
+    assert registry.expire(1e9) == []
+    assert registry.find(A, now=1e9) is not None
+
+
 def test_the_sentence_about_bytes_does_not_count_results() -> None:
     registry = GoalRegistry(max_bytes=10)
     for one in (A, B):

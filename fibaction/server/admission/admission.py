@@ -29,10 +29,7 @@ from __future__ import annotations
 import time
 from collections.abc import Awaitable, Coroutine
 from contextvars import copy_context
-from functools import partial
 from typing import Any, Generic
-
-from anyio import current_time
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
@@ -113,7 +110,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._keeper.check()
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
-        verdict = self._registry.admit(goal_id, sent.goal, now=current_time())
+        verdict = self._registry.admit(goal_id, sent.goal, now=self._logs.now())
         if verdict is Verdict.WAIT:
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
@@ -139,7 +136,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Reject a new goal if the server or the client is at a limit, or the server drains."""
         busy = DRAINING if self._is_draining else self._registry.busy
         if not busy and self._registry.budget.used > self._registry.budget.limit:
-            while self._logs.expire(current_time()):
+            while self._logs.expire(self._logs.now()):
                 pass
             busy = self._registry.busy
         if not busy and self._registry.results.unread_size:
@@ -210,12 +207,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             record.take_origin(offer.meta)
         self._writing[goal_id] = offer
         write = self._keeper.accept(
-            record,
-            sent.goal,
-            offer.meta,
-            is_running=is_running,
-            then=partial(self._note_kept, offer),
-            too_large=partial(self._note_too_large, offer),
+            offer, is_running=is_running, then=self._note_kept, too_large=self._note_too_large
         )
         if not write:
             return self._begin(offer)
@@ -256,7 +248,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except StoreError:
             raise self._keeper.stopped() from None
         except BaseException:
-            offer.leave(current_time())
+            offer.leave(self._logs.now())
             raise
         if offer.error is not None:
             raise offer.error
@@ -292,7 +284,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     def _reject(self, goal_id: GoalID, reason: str, *, is_unreadable: bool = False) -> GoalRejected:
         """Reject a goal, and return the error to raise."""
-        reason, now = shortened(reason), current_time()
+        reason, now = shortened(reason), self._logs.now()
         error = self._registry.reject(goal_id, reason, now=now, is_unreadable=is_unreadable)
         self._tell_decision(goal_id)
         name = self._action.name

@@ -59,7 +59,8 @@ from fibaction.server.durability.keeper import (
 )
 from fibaction.server.durability.stored_ends import LONGEST, SECOND, StoredEnds
 from fibaction.server.life import LIFE, Phase
-from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.registry.goal_record import GoalRecord, Offer
+from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalKept, StoreError, copy_of
 from fibaction.words.goals import Outcome
 from fibaction.words.statuses import GoalStatus
@@ -152,15 +153,13 @@ class GoalKeeper(Keeper):
 
     def accept(
         self,
-        goal: GoalRecord,
-        payload: bytes,
-        meta: dict[str, str] | None,
+        offer: Offer[GoalT],
         *,
         is_running: bool,
-        then: Kept,
-        too_large: TooLarge,
+        then: Callable[[Offer[GoalT]], None],
+        too_large: Callable[[Offer[GoalT], RecordTooLarge], None],
     ) -> int:
-        deadline = 0
+        goal, deadline = offer.record, 0
         if goal.deadline - current_time() < LONGEST:
             deadline = time.time_ns() + int((goal.deadline - current_time()) * SECOND)
         goal.stored = StoredGoal(
@@ -168,14 +167,15 @@ class GoalKeeper(Keeper):
             goal.stamp,
             goal.sender,
             goal.digest,
-            payload,
+            offer.sent.goal,
             deadline,
             is_running=is_running,
             attempt=int(is_running),
-            meta=meta,
+            meta=offer.meta,
             began_at=goal.stamp if is_running else 0,
         )
-        return self._write(self._journal.accept, goal, goal.stored, then, too_large)
+        kept, failed = partial(then, offer), partial(too_large, offer)
+        return self._write(self._journal.accept, goal, goal.stored, kept, failed)
 
     def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
         return GoalWrites(self, take).acts()

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
     from fibaction.border.goal_store import KeyPlaces, RecordTooLarge, StoredGoal
-    from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.server.registry.goal_record import GoalRecord, Offer
+    from fibaction.types.action import GoalT
     from fibaction.words.errors import GoalKept, StoreError
     from fibaction.words.goals import GoalID, Outcome
 
@@ -131,16 +132,14 @@ class Keeper(ABC):
     @abstractmethod
     def accept(
         self,
-        goal: GoalRecord,
-        payload: bytes,
-        meta: dict[str, str] | None,
+        offer: Offer[GoalT],
         *,
         is_running: bool,
-        then: Kept,
-        too_large: TooLarge,
+        then: Callable[[Offer[GoalT]], None],
+        too_large: Callable[[Offer[GoalT], RecordTooLarge], None],
     ) -> int:
-        """Keep a goal that is about to be accepted, and return the number of the write; 0 if it is
-        kept already.
+        """Keep the goal of an offer, which has its record, and return the number of the write; 0 if
+        it is kept already.
         """
 
     @abstractmethod
@@ -219,13 +218,11 @@ class NoStoreKeeper(Keeper):
 
     def accept(
         self,
-        goal: GoalRecord,
-        payload: bytes,
-        meta: dict[str, str] | None,
+        offer: Offer[GoalT],
         *,
         is_running: bool,
-        then: Kept,
-        too_large: TooLarge,
+        then: Callable[[Offer[GoalT]], None],
+        too_large: Callable[[Offer[GoalT], RecordTooLarge], None],
     ) -> int:
         return 0
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias
 
-from anyio import current_time
-
 from fibaction.server.durability.keeper import Acts
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.life import Effect
@@ -96,7 +94,7 @@ class GoalNews:
         assert run.outcome is not None
         if goal.told_status is not goal.status:
             self._tell(run, goal.status)
-        now = current_time()
+        now = self._logs.now()
         self._registry.finish(goal, run.outcome, now=now, stamp=time.time_ns())
         del self._runs[goal.goal_id]
         self._logs.end(run.log, now)

@@ -1,7 +1,7 @@
 """`ExpiringMap`: entries about goals, kept for a fixed time and up to a limited number.
 
 Sans-I/O: the time is an argument. Expiry is exact, whether or not the memory has been freed: `get`
-compares the time, and `pop` frees.
+compares the time, and `expire` frees.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class ExpiringMap(Generic[T]):
         return (value for _, value in self._entries.values())
 
     def put(self, goal_id: GoalID, value: T, now: float, *, at_least_until: float = 0.0) -> None:
-        """Add an entry, whose time begins now. Call `pop` afterwards to keep the limit."""
+        """Add an entry, whose time begins now. Call `expire` afterwards to keep the limit."""
         self._entries.pop(goal_id, None)  # as in `put_until`, which another call would add to
         self._entries[goal_id] = (max(now + self._seconds, at_least_until), value)
 
@@ -52,14 +52,17 @@ class ExpiringMap(Generic[T]):
         entry = self._entries.get(goal_id)
         return None if entry is None or entry[0] <= now else entry[1]
 
-    def pop(self, now: float) -> T | None:
-        """Remove the oldest entry if it is too old, or if there are too many, and return its value;
-        None if nothing is to be removed.
+    def expire(self, now: float, most: float) -> list[T]:
+        """Remove the oldest entries, at most so many, as long as the next one is too old or there
+        are too many; return their values.
         """
         entries = self._entries
-        if entries and (len(entries) > self._limit or self.next_expiry <= now):
-            return entries.popitem(last=False)[1][1]
-        return None
+        gone: list[T] = []
+        while entries and len(gone) < most:
+            if len(entries) <= self._limit and next(iter(entries.values()))[0] > now:
+                break
+            gone.append(entries.popitem(last=False)[1][1])
+        return gone
 
     @property
     def next_expiry(self) -> float:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from fibaction.border.abc import GoalRequest
     from fibaction.border.goal_store import StoredGoal
-    from fibaction.feeds.feedback_log import FeedbackCursor
+    from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
     from fibaction.server.registry.kept_results import HeldBytes
 
 NO_PLACE = (0, 0)
@@ -50,6 +50,7 @@ class GoalRecord:
         "goes_on",
         "held",
         "is_given_up",
+        "log",
         "origin",
         "outcome",
         "phase",
@@ -98,6 +99,8 @@ class GoalRecord:
         self.held = held
         """The bytes that are held of the goal: its payload, then its result; None after the server
         has forgotten it."""
+        self.log: FeedbackLog[GoalRecord] | None = None
+        """The log that it is followed from; None after the end: see `GoalLogs`."""
         self.began_at: int | None = None
         """Time at which the first attempt began: nanoseconds since 1970; None if none has."""
         self.ended_at = 0

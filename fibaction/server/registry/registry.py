@@ -237,8 +237,7 @@ class GoalRegistry:
         """Reject an undecided goal, and return the error to raise; a retry gets the same one."""
         rejection = Rejection(self._undecided.pop(goal_id).digest, reason, is_unreadable)
         self._rejected.put(goal_id, rejection, now)
-        while self._rejected.pop(now) is not None:
-            pass
+        self._rejected.expire(now, MOST_REJECTIONS)
         return rejection.error(goal_id)
 
     def withdraw(self, goal_id: GoalID) -> None:
@@ -318,26 +317,22 @@ class GoalRegistry:
             self._listing = (*self._ended, *self._active.values())
         return self._listing
 
-    def expire(self, now: float, limit: int | None = None) -> list[GoalID]:
+    def expire(self, now: float, limit: float = math.inf) -> list[GoalID]:
         """Forget what is too old, too many or too large together, and return the ended goals of it.
 
         At most `limit` are forgotten; then call it again.
         """
-        for _ in range(MOST_REJECTIONS):
-            if self._rejected.pop(now) is None:
-                break
-        gone: list[GoalID] = []
-        while len(gone) != limit:
-            goal = self._ended.pop(now)
-            if (
-                goal is None and self.budget.used > self.budget.limit
-            ):  # as `is_over`, without a call
-                goal = self._ended.discard(self.results.next_to_forget())
-            if goal is None:
-                break
+        self._rejected.expire(now, MOST_REJECTIONS)
+        gone = self._ended.expire(now, limit)
+        for goal in gone:
             self._forget(goal)
-            gone.append(goal.goal_id)
-        return gone
+        while self.budget.used > self.budget.limit and len(gone) < limit:
+            large = self._ended.discard(self.results.next_to_forget())
+            if large is None:
+                break
+            self._forget(large)
+            gone.append(large)
+        return [goal.goal_id for goal in gone]
 
     def _forget(self, goal: GoalRecord) -> None:
         """Let go of the outcome: lists of goals may reference the record for a long time."""
