@@ -201,8 +201,9 @@ class _DiscardingLog(FeedbackLog[FollowedT]):
         super().__init__(goal)
         self._held = None
 
-    def append(self, payload: bytes) -> None:
+    def append(self, payload: bytes) -> bool:
         """Discard the feedback."""
+        return False
 
 
 class FeedbackCursor(GoalStream):

@@ -143,8 +143,10 @@ class FeedbackWindow(Generic[FollowedT]):
         """The number of feedback messages so far, which is the number of the last one."""
         return self.goal.feedback_count
 
-    def append(self, payload: bytes) -> None:
-        """Add feedback. In a full window it pushes out the oldest."""
+    def append(self, payload: bytes) -> bool:
+        """Add feedback, and return whether the window is full now: see `is_full`. In a full window
+        it pushes out the oldest.
+        """
         number = self.goal.feedback_count = self.goal.feedback_count + 1
         items: deque[FeedbackItem] = self._items
         budget = self._budget
@@ -159,6 +161,8 @@ class FeedbackWindow(Generic[FollowedT]):
         readers = self._readers
         for reader in readers if type(readers) is tuple else tuple(readers):
             reader.news.notify()
+        unread = number - self._slowest  # as in `is_full`, without a call: each message is here
+        return unread >= self._window or (budget.used > budget.limit and unread > 0)
 
     def _push_out(self) -> None:
         """Push out old feedback that no holding reader has to read: the budget is used up."""

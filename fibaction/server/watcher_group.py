@@ -164,11 +164,12 @@ class WatchedLog(FeedbackLog[GoalRecord]):
         if len(self.statuses) > 1:  # the first one is told as the acceptance
             self._watchers.changed(self.goal)
 
-    def append(self, payload: bytes) -> None:
-        super().append(payload)
+    def append(self, payload: bytes) -> bool:
+        is_full = super().append(payload)
         goal = self.goal
         item = FeedbackItem(goal.feedback_count, payload, goal.attempt)
         self._watchers.feedback(goal.goal_id, item)
+        return is_full
 
     def note_dropped(self, count: int) -> None:
         self._watchers.missed(self.goal.goal_id, count)

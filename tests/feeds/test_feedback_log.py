@@ -33,7 +33,8 @@ def new_log(window: int = 1000, *, latest: bool = False) -> FeedbackLog[GoalFact
 def append(log: FeedbackLog[GoalFacts], count: int) -> None:
     """Add feedback, each of which is its own number as text."""
     for _ in range(count):
-        log.append(b"%d" % (log.count + 1))
+        is_full = log.append(b"%d" % (log.count + 1))
+        assert is_full == log.is_full
 
 
 def change(log: FeedbackLog[GoalFacts], status: GoalStatus) -> None:

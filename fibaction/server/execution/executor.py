@@ -258,12 +258,11 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
                     raise Misuse(f"it yielded {kind_of(item)} after its result")
                 if isinstance(item, Return):
                     self.keep_result(cast("object", item.value))
-                elif feedback.holds(item) or (
-                    not result.holds(item) and is_feedback_message(item, self._action)
+                elif isinstance(item, feedback.classes) or (
+                    not isinstance(item, result.classes) and is_feedback_message(item, self._action)
                 ):
-                    log = self._log
-                    log.append(feedback.encode(item))
-                    if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
+                    is_full = self._log.append(feedback.encode(item))
+                    if is_full or steps.pending or perf_counter() >= steps.slice_end:
                         try:
                             await self._pause()
                         except get_cancelled_exc_class() as exc:
@@ -314,9 +313,8 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         self._result = result.encode(value)
 
     def append(self, payload: bytes) -> bool:
-        log, steps = self._log, self._steps
-        log.append(payload)
-        return steps.pending or log.is_full or perf_counter() >= steps.slice_end
+        steps, is_full = self._steps, self._log.append(payload)
+        return is_full or steps.pending or perf_counter() >= steps.slice_end
 
     async def pause(self) -> None:
         if self._scopes is not None:  # else it was abandoned, and its thread keeps running
