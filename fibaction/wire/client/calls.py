@@ -112,6 +112,8 @@ class PendingRequest(Call):
 class Credits:
     """The number of messages that the server may still send for one call."""
 
+    __slots__ = ("_allowed", "_id", "_piece", "_ungranted", "_window", "post")
+
     def __init__(self, call_id: int, window: int, post: Post) -> None:
         self._id = call_id
         self._window = window

@@ -33,7 +33,6 @@ feedback makes room for the next.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
@@ -107,7 +106,7 @@ class RemoteGoal(Call, UnreadFeedback):
         self._parent: Parent | None = None
         self._labels: dict[str, str] = {}
         self._outcome: Outcome[bytes] | None = None
-        self._statuses: deque[GoalStatus] = deque()
+        self._statuses: tuple[GoalStatus, ...] = ()  # that were not read; most goals have one
         self._credit = Credits(opening.id, window, post)
         self._own = isinstance(opening, SendGoal) or opening.own
         self._holds = self._own  # an observer never slows the executor down
@@ -148,7 +147,8 @@ class RemoteGoal(Call, UnreadFeedback):
 
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         if self._statuses:
-            return (self._statuses.popleft(),)
+            first, self._statuses = self._statuses[:1], self._statuses[1:]
+            return first
         waiting = self._unread_of_earlier() if self._earlier else self._items
         if not waiting:
             if self._outcome is None:
@@ -182,7 +182,7 @@ class RemoteGoal(Call, UnreadFeedback):
             self.reads = False
             if self._items or self._earlier:
                 self._forget_unread()
-            self._statuses.clear()
+            self._statuses = ()
             self.news.notify()
             if self._outcome is None:
                 self._post(Close(self.id))
@@ -288,7 +288,7 @@ class RemoteGoal(Call, UnreadFeedback):
         if status > self._status:
             self._status = status
             if self.reads and status.is_active:
-                self._statuses.append(status)
+                self._statuses += (status,)
 
     def _take_feedback(self, first: int, payloads: Sequence[bytes]) -> None:
         """Take feedback with consecutive numbers."""

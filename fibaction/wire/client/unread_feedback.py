@@ -38,7 +38,8 @@ class UnreadFeedback(GoalStream):
         self._delivered = 0  # of the attempt that is read
         self._dropped = 0  # in the attempts before
         self._items: deque[FeedbackItem] = deque()
-        self._earlier: deque[_Earlier] = deque()
+        # A tuple, as most goals have one attempt: an empty queue would be a seventh of a goal.
+        self._earlier: tuple[_Earlier, ...] = ()
 
     @property
     def attempt(self) -> int:
@@ -56,9 +57,10 @@ class UnreadFeedback(GoalStream):
         """Begin to count again: the feedback that arrives from now on is of another attempt."""
         if self._earlier and not self._items:
             # The attempt between the two had no feedback. A server could tell ever more of them.
-            self._earlier[-1] = self._earlier[-1]._replace(next_attempt=attempt)
+            *before, last = self._earlier
+            self._earlier = (*before, last._replace(next_attempt=attempt))
         else:
-            self._earlier.append(_Earlier(self._items, self._last, attempt))
+            self._earlier += (_Earlier(self._items, self._last, attempt),)
             self._items = deque()
         self._newest, self._last = attempt, 0
         self._unread_of_earlier()
@@ -66,7 +68,7 @@ class UnreadFeedback(GoalStream):
     def _unread_of_earlier(self) -> deque[FeedbackItem]:
         """Return the unread feedback that comes next; move to its attempt if it is another one."""
         while self._earlier and not self._earlier[0].items:
-            earlier = self._earlier.popleft()
+            earlier, self._earlier = self._earlier[0], self._earlier[1:]
             if self.reads:
                 self.cursor = earlier.last
             self._dropped = self.dropped
