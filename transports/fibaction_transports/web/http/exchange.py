@@ -137,11 +137,9 @@ class Exchange:
         if length.isdecimal() and int(length[:20]) > limit:
             raise _too_large(limit)
         self._held = CountedBytes(memory, 0)
-        try:
-            with anyio.fail_after(BODY_TIMEOUT):
-                return await self._body(limit, memory, self._held)
-        except TimeoutError:
-            raise Refused(408, f"the body has not arrived within {BODY_TIMEOUT:g} s") from None
+        with anyio.move_on_after(BODY_TIMEOUT):
+            return await self._body(limit, memory, self._held)
+        raise Refused(408, f"the body has not arrived within {BODY_TIMEOUT:g} s")
 
     async def _body(self, limit: int, memory: ByteBudget, held: CountedBytes) -> bytes:
         body = bytearray()
@@ -254,17 +252,16 @@ class Exchange:
     async def _write(self, body: bytes, *, has_more: bool) -> None:
         """Write a piece of the body, the begin of the answer before the first one."""
         start, self._start = self._start, None
+        piece = {"type": "http.response.body", "body": body, "more_body": has_more}
         try:
-            with anyio.fail_after(self._write_timeout):
+            with anyio.move_on_after(self._write_timeout) as limit:
                 if start is not None:
                     await self._send(start)
-                await self._send(
-                    {"type": "http.response.body", "body": body, "more_body": has_more}
-                )
-        except TimeoutError:
-            raise ConnectionLost(f"{self.peer} does not read") from None
+                await self._send(piece)
         except OSError as exc:  # as ASGI has it for a client that has gone
             raise ConnectionLost(f"{self.peer} has gone") from exc
+        if limit.cancelled_caught:
+            raise ConnectionLost(f"{self.peer} does not read")
         if has_more:
             await checkpoint()  # the client may take all at once
 
