@@ -202,8 +202,7 @@ class _DiscardingLog(FeedbackLog[FollowedT]):
         self._held = None
 
     def append(self, payload: bytes) -> bool:
-        """Discard the feedback."""
-        return False
+        return False  # nothing is kept
 
 
 class FeedbackCursor(GoalStream):

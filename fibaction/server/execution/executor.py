@@ -243,6 +243,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
     ) -> None:
         """Run an async generator function to its end: the `Runner` of generators."""
         feedback, result, steps = self._action.feedback, self._action.result, self._steps
+        encode: Callable[[Any], bytes] = feedback.encode
         items = _generator_of(executor(goal))
         step = _first(items)
         try:
@@ -261,7 +262,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
                 elif isinstance(item, feedback.classes) or (
                     not isinstance(item, result.classes) and is_feedback_message(item, self._action)
                 ):
-                    is_full = self._log.append(feedback.encode(item))
+                    is_full = self._log.append(encode(item))
                     if is_full or steps.pending or perf_counter() >= steps.slice_end:
                         try:
                             await self._pause()

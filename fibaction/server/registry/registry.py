@@ -323,16 +323,17 @@ class GoalRegistry:
         At most `limit` are forgotten; then call it again.
         """
         self._rejected.expire(now, MOST_REJECTIONS)
-        gone = self._ended.expire(now, limit)
-        for goal in gone:
+        gone: list[GoalID] = []
+        for goal in self._ended.expire(now, limit):
             self._forget(goal)
+            gone.append(goal.goal_id)
         while self.budget.used > self.budget.limit and len(gone) < limit:
             large = self._ended.discard(self.results.next_to_forget())
             if large is None:
                 break
             self._forget(large)
-            gone.append(large)
-        return [goal.goal_id for goal in gone]
+            gone.append(large.goal_id)
+        return gone
 
     def _forget(self, goal: GoalRecord) -> None:
         """Let go of the outcome: lists of goals may reference the record for a long time."""
