@@ -150,11 +150,6 @@ class KeptResults:
         self.size += size
         self._newest = ref(held)
 
-    def forget(self, goal_id: GoalID, held: HeldBytes) -> None:
-        """Remember the result of a goal no longer."""
-        assert held.share is not None
-        held.share.forget(goal_id, held)
-
     def busy_for(self, owner: bytes) -> str:
         """Return the reason for which a goal of that client is to be rejected; empty if none."""
         share, most = self._shares.get(owner), self._budget.limit // 2

@@ -337,7 +337,9 @@ class GoalRegistry:
 
     def _forget(self, goal: GoalRecord) -> None:
         """Let go of the outcome: lists of goals may reference the record for a long time."""
-        self.results.forget(goal.goal_id, goal.forget_outcome())
+        held = goal.forget_outcome()
+        assert held.share is not None
+        held.share.forget(goal.goal_id, held)
         self._listing = None
 
     @property
