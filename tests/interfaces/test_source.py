@@ -102,6 +102,16 @@ def test_the_constant_and_a_class_never_share_a_name(tmp_path: Path) -> None:
     assert module.IMU_.goal.type().imu == module.IMU()
 
 
+def test_a_comment_with_an_indented_line_is_the_same_in_the_module(tmp_path: Path) -> None:
+    path = tmp_path / "Weigh.action"
+    path.write_text("# The weight:\n#     in grams\n#     of the whole\nint32 weight\n---\n---\n")
+
+    source = source_of(path)
+
+    assert "in grams" in source
+    assert_equal_actions(action_in(run(source)), load_action(path))
+
+
 names = strategies.from_regex(r"[a-z](_?[a-z0-9]){0,8}", fullmatch=True) | strategies.sampled_from(
     ["int", "str", "bytes", "list", "field", "from", "class", "range", "msgspec", "self", "cls"]
 )
