@@ -1,6 +1,6 @@
-"""`python -m tests.tools.benchmarks.dds_fibaction server|client|once NAME`: fibaction at `dds://`.
+"""`python -m tests.tools.benchmarks.dds_fibaction server|client NAME`: fibaction at `dds://`.
 
-It does what `ros2_rclpy` does, without rclpy. `once` is a whole program: one goal, and its result.
+It does what `ros2_rclpy` does, without rclpy.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import AsyncGenerator, AsyncIterator
-from time import perf_counter, process_time, time
+from time import perf_counter, process_time
 from typing import Any
 
 import anyio
@@ -121,12 +121,6 @@ async def run_client(name: str) -> None:
             say({"answer": await getattr(client, order.pop("do"))(**order)})
 
 
-async def run_once(name: str) -> None:
-    async with connect("dds://benchmark_once", action(name)) as client:
-        await client.call(Goal(0))
-        say(time())
-
-
 def say(value: Any) -> None:
     print(json.dumps(value), flush=True)
 
@@ -137,7 +131,7 @@ async def orders() -> AsyncIterator[dict[str, Any]]:
         yield json.loads(line)
 
 
-WAYS: dict[str, Any] = {"server": run_server, "client": run_client, "once": run_once}
+WAYS: dict[str, Any] = {"server": run_server, "client": run_client}
 
 if __name__ == "__main__":
     anyio.run(WAYS[sys.argv[1]], sys.argv[2])

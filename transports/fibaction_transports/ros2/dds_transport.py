@@ -9,7 +9,6 @@ from fibaction.border.abc import Diagnosis
 from fibaction.border.urls import check_settings, without_settings
 from fibaction.words.errors import InvalidURL
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
-from fibaction_transports.ros2.on_dds.diagnosis import diagnose_domain
 from fibaction_transports.ros2.ros_transport import (
     IN_URLS,
     RosTransport,
@@ -137,6 +136,8 @@ class DdsTransport(RosTransport):
 
     async def diagnose(self, seconds: float, action: str = "") -> Diagnosis:
         """See `Transport.diagnose`."""
+        from fibaction_transports.ros2.on_dds.diagnosis import diagnose_domain  # needed here only
+
         return await diagnose_domain(self._dds, self._ends, seconds, action)
 
     @classmethod
