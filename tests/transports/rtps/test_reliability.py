@@ -15,6 +15,7 @@ from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.decoder import read_packet
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY
+from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
@@ -176,6 +177,69 @@ def test_a_reader_that_comes_late_gets_the_first_sample_that_is_for_it() -> None
     write(world, writer, "11")
     world.run(2.0)
     assert other.texts(reader) == ["10", "11"]
+
+
+def heartbeats_on(world: World) -> list[WriterHeartbeat]:
+    """Return the heartbeats that are sent from now on."""
+    found: list[WriterHeartbeat] = []
+
+    def note(datagram: bytes, _: Address) -> bool:
+        of = read_packet(datagram).submessages
+        found.extend(each for each in of if isinstance(each, WriterHeartbeat))
+        return False
+
+    world.is_lost = note
+    return found
+
+
+def test_of_samples_that_follow_each_other_fast_few_have_a_heartbeat() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(1.0)
+    heartbeats = heartbeats_on(world)
+    for number in range(200):
+        write(world, writer, str(number))
+        world.run(0.0005)
+    assert len(heartbeats) <= 20
+    world.run(1.0)
+    assert other.texts(reader) == numbers(200)
+    assert writer.kept == 0  # the last ones are acknowledged, too
+
+
+def test_samples_have_a_heartbeat_each_while_a_reader_lacks_older_ones() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one)
+    reader_of(world, other)
+    world.run(1.0)
+    world.is_lost = lambda *_: True
+    write(world, writer, "lost")
+    world.flush()
+    world.is_lost = lambda *_: False
+    write(world, writer, "comes")
+    world.run(0.0062)  # the request is under way, and its answer is not
+    heartbeats = heartbeats_on(world)
+    for number in range(5):
+        write(world, writer, str(number))
+        world.flush()
+    assert [each.last for each in heartbeats] == [3, 4, 5, 6, 7]
+
+
+def test_a_lost_sample_comes_soon_after_the_next_one_though_that_has_no_heartbeat() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    world.run(1.0)
+    write(world, writer, "0")
+    world.run(0.001)
+    world.is_lost = lambda *_: True
+    write(world, writer, "1")
+    world.flush()
+    world.is_lost = lambda *_: False
+    write(world, writer, "2")
+    world.run(0.008)
+    assert other.texts(reader) == ["0", "1", "2"]
 
 
 def test_samples_beyond_the_depth_are_lost_to_a_slow_reader_which_is_told() -> None:

@@ -97,6 +97,11 @@ class Outbox:
             return
         queue.entries.append(_Entry(submessage, time))
 
+    def has_heartbeat(self, route: PeerRoute, reader: bytes, writer: bytes) -> bool:
+        """Return whether a heartbeat of a writer for a reader waits."""
+        queue = self._waiting.get(route)
+        return queue is not None and (reader, writer) in queue.heartbeats
+
     def _replace(self, queue: _Queue, heartbeat: WriterHeartbeat) -> None:
         """Take the older heartbeat of the same ends away."""
         ends = heartbeat.reader, heartbeat.writer

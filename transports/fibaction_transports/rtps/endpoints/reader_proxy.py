@@ -5,6 +5,11 @@ it hears: Cyclone DDS acknowledges such samples, and drops them. It hears none b
 the writer, which may be later than the writer has found it. So it gets a heartbeat of no samples,
 again and again until it answers, and its samples only then. A question for a heartbeat is not an
 answer: it may have been sent before any was heard.
+
+A heartbeat in one datagram with a sample tells nothing of that sample, as both are lost together.
+It tells of those before, and asks for an acknowledgement. So only one of many samples has one: the
+last ones are asked for by the writer, after a pause. But a reader that lacks older samples gets one
+with each: one of Fast DDS requests what is missing, and skips what is gone, when a heartbeat tells.
 """
 
 from __future__ import annotations
@@ -30,6 +35,10 @@ REPAIR_PAUSE = 0.005
 """Seconds within which a sample is not sent again: a request for it has crossed it on the way."""
 ANSWER_PAUSE = 0.001
 """Seconds within which one heartbeat answers all questions of a reader."""
+HEARTBEAT_PAUSE = 0.01
+"""Seconds after a heartbeat in which new samples are sent without one, unless they are many."""
+SAMPLES_WITHOUT = 64
+"""New samples that may be sent without a heartbeat."""
 QUESTIONS = 2
 """Questions for a heartbeat that are no sign that one was heard; some may ask in each answer."""
 SILENCE = 10.0
@@ -52,6 +61,12 @@ class ReaderProxy:
         self._budget = shared.budgets[route.prefix]
         self._sent: dict[int, float] = {}
         self._answered = -math.inf
+        self._told_at = -math.inf
+        """The time of the last heartbeat."""
+        self._told = 0
+        """The newest sample of which it told."""
+        self._is_current = False
+        """True if the reader has said that it lacks nothing, and not otherwise since."""
         self._before = 0
         self._is_new = False
         self._questions = 0
@@ -84,15 +99,15 @@ class ReaderProxy:
         if not self.has_unacknowledged(number - 1):
             self.waits_since = now
         self._budget.write(len(sample.payload))
-        self.send([number], now)
+        self.send([number], now, has_heartbeat=self._needs_heartbeat(number, now))
 
     def skip(self, number: int) -> None:
         """Note a new sample that the reader does not need."""
         if self.acknowledged == number - 1:
             self.acknowledged = number
 
-    def send(self, numbers: Iterable[int], now: float) -> None:
-        """Send samples, and a GAP for those that the reader does not get."""
+    def send(self, numbers: Iterable[int], now: float, *, has_heartbeat: bool = True) -> None:
+        """Send samples, and a GAP for those that the reader does not get; and a heartbeat."""
         if self._is_new:
             return
         left_out = list[int]()
@@ -108,11 +123,20 @@ class ReaderProxy:
         if self.is_reliable:
             for gap in self._gaps(left_out):
                 self._shared.outbox.add(self._route, gap)
-            self.heartbeat()
+            if has_heartbeat:
+                self.heartbeat(now)
 
-    def heartbeat(self) -> None:
+    def _needs_heartbeat(self, number: int, now: float) -> bool:
+        """Return whether a new sample has a heartbeat: one that waits is replaced at no cost."""
+        is_recent = now - self._told_at < HEARTBEAT_PAUSE and number - self._told < SAMPLES_WITHOUT
+        if not (is_recent and self._is_current):
+            return True
+        return self._shared.outbox.has_heartbeat(self._route, self.guid.entity, self._writer)
+
+    def heartbeat(self, now: float) -> None:
         """Tell the reader which samples there are."""
         last = self._before if self._is_new else self._history.last
+        self._told, self._told_at = last, now
         heartbeat = WriterHeartbeat(
             self.guid.entity, self._writer, self._first, last, self._shared.next_count()
         )
@@ -121,6 +145,8 @@ class ReaderProxy:
     def receive_acknack(self, nack: AckNack, now: float) -> None:
         """Note what the reader has, and send what it misses, if it was not sent just now."""
         has = nack.missing.base - 1
+        if nack.is_final or nack.missing.numbers:
+            self._is_current = not nack.missing.numbers
         if has > self.acknowledged:
             self._acknowledge(has)
             self.waits_since = now
@@ -134,7 +160,7 @@ class ReaderProxy:
                 self.send(due, now)
         elif not nack.is_final and now - self._answered >= ANSWER_PAUSE:
             self._answered = now
-            self.heartbeat()
+            self.heartbeat(now)
 
     def _is_answer(self, nack: AckNack) -> bool:
         self._questions += not (nack.is_final or nack.missing.numbers)
@@ -156,7 +182,7 @@ class ReaderProxy:
             if not 0 <= start < len(sample.payload) or not self._budget.may_repair(size, now):
                 break
             self._send_fragment(number, sample, first)
-        self.heartbeat()
+        self.heartbeat(now)
 
     @property
     def _first(self) -> int:

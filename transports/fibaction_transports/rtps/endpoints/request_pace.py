@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import math
 
+OVERTAKEN = 0.006
+"""Seconds after which a sample is requested that a later one has overtaken. Sooner, a writer of
+this library does not answer, because the sample may be on its way."""
 SHORTEST_REPEAT, LONGEST_REPEAT = 0.01, 0.5
 """The pause before a request is repeated because of a heartbeat, in seconds: it is twice the one
 before if nothing that was requested has come."""

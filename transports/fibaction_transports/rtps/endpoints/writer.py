@@ -134,7 +134,7 @@ class DataWriter:
         proxy.start(before, is_reliable=is_reliable, is_late=is_late, now=now)
         self._readers[reader] = proxy
         if is_reliable:
-            proxy.heartbeat()
+            proxy.heartbeat(now)
             self._pause = FIRST_HEARTBEAT
             self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
         elif is_late:
@@ -163,7 +163,7 @@ class DataWriter:
         """Ask the readers again that have not acknowledged everything."""
         waiting = [p for p in self._readers.values() if p.has_unacknowledged(self.last)]
         for proxy in waiting:
-            proxy.heartbeat()
+            proxy.heartbeat(now)
         self._pause = min(self._pause * 2, LONGEST_HEARTBEAT)
         self._forget(now)
         if waiting:

@@ -23,7 +23,7 @@ from collections.abc import Callable
 
 from fibaction_transports.rtps.endpoints.catch_up import CatchUp
 from fibaction_transports.rtps.endpoints.fragments import PartialSample
-from fibaction_transports.rtps.endpoints.request_pace import RequestPace
+from fibaction_transports.rtps.endpoints.request_pace import OVERTAKEN, RequestPace
 from fibaction_transports.rtps.endpoints.sample import Sample, received_sample, unpadded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.events import SamplesLost
@@ -163,7 +163,9 @@ class WriterProxy:
             return
         self._announced = heartbeat.last
         self._requests = 0
+        pause = ACKNOWLEDGE_AFTER
         if self._next is None:
+            pause = 0.0  # samples may wait for the first acknowledgement
             self._request_pause = FIRST_REQUEST
             self._advance(heartbeat.first, now)
         elif heartbeat.first > self._next:
@@ -179,7 +181,7 @@ class WriterProxy:
         if self._partials or self._is_behind():
             self._request(now)
         elif not heartbeat.is_final:
-            self._shared.timers.set_earlier(self.on_acknowledge_due, now + ACKNOWLEDGE_AFTER)
+            self._shared.timers.set_earlier(self.on_acknowledge_due, now + pause)
 
     def receive_gap(self, gap: Gap, now: float) -> None:
         """Note samples that do not come."""
@@ -265,9 +267,9 @@ class WriterProxy:
             self._held[number] = sample
             if self._next is not None:
                 self._catch_up.note_loss(now)
-            # Its heartbeat may be lost, and others may come late.
+            # Most samples have no heartbeat, and others may come late.
             self._announced = max(self._announced, number)
-            self._shared.timers.set_earlier(self.on_request_due, now + self._request_pause)
+            self._shared.timers.set_earlier(self.on_request_due, now + OVERTAKEN)
         else:
             self._shared.counters.over_limit += 1
 
