@@ -139,11 +139,10 @@ class RosActionServer:
 
     def start(self) -> None:
         """Serve."""
-        tasks, name = self._tasks, self._name
+        tasks, name, topic = self._tasks, self._name, self._names.status
         self._statuses.start(tasks, name)
         tasks.start_soon(self._follow_statuses, name=f"goals of {name}")
-        full = self._names
-        tasks.start_soon(warn_of_rivals, self._ros, name, full.status, name=f"rivals of {name}")
+        tasks.start_soon(warn_of_rivals, self._ros, name, topic, name=f"rivals of {name}")
 
     async def drain(self) -> None:
         """Wait until everything has been answered that can be answered."""
@@ -280,6 +279,7 @@ class RosActionServer:
             status = GoalStatus(response.status)
             if status.is_terminal:
                 self._statuses.update(GoalInfo(goal_id, forwarder.stream.stamp, status))
+            await anyio.lowlevel.checkpoint()  # one list tells the ends of all goals of this turn
             self._statuses.flush()
             await forwarder.hand_over(response)
         finally:
