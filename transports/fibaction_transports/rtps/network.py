@@ -121,7 +121,7 @@ class ParticipantNetwork:
     ) -> int:
         """Send a sample, as `DataWriter.write` describes.
 
-        Samples of one turn of the event loop share datagrams, which leave at its end.
+        Samples that are written at nearly the same time share datagrams, which leave soon.
         """
         now = self._loop.time()
         number = writer.write(payload, now, inline_qos=inline_qos, time=time, only_to=only_to)

@@ -35,7 +35,7 @@ class DrivingLoop(Protocol):
         """Call `on_deadline` at this time at the latest."""
 
     def settle_soon(self) -> None:
-        """Call `settle` when those that are ready now have had their turn."""
+        """Call `settle` soon, when those that are ready now have had their turn."""
 
     async def run(self, driven: Driven, sources: Sequence[socket.socket]) -> None:
         """Drive a participant with its sockets until canceled."""

@@ -13,6 +13,12 @@ from collections.abc import Callable, Sequence
 from fibaction.border.event_loop import asyncio_loop, asyncio_task
 from fibaction_transports.rtps.loops.driven import Driven
 
+TURNS = 4
+"""Turns of the event loop after which `settle` is called: the samples that a goal causes are
+written in several turns, by several tasks, and share a datagram."""
+LONGEST_SETTLING = 0.001
+"""Seconds after which `settle` is called at the next turn, because each may take long."""
+
 
 def calls_for(source: socket.socket) -> bool:
     """Return whether the caller runs on an event loop of asyncio that calls back for sockets, as
@@ -39,12 +45,16 @@ class AsyncioLoop:
         self._alarm: asyncio.TimerHandle | None = None
         self._turn: asyncio.Handle | None = None
         self._settling: asyncio.Handle | None = None
+        self._turns = 0
+        self._settle_until = 0.0
         self.time = self._loop.time
         """Return the time of the event loop."""
 
     def settle_soon(self) -> None:
-        """Call `settle` when those that are ready now have had their turn."""
+        """Call `settle` after a few turns of the event loop."""
         if self._settling is None:
+            self._turns = TURNS
+            self._settle_until = self.time() + LONGEST_SETTLING
             self._settling = self._loop.call_soon(self._settle)
 
     def wake(self, when: float) -> None:
@@ -91,6 +101,10 @@ class AsyncioLoop:
             self._guarded(self._driven.on_deadline)
 
     def _settle(self) -> None:
+        self._turns -= 1
+        if self._turns > 0 and self.time() < self._settle_until:
+            self._settling = self._loop.call_soon(self._settle)
+            return
         self._settling = None
         if self._driven is not None:
             self._guarded(self._driven.settle)
