@@ -18,7 +18,7 @@ from fibaction_transports.cdr.standard_messages import (
     ParticipantEntitiesInfo,
 )
 from fibaction_transports.ros2.node.parts import LifeSigns
-from fibaction_transports.ros2.on_dds import graph
+from fibaction_transports.ros2.on_dds import graph, topics
 from fibaction_transports.ros2.on_dds.clock import DdsClock
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.descriptions.description_messages import UnusableDescription
@@ -36,7 +36,7 @@ from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.events import ParticipantLost, TypesAnswered
-from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.ids import FAST_DDS, Guid
 from fibaction_transports.rtps.messages.type_questions import TYPE_ID_SIZE
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
@@ -105,6 +105,21 @@ async def test_a_message_reaches_a_subscription_with_the_id_of_its_publisher() -
         assert subscription.publisher_count() == 1
         assert (topic, "rcl_interfaces/msg/Parameter") in other.topics()
         assert (topic, "rcl_interfaces/msg/Parameter") in one.topics()
+
+
+async def test_messages_have_arrived_when_readers_of_our_own_have_acknowledged_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    topic = f"/t{uuid.uuid4().hex}"
+    async with opened() as one, opened() as other:
+        publisher = one.publisher(topic, PARAMETER, EndQos())
+        other.subscription(topic, PARAMETER, EndQos(), lambda message, gid: None)
+        await until(publisher.reader_count, 1)
+        publisher.publish(Parameter("one"))
+        await until(lambda: publisher.has_arrived(0), True)
+        # The queue of a reader of another maker may overflow, whatever it has acknowledged.
+        monkeypatch.setattr(topics, "OWN_VENDOR", FAST_DDS)
+        assert not publisher.has_arrived(0)
 
 
 async def test_a_sink_that_fails_is_logged_and_the_next_message_arrives(

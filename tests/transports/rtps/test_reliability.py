@@ -207,6 +207,24 @@ def test_of_samples_that_follow_each_other_fast_few_have_a_heartbeat() -> None:
     assert writer.kept == 0  # the last ones are acknowledged, too
 
 
+def test_a_writer_tells_whether_all_but_the_newest_samples_have_arrived() -> None:
+    world = World()
+    one, other = world.pair()
+    writer = writer_of(world, one)
+    write(world, writer, "0")
+    assert writer.has_arrived(0)  # nobody reads
+    reader_of(world, other)
+    world.run(1.0)
+    write(world, writer, "1", "2")
+    assert writer.has_arrived(2)
+    assert not writer.has_arrived(1)
+    world.run(1.0)
+    assert writer.has_arrived(0)
+    reader_of(world, other, Qos(reliability=Reliability.BEST_EFFORT))
+    world.run(1.0)
+    assert not writer.has_arrived(100)  # that reader does not tell
+
+
 def test_samples_have_a_heartbeat_each_while_a_reader_lacks_older_ones() -> None:
     world = World()
     one, other = world.pair()

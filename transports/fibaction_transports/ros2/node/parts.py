@@ -61,6 +61,12 @@ class TopicPublisher(ABC):
     def reader_count(self) -> int:
         """Return the number of subscriptions that are connected."""
 
+    def has_arrived(self, margin: int) -> bool:
+        """Return whether all messages but the newest ones, up to the margin, are known to have been
+        taken by all readers. By default that is not known.
+        """
+        return False
+
 
 class TopicSubscription(ABC):
     """A subscription to a topic."""

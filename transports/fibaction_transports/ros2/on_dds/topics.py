@@ -19,7 +19,7 @@ from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import LivelinessChanged
-from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.ids import OWN_VENDOR, Guid
 
 logger = clean_logger("fibaction.ros2")
 
@@ -48,6 +48,11 @@ class DdsPublisher(TopicPublisher):
 
     def reader_count(self) -> int:
         return len(self._writer.readers)
+
+    def has_arrived(self, margin: int) -> bool:
+        # Others acknowledge what waits in the queue of a reader, and may be pushed out of it.
+        are_ours = all(reader.startswith(OWN_VENDOR) for reader in self._writer.readers)
+        return are_ours and self._writer.has_arrived(margin)
 
 
 class DdsSubscription(TopicSubscription):

@@ -24,6 +24,8 @@ LOOK_PAUSE = 0.05
 PACE = 0.1
 """The least number of seconds for half a queue of feedback: 5,000 messages in a second with the
 default depth. A reader of fibaction may be late by about 0.2 s."""
+TAKEN_PACE = 0.03
+"""The same while the readers are known to have taken what was published: 16,700 in a second."""
 FIRST_PACE = 0.5
 """The same for a new reader: its first messages are often sent again, which takes time."""
 PIECES = 10
@@ -133,7 +135,7 @@ class FeedbackTopic:
             await anyio.sleep_until(self._due)  # others may fill the piece meanwhile
             now = current_time()
         if now >= self._due:
-            pace = PACE
+            pace = TAKEN_PACE if self._publisher.has_arrived(self._half) else PACE
             if self._to_new > 0:
                 self._to_new -= self._piece
                 pace = FIRST_PACE

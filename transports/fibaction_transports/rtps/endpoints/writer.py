@@ -70,6 +70,13 @@ class DataWriter:
             default=self.last,
         )
 
+    def has_arrived(self, margin: int) -> bool:
+        """Return whether every reader has all samples but the newest ones, up to the margin; one
+        that is best effort does not tell.
+        """
+        proxies, least = self._readers.values(), self.last - margin
+        return all(proxy.is_reliable and proxy.acknowledged >= least for proxy in proxies)
+
     def write(
         self,
         payload: bytes,
