@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from fibaction.cli.process.ctrl_c import INTERRUPTED, exit_at_once
+from fibaction.cli.process.exit_at_once import INTERRUPTED, exit_at_once
 
 NEEDED = ("click", "rich", "yaml")
 """The modules that the extra brings."""

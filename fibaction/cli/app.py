@@ -21,7 +21,7 @@ from fibaction.cli.arguments.options import URL
 from fibaction.cli.arguments.ros_args import without_ros_args
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.lines import LogHandler
-from fibaction.cli.process.ctrl_c import exit_at_once
+from fibaction.cli.process.exit_at_once import exit_at_once
 from fibaction.cli.process.exit_codes import ExitCode, debugging, report_errors
 from fibaction.cli.process.logs import CleanFormatter
 

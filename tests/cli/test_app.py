@@ -16,7 +16,7 @@ import click
 import pytest
 
 from fibaction.cli import app
-from fibaction.cli.process.ctrl_c import exit_at_once
+from fibaction.cli.process.exit_at_once import exit_at_once
 from fibaction.cli.process.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run
 

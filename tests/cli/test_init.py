@@ -13,7 +13,7 @@ import pytest
 
 import fibaction.cli
 from fibaction.cli import app
-from fibaction.cli.process.ctrl_c import INTERRUPTED, exit_at_once
+from fibaction.cli.process.exit_at_once import INTERRUPTED, exit_at_once
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction_transports import _command
 from tests.cli.conftest import Run

@@ -14,7 +14,7 @@ from typing import IO, Any, NoReturn, cast
 import click
 
 from fibaction.cli.output.escape import clean, clean_lines
-from fibaction.cli.process import ctrl_c
+from fibaction.cli.process import exit_at_once
 from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
@@ -49,7 +49,7 @@ class ExitCode(IntEnum):
     """The file that keeps the goals cannot be used, or cannot be written to any more."""
     BUG = 70
     """`EX_SOFTWARE` of `sysexits.h`: an error of fibaction itself."""
-    INTERRUPTED = ctrl_c.INTERRUPTED
+    INTERRUPTED = exit_at_once.INTERRUPTED
     """As of a program that SIGINT has ended: Ctrl-C where no goal was to be canceled."""
 
 
@@ -154,7 +154,7 @@ def run(
     options = {"use_uvloop": uvloop and find_spec("uvloop") is not None}
     exits = signal.getsignal(signal.SIGINT) is signal.default_int_handler and not uvloop
     if exits:  # the event loop's own handler would wait for a task that computes
-        signal.signal(signal.SIGINT, ctrl_c.exit_at_once)
+        signal.signal(signal.SIGINT, exit_at_once.exit_at_once)
     try:
         code = anyio.run(partial(verb, *arguments, **settings), backend_options=options)
     finally:
