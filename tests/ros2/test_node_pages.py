@@ -41,6 +41,13 @@ def with_async_node(page: str, folder: Path) -> str:
     return page.replace(line, "from async_node import AsyncNode")
 
 
+def with_late_odometry(page: str) -> str:
+    """Return the page with patience for odometry, which comes late on a busy machine."""
+    limit = "self._arrived < 1"
+    assert limit in page
+    return page.replace(limit, "self._arrived < 20")
+
+
 @pytest.mark.timeout(240, method="thread")  # it starts ten processes, most of them in turn
 async def test_the_programs_of_pages_about_nodes_print_what_they_show(
     tmp_path: Path, alone: str, monkeypatch: pytest.MonkeyPatch
@@ -55,7 +62,7 @@ async def test_the_programs_of_pages_about_nodes_print_what_they_show(
             if url:
                 page = with_async_node(page_of(name, url), folder)
             else:
-                page = (HOWTO / f"{name}.md").read_text(encoding="utf-8")
+                page = with_late_odometry((HOWTO / f"{name}.md").read_text(encoding="utf-8"))
             walked = partial(walk, page, folder, ros=True)
             wrong.extend(await anyio.to_thread.run_sync(walked))
     assert not wrong, "\n".join(wrong)

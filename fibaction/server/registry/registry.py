@@ -16,8 +16,9 @@ A goal that was sent is in one of four places:
   the same answer.
 - *active*: ACCEPTED, EXECUTING or CANCELING. Sending it again gets `Verdict.REPEAT`.
 - *ended*: its outcome is kept for the result timeout from its end: 10 s by default, less if there
-  are more than `max_results` or too many bytes (`kept_results`), and `LEAST_TIME` at least if the
-  client may not know of it. Sending it again gets `Verdict.REPEAT`. Later its ID is free again.
+  are more than `max_results` or too many bytes (`kept_results`), and `LEAST_TIME` (30 s) at least
+  if the client may not know of it. Sending it again gets `Verdict.REPEAT`. Later its ID is free
+  again.
 
 The ID of a goal, 16 bytes and not all zero, is its client's choice. With the same payload (by its
 digest) it is a retry, and runs once; with another one it is a clash, and is rejected.

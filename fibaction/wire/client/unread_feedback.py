@@ -6,7 +6,8 @@ first; `attempt` and `cursor` are those of the reader. The attempt may also be a
 store that need not outlive a power failure can lose its last writes: each attempt that is not the
 one before begins again.
 
-Sans-I/O, and without messages: `RemoteGoal` is the subclass that takes them.
+Sans-I/O, and without messages: `RemoteGoal` is the subclass that takes them, and whose credit
+bounds what may be unread (`ClientSettings.window`).
 """
 
 from __future__ import annotations

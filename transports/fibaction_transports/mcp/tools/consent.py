@@ -15,6 +15,8 @@ it travels depends on the protocol that the client speaks.
 A client says by its capabilities whether it can ask. One that cannot gets an error, so nothing
 moves; the error does not tell the model how that is changed, since some models can run commands. A
 client that answers in place of its user is not noticed: that is a matter of trust.
+
+Whether the user is asked is in `AgentPolicy.asks`, and what the question shows in `ToolCalls`.
 """
 
 from __future__ import annotations

@@ -11,9 +11,10 @@ sent, by the monotonic clock of the event loop. No clock is ever compared with t
 machine.
 
 A fence makes all goals of the worker lost for it, and each part of the worker is told
-(`MemberPart`). Then the worker joins again, with a new incarnation, as soon as the brokers answer.
-A process that was frozen finds in its first turns that `valid_until` has passed: `check` is called
-before each write.
+(`MemberPart`): their executors are interrupted (`LostExecutors`), and another worker takes the
+goals over (`takeover`). Then the worker joins again, with a new incarnation, as soon as the brokers
+answer. A process that was frozen finds in its first turns that `valid_until` has passed: `check` is
+called before each write.
 
 An answer that does not come says nothing. The worker tries again until the lease ends, and a write
 that is refused after a lost answer may be its own: the entry has the incarnation of who wrote it.

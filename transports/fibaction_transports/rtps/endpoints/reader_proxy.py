@@ -10,6 +10,9 @@ A heartbeat in one datagram with a sample tells nothing of that sample, as both 
 It tells of those before, and asks for an acknowledgement. So only one of many samples has one: the
 last ones are asked for by the writer, after a pause. But a reader that lacks older samples gets one
 with each: one of Fast DDS requests what is missing, and skips what is gone, when a heartbeat tells.
+
+What a reader requests is sent again at once, unless it was sent within `REPAIR_PAUSE`, or the
+budget of the reader's participant is used up (`budgets`).
 """
 
 from __future__ import annotations

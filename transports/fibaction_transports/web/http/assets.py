@@ -1,7 +1,8 @@
 """`Assets`: the static files that a web server has: its pages, and the client for JavaScript.
 
 The pages are the console, at the root, and that of the REST interface, at `/docs`. They come
-without the comments and the indents of their sources.
+without the comments and the indents of their sources; `tests/transports/web/test_assets.py` bounds
+what a browser gets.
 
 They are resources of this package, read once by a process. Only the names that were found then are
 served, so a path that climbs out of the folder is one of the many that do not exist.
