@@ -29,17 +29,17 @@ def fleet() -> FakeFleet:
 async def workers_of(fleet: FakeFleet) -> AsyncGenerator[tuple[FleetWorkers, list[str]], None]:
     async with Background() as tasks:
         workers = FleetWorkers(fleet.broker, NAMES, tasks, 5)
-        lost: list[str] = []
-        workers.when_lost(lambda lease: lost.append(lease.worker))
+        gone: list[str] = []
+        workers.when_gone(lambda lease: gone.append(lease.worker))
         await workers.ready()
-        yield workers, lost
+        yield workers, gone
 
 
 async def test_workers_are_known_by_their_leases(fleet: FakeFleet) -> None:
     async with (
         fleet.worker("b", is_kept=False).serve(server()),
         fleet.worker("a").serve(server()) as a,
-        workers_of(fleet) as (workers, lost),
+        workers_of(fleet) as (workers, gone),
     ):
         assert workers.infos() == [WorkerInfo(name, ("count",), 1) for name in ("a", "b")]
         assert workers.actions() == [COUNT.info]
@@ -51,31 +51,31 @@ async def test_workers_are_known_by_their_leases(fleet: FakeFleet) -> None:
         assert not workers.has("a", b"another")
         a.end_lease()
         await settled()
-        assert lost == ["a"]
+        assert gone == ["a"]
         assert workers.get("a") is None
         a.end_lease()
         await settled()
-        assert lost == ["a"]
+        assert gone == ["a"]
 
 
 async def test_a_new_incarnation_is_another_worker(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()) as a, workers_of(fleet) as (workers, lost):
+    async with fleet.worker("a").serve(server()) as a, workers_of(fleet) as (workers, gone):
         a.renew()
         await settled()
-        assert lost == []
+        assert gone == []
         a.incarnation = b"\2" * 8
         a.renew()
         await settled()
-        assert lost == ["a"]
+        assert gone == ["a"]
         assert workers.has("a", b"\2" * 8)
 
 
 async def test_a_name_that_is_cleared_up_after_is_not_a_worker(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), workers_of(fleet) as (workers, lost):
+    async with fleet.worker("a").serve(server()), workers_of(fleet) as (workers, gone):
         fleet.broker.store(NAMES.worker("a"), encode(LeaseEntry("a", b"", cleared_by="b")))
         fleet.broker.store(NAMES.worker("c"), b"?")
         await settled()
-        assert (lost, workers.infos()) == (["a"], [])
+        assert (gone, workers.infos()) == (["a"], [])
 
 
 async def test_a_worker_is_gone_once_more_when_the_claim_to_clear_up_after_it_ends(
@@ -83,34 +83,25 @@ async def test_a_worker_is_gone_once_more_when_the_claim_to_clear_up_after_it_en
 ) -> None:
     subject = NAMES.worker("a")
     claim, done = encode(LeaseEntry("a", b"", cleared_by="b")), encode(LeaseEntry("a", b""))
-    async with fleet.worker("a").serve(server()) as a, workers_of(fleet) as (workers, lost):
+    async with fleet.worker("a").serve(server()) as a, workers_of(fleet) as (workers, gone):
         for data in (claim, claim, b""):
             fleet.broker.store(subject, data)
             await settled()
-        assert lost == ["a", "a"], "its lease has ended, and then the claim"
+        assert gone == ["a", "a"], "its lease has ended, and then the claim"
         for data in (claim, done, b"", claim):
             fleet.broker.store(subject, data)
             await settled()
         a.renew()
         await settled()
-        assert lost == ["a", "a"], "all is done, or another worker has the name"
+        assert gone == ["a", "a"], "all is done, or another worker has the name"
         a.end_lease()
         fleet.broker.store(subject, claim)
         await settled()
         del fleet.broker.records[subject]
         fleet.broker.restart_watches()
         await settled()
-        assert lost == ["a"] * 4
+        assert gone == ["a"] * 4
         assert not workers.living()
-
-
-async def test_a_worker_that_leaves_without_goals_is_gone_and_not_lost(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), workers_of(fleet) as (workers, lost):
-        gone: list[str] = []
-        workers.when_gone(lambda lease: gone.append(lease.worker))
-        fleet.broker.store(NAMES.worker("a"), encode(LeaseEntry("a", b"")))
-        await settled()
-        assert (gone, lost, workers.living()) == (["a"], [], [])
 
 
 async def test_leases_that_ended_while_the_watch_was_interrupted_are_noticed(
@@ -119,33 +110,33 @@ async def test_leases_that_ended_while_the_watch_was_interrupted_are_noticed(
     async with (
         fleet.worker("a").serve(server()),
         fleet.worker("b").serve(server()),
-        workers_of(fleet) as (workers, lost),
+        workers_of(fleet) as (workers, gone),
     ):
         del fleet.broker.records[NAMES.worker("a")]
         fleet.broker.restart_watches()
         await settled()
-        assert (lost, [lease.worker for lease in workers.living()]) == (["a"], ["b"])
+        assert (gone, [lease.worker for lease in workers.living()]) == (["a"], ["b"])
 
 
 async def test_workers_that_may_write_their_leases_again_are_not_gone(fleet: FakeFleet) -> None:
     async with (
         fleet.worker("a").serve(server()),
         fleet.worker("b").serve(server()) as b,
-        workers_of(fleet) as (workers, lost),
+        workers_of(fleet) as (workers, gone),
     ):
         fleet.broker.records.clear()
         fleet.broker.stream = BrokerStream("second", workers.longest_lease - 1)
         fleet.broker.restart_watches()
         await anyio.sleep(2)
-        assert (lost, len(workers.living())) == ([], 2)
+        assert (gone, len(workers.living())) == ([], 2)
         b.renew()
         fleet.broker.is_away = True
         await anyio.sleep(2)
         fleet.broker.stream = BrokerStream("second", workers.longest_lease)
-        assert lost == []
+        assert gone == []
         fleet.broker.is_away = False
         await anyio.sleep(1)
-        assert (lost, [lease.worker for lease in workers.living()]) == (["a"], ["b"])
+        assert (gone, [lease.worker for lease in workers.living()]) == (["a"], ["b"])
 
 
 async def test_brokers_that_do_not_answer_are_an_error_after_a_while(fleet: FakeFleet) -> None:

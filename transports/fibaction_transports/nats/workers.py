@@ -47,7 +47,6 @@ class FleetWorkers:
         """The notifier of workers that come or go, and of actions that they begin or end to serve.
         """
         self._when_gone: list[Callable[[LeaseEntry], None]] = []
-        self._when_lost: list[Callable[[LeaseEntry], None]] = []
 
     async def ready(self) -> None:
         """Wait until the leases are known.
@@ -80,16 +79,10 @@ class FleetWorkers:
 
     def when_gone(self, callback: Callable[[LeaseEntry], None]) -> None:
         """Call a function with the lease of each worker that has ended, or whose name another one
-        has now.
+        has now; also when the claim to clear up after it has ended, as that survivor may be lost,
+        too.
         """
         self._when_gone.append(callback)
-
-    def when_lost(self, callback: Callable[[LeaseEntry], None]) -> None:
-        """Call a function with the lease of each worker that may have left goals: it has not said
-        goodbye, or could not release all of them; also when the claim to clear up after a worker
-        has ended, as that survivor may be lost, too.
-        """
-        self._when_lost.append(callback)
 
     def close(self) -> None:
         """Let `ready` raise from now on."""
@@ -214,7 +207,7 @@ class FleetWorkers:
         if record.data:
             self._claims.pop(token, None)
         if lease is None or not lease.incarnation:
-            self._forget(token, is_lost=lease is None or bool(lease.cleared_by))
+            self._forget(token)
             if lease is not None and lease.cleared_by:
                 self._claims[token] = lease
             return
@@ -225,22 +218,16 @@ class FleetWorkers:
         if before is None or before.actions != lease.actions:
             self.news.notify()
 
-    def _forget(self, token: str, *, is_lost: bool = True) -> None:
-        """Forget a worker, or the claim to clear up after it. It `is_lost`, unless it has left
-        without goals, or was cleared up after.
-        """
+    def _forget(self, token: str) -> None:
         lease = self._leases.pop(token, None)
         if lease is not None:
             self._known.pop(lease.worker, None)
-            self._tell(self._when_gone, lease)
-            if is_lost:
-                self._tell(self._when_lost, lease)
+            self._tell_gone(lease)
             self.news.notify()
         claim = self._claims.pop(token, None)
         if claim is not None:
-            self._tell(self._when_lost, claim)
+            self._tell_gone(claim)
 
-    @staticmethod
-    def _tell(callbacks: list[Callable[[LeaseEntry], None]], lease: LeaseEntry) -> None:
-        for callback in callbacks:
+    def _tell_gone(self, lease: LeaseEntry) -> None:
+        for callback in self._when_gone:
             callback(lease)

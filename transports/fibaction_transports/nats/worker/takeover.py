@@ -82,7 +82,7 @@ class Takeover(MemberPart):
         self._unreadable: dict[str, UnreadableGoals] = {}  # of the journals, by their actions
         self._rescan = Notifier()  # notifies of a reason to scan the records
         self._membership.add(self)
-        workers.when_lost(self._on_lost)
+        workers.when_gone(self._on_gone)
 
     async def open(self) -> None:
         """Listen to hints, and watch the other workers.
@@ -117,7 +117,7 @@ class Takeover(MemberPart):
 
     # Lost workers
 
-    def _on_lost(self, lease: LeaseEntry) -> None:
+    def _on_gone(self, lease: LeaseEntry) -> None:
         self._rescan.notify()
         self._journals.tasks.start_soon(self._clear_up, lease.worker)
 
