@@ -311,12 +311,12 @@ async def test_a_broker_with_little_storage_keeps_a_smaller_history(
             raise jetstream.NoStorage("insufficient storage")
         return wanted
 
-    monkeypatch.setattr(history_stream, "create_stream", create)
+    monkeypatch.setattr(jetstream, "create_stream", create)
     client: Any = None
     await history_stream.create_history_stream(client, FleetNames(fleet), GoalHistory(), 1, 1)
     whole = history_stream.HISTORY_BYTES
     assert sizes == [whole, whole // 2, whole // 4]
     sizes.clear()
-    monkeypatch.setattr(history_stream, "LEAST_BYTES", whole)
+    monkeypatch.setattr(jetstream, "LEAST_BYTES", whole)
     with pytest.raises(TransportError, match="insufficient storage"):
         await history_stream.create_history_stream(client, FleetNames(fleet), GoalHistory(), 1, 1)

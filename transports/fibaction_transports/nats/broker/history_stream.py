@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fibaction.words.errors import TransportError
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders
 from fibaction_transports.nats.broker.client import NatsClient
 from fibaction_transports.nats.broker.jetstream import (
-    LEAST_BYTES,
     SECOND,
     ApiError,
-    NoStorage,
-    create_stream,
+    create_large_stream,
     update_stream,
 )
 from fibaction_transports.nats.names import FleetNames
@@ -44,14 +40,7 @@ async def create_history_stream(
         "allow_direct": True,
         **bounds,
     }
-    found: dict[str, Any] = {}
-    size = HISTORY_BYTES
-    while not found:
-        try:
-            found = await create_stream(client, {**wanted, "max_bytes": size}, replicas, brokers)
-        except NoStorage:
-            if (size := size // 2) < LEAST_BYTES:
-                raise
+    found = await create_large_stream(client, wanted, HISTORY_BYTES, replicas, brokers)
     if any(found.get(name) != value for name, value in bounds.items()):
         found.pop("duplicate_window", None)  # the broker chooses one that fits the age
         try:

@@ -34,8 +34,7 @@ API_TIMEOUT = 5.0
 ELECTION = 15.0
 """Seconds within which several brokers agree on a leader."""
 PLACEMENT = 5.0
-"""Seconds within which brokers that have just begun have heard of each other, so that replicas can
-be placed."""
+"""Seconds in which new brokers have heard of each other, so that replicas can be placed."""
 INFO_TIMEOUT = 1.0
 """Seconds for one request for the account, which brokers without a leader do not answer."""
 TRY_AGAIN = 0.2
@@ -54,8 +53,7 @@ NO_STORAGE = "insufficient storage"
 """A part of the text of each error that says so; their numbers have other meanings as well."""
 
 GOAL_BYTES = 2**30
-"""Bytes that a new fleet reserves for the records of goals, or a half of it, and so on, where the
-broker has less storage."""
+"""Bytes that a new fleet reserves for the records of goals: see `create_large_stream`."""
 SHARE, MOST_OTHER_BYTES = 16, 2**23
 """It reserves this part of them for the leases of its workers, and for its notes; and the most."""
 LEAST_BYTES = 2**18
@@ -226,14 +224,7 @@ async def create_streams(
         TransportError: A stream of this name is of something else, or cannot be made.
     """
     goals, *others, _keys = _streams(names)
-    made: dict[str, Any] = {}
-    size = GOAL_BYTES
-    while not made:
-        try:
-            made = await create_stream(client, {**goals, "max_bytes": size}, replicas, brokers)
-        except NoStorage:
-            if (size := size // 2) < LEAST_BYTES:
-                raise
+    made = await create_large_stream(client, goals, GOAL_BYTES, replicas, brokers)
     if made.get("max_bytes", -1) < 0:
         logger.warning(
             "the stream %s has no limit: goals that fill the broker stop all workers; `nats stream"
@@ -276,6 +267,18 @@ async def _create_beside(
             await update_stream(client, goals)
         else:
             return goals
+
+
+async def create_large_stream(
+    client: NatsClient, wanted: dict[str, Any], size: int, replicas: int, brokers: int
+) -> dict[str, Any]:
+    """Make or check a stream of this size, or of a half, and so on, if there is less storage."""
+    while True:
+        try:
+            return await create_stream(client, {**wanted, "max_bytes": size}, replicas, brokers)
+        except NoStorage:
+            if (size := size // 2) < LEAST_BYTES:
+                raise
 
 
 async def create_stream(
