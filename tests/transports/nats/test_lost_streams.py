@@ -15,10 +15,17 @@ from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
+from fibaction_transports.nats.worker.lost_streams import LostStreams
+from fibaction_transports.nats.worker.lost_workers import LostWorkers
+from fibaction_transports.nats.worker.takeover import Takeover
+from fibaction_transports.nats.workers import FleetWorkers
 from tests.fleet.workers import Setup, workers
 from tests.kills.victim import WORK, Done, Work
+from tests.support.memory_broker import MemoryBrokers
 from tests.support.nats_server import NatsServer
+from tests.support.virtual_time import in_virtual_time
 from tests.transports.hearing import Hearing
+from tests.transports.nats.members import NAMES, member
 
 pytestmark = [pytest.mark.anyio]
 COUNT = Action("count", goal=int, feedback=str, result=int)
@@ -159,3 +166,27 @@ async def test_goals_of_a_lost_worker_are_taken_over_in_time_when_the_notes_were
             with anyio.fail_after(IN_TIME):
                 for goal, number in zip(goals, (1, 2, 3), strict=True):
                     assert await goal.result() == Done(number, 2)
+
+
+@in_virtual_time()
+async def test_a_stream_that_was_opened_for_several_limits_is_made_again_once() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a:
+        workers = FleetWorkers(a.broker, NAMES, a.journals.tasks, 5)
+        lost = LostWorkers(a.broker, NAMES, a.membership, workers)
+        streams = LostStreams(a.journals, Takeover(a.journals, workers, lost), 1)
+        await streams.open()
+        for _ in range(3):
+            await streams.open_keys(lambda: None)
+        made: list[str] = []
+
+        async def note(call: str, _subject: str) -> None:
+            if call.startswith("create_"):
+                made.append(call)
+
+        a.broker.before = note
+        shared.stream = None
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(streams.run)
+            await anyio.sleep(0.5)
+            tasks.cancel_scope.cancel()
+        assert made == ["create_streams", "create_key_stream"]

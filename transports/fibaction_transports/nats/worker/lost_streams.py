@@ -33,19 +33,18 @@ from fibaction_transports.nats.worker.journals import WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE
 from fibaction_transports.nats.worker.takeover import Takeover
 
-
-class Maker(Protocol):
-    """A function that makes streams of a fleet which are missing."""
-
-    async def __call__(self, names: FleetNames, *, replicas: int) -> None: ...
-
-
 CHECKS = 4
 """The number of times that the streams are looked for in the time of one lease."""
 LOST = ""
 """Stands for the identity of a stream that is lost, and not made again yet."""
 
 logger = clean_logger("fibaction.nats")
+
+
+class Maker(Protocol):
+    """A function that makes streams of a fleet which are missing."""
+
+    async def __call__(self, names: FleetNames, *, replicas: int) -> None: ...
 
 
 class LostStreams:
@@ -59,7 +58,7 @@ class LostStreams:
         self._takeover = takeover
         self._replicas = replicas
         self._known: dict[str, str] = {}  # the identities of the streams
-        self._makers: list[Maker] = [broker.create_streams]
+        self._makers: dict[str, Maker] = {names.goals: broker.create_streams}  # by their streams
         self._repairs: dict[str, tuple[str, Callable[[], None]]] = {
             names.workers: ("the leases of workers", self._membership.rewrite),
             names.goals: ("outcomes, and goals that had no worker", self._rewrite_goals),
@@ -102,7 +101,7 @@ class LostStreams:
     async def _open(self, stream: str, make: Maker, what: str, repair: Callable[[], None]) -> None:
         await make(self._names, replicas=self._replicas)
         self._known[stream] = await self._identity(stream)
-        self._makers.append(make)
+        self._makers[stream] = make
         self._repairs[stream] = what, repair
 
     async def run(self) -> None:
@@ -133,7 +132,7 @@ class LostStreams:
                 logger.error("the stream %s was lost, and with it %s", stream, what)
                 self._known[stream] = LOST
         if LOST in found.values():
-            for make in self._makers:
+            for make in self._makers.values():
                 await make(self._names, replicas=self._replicas)
         for stream in lost:
             self._known[stream] = await self._identity(stream)
