@@ -33,7 +33,7 @@ class Spot(msgspec.Struct):
 
 
 class Paint(msgspec.Struct):
-    """What to paint, and where."""
+    """An order to paint spots of a wall."""
 
     order: int
     color: str = "red"

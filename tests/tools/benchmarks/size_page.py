@@ -26,11 +26,11 @@ class Series(NamedTuple):
 
 
 class Direction(NamedTuple):
-    """What was measured in one direction."""
+    """The figures of one direction."""
 
     name: str
     of: str
-    """What there is more and more of."""
+    """The things of which there are more and more."""
     sizes: Sequence[int]
     series: Sequence[Series]
     shown: int = 0
@@ -39,7 +39,7 @@ class Direction(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What was measured, and where."""
+    """The figures of a run, with its machine and its date."""
 
     machine: str
     date: str

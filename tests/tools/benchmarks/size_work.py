@@ -1,4 +1,4 @@
-"""What `sizes` measures: the costs of a server with more and more of something.
+"""The measurements of `sizes`: the costs of a server with more and more of something.
 
 Each function yields the figures of one size after another. The garbage collector is off while time
 is measured, as its runs come at any moment, and their cost grows with all objects of a process.

@@ -1,4 +1,4 @@
-"""How the costs of a server grow with its size, in six directions.
+"""The growth of the costs of a server with its size, in six directions.
 
     python -m tests.tools.benchmarks.sizes [DIRECTION...] [--write]
 
@@ -35,7 +35,7 @@ WORKERS = [1, 2, 4, 8, 16]
 
 
 class Plan(NamedTuple):
-    """How a direction is measured."""
+    """The sizes of a direction, their measurement, and the names of its figures."""
 
     of: str
     sizes: list[int]
