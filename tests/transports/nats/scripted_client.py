@@ -37,6 +37,8 @@ class ScriptedClient:
         self.answers = {name.replace("_", "."): list(found) for name, found in answers.items()}
         self.asked: list[tuple[str, Any]] = []
         """The requests, and the messages that were published."""
+        self.timeouts: list[float] = []
+        """The seconds of each request."""
         self.info = BrokerInfo()
         self.connections = 1
         self.to_notify: set[Notifier] = set()
@@ -58,6 +60,7 @@ class ScriptedClient:
 
     async def request(self, subject: str, data: bytes, timeout: float) -> RawMessage:
         self.asked.append((subject, msgspec.json.decode(data) if data else None))
+        self.timeouts.append(timeout)
         found = next(found for name, found in self.answers.items() if name in subject)
         answer = found.pop(0) if len(found) > 1 else found[0]
         if isinstance(answer, Exception):

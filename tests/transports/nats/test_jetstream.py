@@ -398,7 +398,25 @@ async def test_a_watch_begins_when_the_brokers_answer_again(no_pause: None) -> N
     client: Any = ScriptedClient(CONSUMER_CREATE=answers)
     watch = RecordWatch(client, "stream", "s")
     assert await watch.next() is None
-    assert len(client.asked) == len(answers)
+    assert len([name for name, _ in client.asked if "CREATE" in name]) == len(answers)
+
+
+@pytest.mark.asyncio
+async def test_a_consumer_that_was_not_answered_in_time_is_removed(no_pause: None) -> None:
+    consumer = {"num_pending": 0, "delivered": {"consumer_seq": 0}}
+    client: Any = ScriptedClient(CONSUMER_CREATE=[BrokerAway("no answer"), consumer])
+    assert await RecordWatch(client, "stream", "s").next() is None
+    made, removed, _ = [name for name, _ in client.asked]
+    assert made == "$JS.API.CONSUMER.CREATE.stream.one.s"
+    assert removed == "$JS.API.CONSUMER.DELETE.stream.one"
+
+
+@pytest.mark.asyncio
+async def test_brokers_without_a_leader_are_soon_asked_again(no_pause: None) -> None:
+    consumer = {"num_pending": 0, "delivered": {"consumer_seq": 0}}
+    client: Any = ScriptedClient(CONSUMER_CREATE=[BrokerAway("no answer")] * 4 + [consumer])
+    assert await RecordWatch(client, "stream", "s").next() is None
+    assert client.timeouts == [1, 2, 4, 5, 5]
 
 
 @pytest.mark.asyncio

@@ -79,7 +79,7 @@ async def first_of(watch: BrokerWatch) -> list[BrokerRecord]:
 async def until(watch: BrokerWatch, data: bytes) -> list[BrokerRecord]:
     """All records until one with this data."""
     records: list[BrokerRecord] = []
-    with anyio.fail_after(15):
+    with anyio.fail_after(30):
         while not any(record.data == data for record in records):
             records += await watch.next() or []
     return records
@@ -364,7 +364,7 @@ async def test_three_brokers_lose_nothing_when_the_leader_is_killed(
                 assert config["config"]["num_replicas"] == 3
                 leader = config["cluster"]["leader"]
                 servers[int(leader[-1])].kill()
-                with anyio.fail_after(20):
+                with anyio.fail_after(40):  # an election takes 4 to 9 s when it is quiet
                     while isinstance(
                         outcome := await put(broker, subject, b"1", sequence), PutError
                     ):

@@ -36,7 +36,7 @@ ELECTION = 15.0
 PLACEMENT = 5.0
 """Seconds in which new brokers have heard of each other, so that replicas can be placed."""
 INFO_TIMEOUT = 1.0
-"""Seconds for one request for the account, which brokers without a leader do not answer."""
+"""Seconds for a first request, which brokers without a leader do not answer."""
 TRY_AGAIN = 0.2
 """Seconds until a request is made again that no leader has answered."""
 SECOND = 10**9

@@ -100,15 +100,18 @@ class RecordWatch(BrokerWatch):
 
     async def _begin(self) -> None:
         """Make a new consumer; while its stream is missing, it is like an empty one."""
+        patience = jetstream.INFO_TIMEOUT
         while True:
             while not self._client.is_connected:
                 await self._news.wait()
             try:
-                return await self._make_consumer()
+                return await self._make_consumer(patience)
             except (BrokerAway, NoResponders, jetstream.ApiError):
+                # Brokers without a leader do not answer: the next request may find one.
+                patience = min(2 * patience, jetstream.API_TIMEOUT)
                 await anyio.sleep(jetstream.TRY_AGAIN)
 
-    async def _make_consumer(self) -> None:
+    async def _make_consumer(self, patience: float) -> None:
         is_known_to_be_missing, self._is_missing = self._is_missing, False
         self._remove_consumer()
         self._connection = self._client.connections
@@ -133,15 +136,16 @@ class RecordWatch(BrokerWatch):
         self._is_broken = self._is_complete = self._is_told = False
         self._heard = anyio.current_time()
         api = f"CONSUMER.CREATE.{self._stream}.{name}.{self._subject}"
+        self._consumer = name  # one that is not answered in time may be made nevertheless
         try:
-            answer = await jetstream.call(self._client, api, body)
+            answer = await jetstream.call(self._client, api, body, patience)
         except jetstream.ApiError as exc:
+            self._consumer = ""
             if exc.number != jetstream.STREAM_NOT_FOUND:
                 raise
             self._is_complete, self._is_told = True, is_known_to_be_missing
             self._is_missing = True
             return
-        self._consumer = name
         # Otherwise the last one of them says so.
         if not (answer.get("num_pending") or answer["delivered"]["consumer_seq"]):
             self._is_complete = True
