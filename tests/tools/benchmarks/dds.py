@@ -5,6 +5,7 @@ It runs with the Python that has ROS 2; no process of fibaction imports rclpy.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -17,10 +18,12 @@ from typing import Any, NamedTuple
 
 import anyio
 
+from tests.ros2.stock.process import peer
 from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.ros2_orders import LONG
 
 OURS, STOCK = "fibaction", "rclpy"
+MODULES = {OURS: f"{__package__}.dds_fibaction", STOCK: f"{__package__}.ros2_rclpy"}
 PATIENCE = 120.0
 """Seconds for an answer."""
 ROUNDS = 5
@@ -68,19 +71,17 @@ async def measure(scale: float) -> dict[str, Any]:
 async def peers() -> AsyncGenerator[tuple[dict[Row, Any], dict[str, Any]], None]:
     """Run all ends, in a ROS domain of their own, as tests do; gives the clients and servers."""
     from tests.ros2 import conftest  # noqa: F401  # here, because others run without ROS
-    from tests.ros2.stock.process import peer
 
-    modules = {OURS: f"{__package__}.dds_fibaction", STOCK: f"{__package__}.ros2_rclpy"}
     async with AsyncExitStack() as stack:
         servers = {
             server: await stack.enter_async_context(
-                peer(modules[server], "server", name_of(server))
+                peer(MODULES[server], "server", name_of(server))
             )
             for server in (OURS, STOCK)
         }
         clients = {
             row: await stack.enter_async_context(
-                peer(modules[row.client], "client", name_of(row.server))
+                peer(MODULES[row.client], "client", name_of(row.server))
             )
             for row in ROWS
         }
@@ -133,16 +134,28 @@ async def at_once(clients: dict[Row, Any], rounds: int) -> dict[str, float]:
 
 
 async def feedback(clients: dict[Row, Any], messages: int) -> dict[str, float]:
+    """Measure feedback. A server of fibaction sends no faster than the queue of a reader of rclpy
+    can bear, so the row of fibaction at both ends has ends of its own, without such a reader.
+    """
     report: dict[str, float] = {"messages": messages, "aim per second, with none lost": 10_000}
-    for row in (Row(OURS, OURS), Row(OURS, STOCK), Row(STOCK, STOCK)):
-        more: dict[str, int] = {"order": LONG + messages, "times": 1}
-        if row.client == OURS:
-            more = {"times": messages}
-        found = [await clients[row].ask("feedback", **more) for _ in range(ROUNDS)]
-        report[f"{row}, per second"] = round(median(arrived / taken for arrived, taken in found))
-        report[f"{row}, share that arrived"] = round(
-            sum(arrived for arrived, _ in found) / (messages * ROUNDS), 4
-        )
+    async with AsyncExitStack() as stack:
+        _, alone = [
+            await stack.enter_async_context(peer(MODULES[OURS], end, name_of("alone")))
+            for end in ("server", "client")
+        ]
+        readers = {
+            Row(OURS, OURS): alone,
+            **{row: clients[row] for row in (Row(OURS, STOCK), Row(STOCK, STOCK))},
+        }
+        for row, client in readers.items():
+            more: dict[str, int] = {"order": LONG + messages, "times": 1}
+            if row.client == OURS:
+                more = {"times": messages}
+            found = [await client.ask("feedback", **more) for _ in range(ROUNDS)]
+            rates = [arrived / taken for arrived, taken in found]
+            share = sum(arrived for arrived, _ in found) / (messages * ROUNDS)
+            report[f"{row}, per second"] = round(median(rates))
+            report[f"{row}, share that arrived"] = round(share, 4)
     return report
 
 
@@ -174,8 +187,8 @@ async def starts(times: int) -> dict[str, float]:
 
 
 def _start(module: str) -> tuple[float, float, float]:
-    """Return the seconds to the first result, those of the processor in all, and the largest memory
-    in megabytes.
+    """Return the seconds to the first result, those of the processor in all, and the megabytes of
+    memory at that result.
     """
     command = [sys.executable, "-m", f"{__package__}.{module}", "once", name_of(STOCK)]
     environ = dict(os.environ)
@@ -184,9 +197,9 @@ def _start(module: str) -> tuple[float, float, float]:
     process = subprocess.Popen(command, cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     with process.stdout as out:
-        answered = float(out.readline())
+        answered, size = json.loads(out.readline())
         out.read()
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     used = usage.ru_utime + usage.ru_stime
-    return answered - begun, used, usage.ru_maxrss * 1024 / 1e6
+    return answered - begun, used, size / 1e6

@@ -1,7 +1,7 @@
 """`python -m tests.tools.benchmarks.dds_once once NAME`: a whole program of a client at `dds://`.
 
-It sends one goal, and prints the time of the result. It imports what such a program needs, and so
-no server.
+It sends one goal, and prints the time of the result and its memory. It imports what such a program
+needs, and so no server.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import anyio
 import msgspec
 
 from fibaction import Action, connect
+from tests.tools.benchmarks.ros2_orders import most_memory
 
 
 class Goal(msgspec.Struct):
@@ -37,7 +38,7 @@ async def main(name: str) -> None:
     )
     async with connect("dds://benchmark_once", action) as client:
         await client.call(Goal(0))
-        print(time(), flush=True)
+        print([time(), most_memory()], flush=True)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from tests.ros2.stock.telling import say, shut_down_at_the_end, told
-from tests.tools.benchmarks.ros2_orders import LARGE, LARGE_PAUSE, LONG, PENDING
+from tests.tools.benchmarks.ros2_orders import LARGE, LARGE_PAUSE, LONG, PENDING, most_memory
 
 NAME = "benchmark_rclpy"
 SUCCEEDED = 4
@@ -161,7 +161,7 @@ def run_once(name: str) -> None:
     client = Client(name)
     client.wait_for_server()
     client.goals(1)
-    say(time.time())
+    say([time.time(), most_memory()])
 
 
 if __name__ == "__main__":
