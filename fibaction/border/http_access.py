@@ -1,7 +1,8 @@
 """Which HTTP requests a server lets in: the path, the host, and the page that asks.
 
 A browser lets every page open a WebSocket to every address, even to one of this machine. So every
-server of HTTP or WebSocket needs these rules. For example:
+server of HTTP or WebSocket needs these rules, which are in `fibaction._runtime.http_rules`. For
+example:
 
     access = rules(host, "/", hosts=(), origins=(), has_tls=False)
     try:

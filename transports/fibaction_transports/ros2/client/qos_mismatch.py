@@ -1,4 +1,8 @@
-"""The explanation why a server that is in the graph cannot be reached: its quality of service."""
+"""The explanation why a server that is in the graph cannot be reached: its quality of service.
+
+It names reliability and durability, the two that an action of ROS may have otherwise. All policies
+of DDS are compared in `rtps.qos`.
+"""
 
 from __future__ import annotations
 
