@@ -69,27 +69,30 @@ async def measure(scale: float) -> dict[str, Any]:
 
 @asynccontextmanager
 async def peers() -> AsyncGenerator[tuple[dict[Row, Any], dict[str, Any]], None]:
-    """Run all ends, in a ROS domain of their own, as tests do; gives the clients and servers."""
+    """Run all ends, in a ROS domain of their own, as tests do; clients, and servers by name."""
     from tests.ros2 import conftest  # noqa: F401  # here, because others run without ROS
 
     async with AsyncExitStack() as stack:
         servers = {
-            server: await stack.enter_async_context(
-                peer(MODULES[server], "server", name_of(server))
+            name_of(row): await stack.enter_async_context(
+                peer(MODULES[row.server], "server", name_of(row))
             )
-            for server in (OURS, STOCK)
+            for row in (Row(OURS, OURS), Row(STOCK, OURS), Row(STOCK, STOCK))
         }
         clients = {
-            row: await stack.enter_async_context(
-                peer(MODULES[row.client], "client", name_of(row.server))
-            )
+            row: await stack.enter_async_context(peer(MODULES[row.client], "client", name_of(row)))
             for row in ROWS
         }
         yield clients, servers
 
 
-def name_of(server: str) -> str:
-    return f"benchmark_dds_{server}"
+def name_of(row: Row) -> str:
+    """Return the name of the action of a row.
+
+    A server of fibaction sends each client what the slowest can bear, so the one of the row without
+    rclpy has no client of rclpy.
+    """
+    return f"benchmark_dds_{'alone' if row == Row(OURS, OURS) else row.server}"
 
 
 async def one_after_another(
@@ -102,7 +105,7 @@ async def one_after_another(
     used: dict[Row, list[tuple[float, float]]] = {row: [] for row in ROWS}
     for number in range(ROUNDS + 1):
         for row, client in clients.items():
-            ends = client, servers[row.server]
+            ends = client, servers[name_of(row)]
             before = [end.cpu_seconds for end in ends]
             answer = await client.ask("goals", times=times)
             if number:
@@ -134,28 +137,16 @@ async def at_once(clients: dict[Row, Any], rounds: int) -> dict[str, float]:
 
 
 async def feedback(clients: dict[Row, Any], messages: int) -> dict[str, float]:
-    """Measure feedback. A server of fibaction sends no faster than the queue of a reader of rclpy
-    can bear, so the row of fibaction at both ends has ends of its own, without such a reader.
-    """
     report: dict[str, float] = {"messages": messages, "aim per second, with none lost": 10_000}
-    async with AsyncExitStack() as stack:
-        _, alone = [
-            await stack.enter_async_context(peer(MODULES[OURS], end, name_of("alone")))
-            for end in ("server", "client")
-        ]
-        readers = {
-            Row(OURS, OURS): alone,
-            **{row: clients[row] for row in (Row(OURS, STOCK), Row(STOCK, STOCK))},
-        }
-        for row, client in readers.items():
-            more: dict[str, int] = {"order": LONG + messages, "times": 1}
-            if row.client == OURS:
-                more = {"times": messages}
-            found = [await client.ask("feedback", **more) for _ in range(ROUNDS)]
-            rates = [arrived / taken for arrived, taken in found]
-            share = sum(arrived for arrived, _ in found) / (messages * ROUNDS)
-            report[f"{row}, per second"] = round(median(rates))
-            report[f"{row}, share that arrived"] = round(share, 4)
+    for row in (Row(OURS, OURS), Row(OURS, STOCK), Row(STOCK, STOCK)):
+        more: dict[str, int] = {"order": LONG + messages, "times": 1}
+        if row.client == OURS:
+            more = {"times": messages}
+        found = [await clients[row].ask("feedback", **more) for _ in range(ROUNDS)]
+        report[f"{row}, per second"] = round(median(arrived / taken for arrived, taken in found))
+        report[f"{row}, share that arrived"] = round(
+            sum(arrived for arrived, _ in found) / (messages * ROUNDS), 4
+        )
     return report
 
 
@@ -190,7 +181,7 @@ def _start(module: str) -> tuple[float, float, float]:
     """Return the seconds to the first result, those of the processor in all, and the megabytes of
     memory at that result.
     """
-    command = [sys.executable, "-m", f"{__package__}.{module}", "once", name_of(STOCK)]
+    command = [sys.executable, "-m", f"{__package__}.{module}", "once", name_of(Row(STOCK, STOCK))]
     environ = dict(os.environ)
     environ.pop("PYTHONDONTWRITEBYTECODE", None)  # modules are compiled by the first start only
     begun = time()
