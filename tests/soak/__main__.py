@@ -16,6 +16,7 @@ import sys
 
 import anyio
 
+from tests.soak.ends import CONNECTIONS
 from tests.soak.trial import Soak, faults, run
 from tests.tools import figures
 
@@ -31,7 +32,7 @@ def main(*words: str) -> int:
     )
     parser.add_argument(
         "--over",
-        choices=["tcp", "ws", "http"],
+        choices=list(CONNECTIONS),
         default="tcp",
         help="the transport; %(default)s if not given",
     )

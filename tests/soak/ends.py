@@ -27,7 +27,8 @@ from anyio.abc import TaskStatus
 from fibaction import ActionServer, GoalHandle, connect, serve
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
-CONNECTIONS = 50
+CONNECTIONS = {"tcp": 50, "ws": 50, "http": 50, "dds": 4}
+"""The connections at the same time, by the transport; over DDS, each is a participant."""
 SETTLING = 30.0
 """Seconds for what ends a moment after the last block: a socket closes when its last bytes are out,
 in a later turn of the event loop. What has leaked stays longer."""
@@ -55,7 +56,7 @@ async def visit(
     chance = random.Random(seed)
     is_first = True
     while not is_over.is_set():
-        async with connect(url, FIBONACCI, heartbeat=5) as connected:
+        async with connect(url, FIBONACCI, **settings(url)) as connected:
             if is_first:
                 task_status.started()
                 is_first = False
@@ -71,6 +72,11 @@ async def visit(
                         ends[(await goal.outcome()).status.name] += 1
                 if is_over.is_set():
                     break
+
+
+def settings(url: str) -> dict[str, Any]:
+    """Return the settings of both ends."""
+    return {} if url.startswith("dds") else {"heartbeat": 5}
 
 
 def state() -> dict[str, Any]:
@@ -109,7 +115,7 @@ async def orders() -> AsyncIterator[str]:
 async def server(url: str, given: AsyncIterator[str]) -> dict[str, Any]:
     """Serve until the order to end."""
     server = ActionServer(FIBONACCI, work, max_results=100)
-    async with serve(server, url, heartbeat=5) as (address,):
+    async with serve(server, url, **settings(url)) as (address,):
         say(address)
         await answer(given, Counter())
     return {}
@@ -120,7 +126,9 @@ async def client(url: str, given: AsyncIterator[str]) -> dict[str, Any]:
     ends: Counter[str] = Counter()
     is_over = anyio.Event()
     async with anyio.create_task_group() as tasks:
-        for seed in range(CONNECTIONS):  # all of them are open when the first sample is taken
+        for seed in range(
+            CONNECTIONS[url.partition(":")[0]]
+        ):  # all of them are open when the first sample is taken
             await tasks.start(visit, url, seed, is_over, ends)
         await answer(given, ends)
         is_over.set()

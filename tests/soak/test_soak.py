@@ -43,6 +43,14 @@ async def test_a_soak_beside_load_records_both_processes_over_the_time() -> None
     assert json.loads(json.dumps(report)) == report
 
 
+@pytest.mark.asyncio
+async def test_a_soak_over_dds_runs_goals_without_more_to_be_set() -> None:
+    report = await run(Soak(seconds=3, over="dds"), count=20)
+
+    assert report["goals"] > 0
+    assert report["connections"] == 4
+
+
 def test_the_command_of_a_report_is_the_one_that_was_given() -> None:
     assert Soak(600).command == "python -m tests.soak --keep"
     asked = "python -m tests.soak --seconds 60 --over ws --load 2 --keep"

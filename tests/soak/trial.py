@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import anyio
 
 from tests.soak.ends import CONNECTIONS
+from tests.support.ros_domain import own_domain
 from tests.tools.benchmarks.program import Program, program
 from tests.tools.benchmarks.suite import machine
 
@@ -27,6 +28,8 @@ USED = ("memory", "tasks", "files", "threads")
 COUNTED = USED[1:]
 GROWTH = 1.1
 """The factor by which memory may grow because of the allocator's fragmentation."""
+TYPES = Path(__file__).parents[2] / "examples/ros2"
+"""The types of the goals over DDS."""
 BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 """A program that keeps a processor busy while its parent lives."""
 
@@ -76,11 +79,12 @@ async def run(soak: Soak, *, count: int = SAMPLES) -> dict[str, Any]:
             "python": platform.python_version(),
             **{name: version(name) for name in ("fibaction", "anyio", "msgspec")},
         },
-        "connections": CONNECTIONS,
+        "connections": CONNECTIONS[soak.over],
         **soak._asdict(),
     }
-    url = f"{soak.over}://127.0.0.1:0"
-    with busy(soak.load) as loaders:
+    url = "dds://soak" if soak.over == "dds" else f"{soak.over}://127.0.0.1:0"
+    with busy(soak.load) as loaders, own_domain() as patch:
+        patch.setenv("FIBACTION_SEARCH", str(TYPES))
         async with program(sys.executable, "-m", "tests.soak.ends", "server", url) as server:
             before = {"server": await server.ask("begin")}
             address = await server.line()
