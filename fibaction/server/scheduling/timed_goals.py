@@ -1,4 +1,7 @@
-"""`TimedGoals`: the goals that run, and what is due for them because time has passed."""
+"""`TimedGoals`: the goals that run, and what is due for them because time has passed.
+
+Those that wait are the scheduler's, and what is due for them, too.
+"""
 
 from __future__ import annotations
 
