@@ -7,7 +7,10 @@ DDS. It prints how many were lost, ran or were answered twice, or had feedback o
 complete, and the milliseconds of a goal. It fails if a goal is one of those; but the feedback of
 one goal at a server of another maker may be incomplete, because the first loss may not be noticed.
 The aim for the time of 95 % of the goals is 50 ms with 5 % loss, and a second with 20 %; a busy
-machine takes longer.
+machine takes longer. Where one end is of Cyclone DDS, it is missed with 5 % loss: 63 ms with our
+client, and 183 with our server, on two cores that had nothing else to do (ours to ours 31). Cyclone
+DDS waits 100 ms before it asks for what is lost, and tells as rarely what it has sent (`NackDelay`
+and `HeartbeatInterval`, by their defaults).
 """
 
 from __future__ import annotations
