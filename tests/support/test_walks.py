@@ -54,6 +54,12 @@ def test_errors_are_output_too(tmp_path: Path) -> None:
     assert walk(console("$ echo wrong >&2\nwrong\n"), tmp_path) == []
 
 
+def test_a_race_of_asyncio_is_not_output_of_the_page(tmp_path: Path) -> None:
+    printed = "Unknown child process pid 7, will report returncode 255"
+
+    assert walk(console(f"$ echo 1; echo '{printed}' >&2\n1\n"), tmp_path) == []
+
+
 def test_a_last_line_without_an_end_is_a_line(tmp_path: Path) -> None:
     assert walk(console("$ printf '1\\n\\n2'\n1\n\n2\n$ printf '1\\n\\n'\n1\n\n"), tmp_path) == []
 

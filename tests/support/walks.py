@@ -53,6 +53,10 @@ _CHANGING = {
     r" +": " ",
 }
 
+# With Python 3.11, asyncio may print this when it closes a process that has just ended. The race is
+# https://github.com/python/cpython/issues/86276; later versions wait for processes in another way.
+_RACE_OF_ASYNCIO = re.compile(r"Unknown child process pid \d+, will report returncode 255\n")
+
 
 class Step(NamedTuple):
     """A command, or Ctrl-C, and the output after it."""
@@ -166,7 +170,8 @@ class Terminal:
     def _read(self) -> None:
         assert self._shell.stdout is not None
         for line in self._shell.stdout:
-            self._lines.put(line.rstrip("\n"))
+            if not _RACE_OF_ASYNCIO.fullmatch(line):
+                self._lines.put(line.rstrip("\n"))
 
     def does(self, step: Step, runs_on: bool, where: str) -> list[str]:
         """Run a step; return the difference to the expected output, if any."""
