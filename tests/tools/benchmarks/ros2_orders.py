@@ -1,5 +1,5 @@
-"""What the programs of the benchmarks with ROS 2 share: the orders of goals, which say what
-executors do, and the look at their own memory.
+"""The parts that the programs of the benchmarks with ROS 2 share: the orders of goals, which say
+what executors do, and the look at their own memory.
 """
 
 from __future__ import annotations

@@ -187,6 +187,6 @@ async def test_a_stream_that_was_opened_for_several_limits_is_made_again_once() 
         shared.stream = None
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(streams.run)
-            await anyio.sleep(0.5)
+            await anyio.sleep(0.5)  # of virtual time: the first look, and no second one
             tasks.cancel_scope.cancel()
         assert made == ["create_streams", "create_key_stream"]
