@@ -24,8 +24,6 @@ from tests.tools.benchmarks.ros2_orders import LONG
 
 OURS, STOCK = "fibaction", "rclpy"
 MODULES = {OURS: f"{__package__}.dds_fibaction", STOCK: f"{__package__}.ros2_rclpy"}
-PATIENCE = 120.0
-"""Seconds for an answer."""
 ROUNDS = 5
 AT_ONCE = 500
 MESSAGES = 10_000
