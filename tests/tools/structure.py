@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TypeAlias
@@ -18,7 +19,9 @@ SOURCES = ("fibaction", "transports/fibaction_transports")
 
 MOST_PARAMETERS = 8
 MOST_FUNCTION_LINES = 60
-MOST_MODULE_LINES = 350
+MOST_MODULE_LINES = 500
+LINES_TO_THINK_AT = 400
+"""The length at which a module is listed, since it may have two duties by now."""
 MOST_MODULES = 12
 """The most modules in a folder; `__init__` does not count."""
 
@@ -156,12 +159,12 @@ def _functions_over(
     )
 
 
-def long_modules(sources: Iterable[Source]) -> Findings:
-    """Find the modules with too many lines."""
+def long_modules(sources: Iterable[Source], most: int = MOST_MODULE_LINES) -> Findings:
+    """Find the modules with more lines than `most`."""
     return {
         str(source.path): Finding(source.lines, [str(source.path)])
         for source in sources
-        if source.lines > MOST_MODULE_LINES
+        if source.lines > most
     }
 
 
@@ -251,13 +254,12 @@ def _largest(found: Iterable[tuple[str, Finding]]) -> Findings:
     return largest
 
 
-def complaints(found: Findings, allowed: Mapping[str, int], slack: int = 0) -> list[str]:
+def complaints(found: Findings, allowed: Mapping[str, int]) -> list[str]:
     """Compare a rule's findings with its exceptions, which can only become fewer and smaller.
 
     Args:
         found: The findings of today.
         allowed: The largest figure of each exception.
-        slack: The difference below an allowed figure at which it need not be lowered yet.
 
     Returns:
         A sentence for each finding that is not allowed, and for each exception that is not needed.
@@ -274,7 +276,7 @@ def complaints(found: Findings, allowed: Mapping[str, int], slack: int = 0) -> l
             sentences.append(
                 f"{name} has {figure}, at {', '.join(places)}: its exception is {allowed[name]}"
             )
-        elif figure < allowed[name] - slack:
+        elif figure < allowed[name]:
             sentences.append(f"{name} has {figure} now: lower its exception from {allowed[name]}")
     return sentences
 
@@ -286,6 +288,7 @@ RULES: dict[str, Callable[[Iterable[Source]], Findings]] = {
     "functions with too many parameters": wide_functions,
     "functions with too many lines": long_functions,
     "modules with too many lines": long_modules,
+    "modules that may have two duties": partial(long_modules, most=LINES_TO_THINK_AT),
     "folders with too many modules": crowded_folders,
     "callbacks that are set from outside": outside_wiring,
     "modules that import each other in a circle": circles,
