@@ -94,7 +94,7 @@ types: $(VENV)/.tools  ## Check the types of the code, and of the programs in th
 imports: $(VENV)/.tools  ## Check that imports point one way
 	$(BIN)/lint-imports
 
-unit: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium promtool  ## Run the tests, each unit covered by its own
+unit: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium promtool  ## Run the tests, and check that they cover each unit
 	$(no_other_ros) $(BIN)/python -m pytest -p tests.tools.own_coverage -n auto --dist worksteal --durations=25 \
 	    $(addprefix --ignore=,$(PROGRAMS))
 

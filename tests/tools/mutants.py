@@ -40,7 +40,6 @@ import trio
 from hypothesis import HealthCheck, Phase, settings
 
 from tests.tools import figures
-from tests.tools.units import tests_of
 
 try:
     import libcst
@@ -52,25 +51,25 @@ LOADED = [anyio.pytest_plugin, hypothesis.stateful, pytest_asyncio, trio]
 """The modules that tests need, imported once instead of in each of some hundred processes."""
 ROOT = Path(__file__).resolve().parents[2]
 EXPLAINED = Path(__file__).with_suffix(".toml")
-MODULES = [
-    "states",
-    "server/goal_record",
-    "server/expiry",
-    "server/cancellation",
-    "server/registry",
-    "server/scheduler",
-    "server/_schedule_group",
-    "server/_fair_queue",
-    "stores/journal_rows",
-    "stores/_sqlite_journal",
-    "stores/sqlite_store",
-    "wire/messages/fields",
-    "wire/messages/from_client",
-    "wire/messages/from_server",
-    "wire/codec",
-]
-"""The modules that are tested by default: the rules that all other modules depend on, the order in
-which goals run, and what is kept of them."""
+MODULES = {
+    "words/statuses": "words/test_statuses.py",
+    "server/registry/goal_record": "server/test_registry.py",
+    "server/registry/expiry": "server/test_registry.py",
+    "server/registry/cancellation": "server/test_registry.py",
+    "server/registry/registry": "server/test_registry.py",
+    "server/scheduling/scheduler": "server/test_scheduler.py",
+    "server/scheduling/group": "server/test_scheduler.py",
+    "server/execution/fair_queue": "server/test_fair_queue.py",
+    "stores/journal_rows": "stores/test_journal_rows.py",
+    "stores/_sqlite_journal": "stores/test_sqlite_store.py",
+    "stores/sqlite_store": "stores/test_sqlite_store.py",
+    "wire/messages/fields": "wire/test_messages.py",
+    "wire/messages/from_client": "wire/test_messages.py",
+    "wire/messages/from_server": "wire/test_messages.py",
+    "wire/codec": "wire/test_messages.py",
+}
+"""The modules that are tested by default, and the tests that must notice a fault in each: the rules
+that all other modules depend on, the order in which goals run, and what is kept of them."""
 OF_FIELDS = {"wire/messages/fields", "wire/messages/from_client", "wire/messages/from_server"}
 """The modules in which the types of fields are checked at run time."""
 
@@ -249,6 +248,10 @@ def source_of(name: str) -> Path:
     return ROOT / "fibaction" / f"{name}.py"
 
 
+def tests_of(name: str) -> Path:
+    return ROOT / "tests" / MODULES[name]
+
+
 def run_tests(name: str, code: str) -> tuple[int, str]:
     """Return the exit code of pytest with that code of the module, and its output.
 
@@ -280,7 +283,7 @@ def run_tests_here(name: str, code: str) -> int:
         [
             *("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=mutants"),
             *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of what was imported before
-            *(f"--timeout={SECONDS_PER_TEST}", *map(str, tests_of(ROOT, source_of(name)))),
+            *(f"--timeout={SECONDS_PER_TEST}", str(tests_of(name))),
         ]
     )
 
@@ -364,12 +367,14 @@ def keep(found: dict[str, Figures]) -> None:
 
 
 def module(name: str) -> str:
-    """Return the name of a module that has tests of its own.
+    """Return the name of a module in `MODULES`.
 
     Raises:
-        argparse.ArgumentTypeError: There is no such module, or no such tests.
+        argparse.ArgumentTypeError: It is not one of them, or it or its tests have moved.
     """
-    for path in (source_of(name), *tests_of(ROOT, source_of(name))):
+    if name not in MODULES:
+        raise argparse.ArgumentTypeError(f"{name} is not one of {', '.join(MODULES)}")
+    for path in (source_of(name), tests_of(name)):
         if not path.exists():
             raise argparse.ArgumentTypeError(f"there is no {path.relative_to(ROOT)}")
     return name
@@ -385,9 +390,9 @@ def main() -> int:
         "modules",
         nargs="*",
         type=module,
-        default=MODULES,
+        default=list(MODULES),
         metavar="MODULE",
-        help=f"as in wire/link; {', '.join(MODULES)} if none is named",
+        help=f"one of {', '.join(MODULES)}; all if none is named",
     )
     parser.add_argument(
         "--where", default="", metavar="NAME", help="only in functions and classes called so"

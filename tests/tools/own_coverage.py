@@ -1,11 +1,11 @@
-"""A check that each module is covered, lines and branches, by the tests that belong to it.
+"""A check that each module is covered, lines and branches, by tests that one finds.
 
     python -m pytest -p tests.tools.own_coverage [FILE OR FOLDER...]
 
-`tests/tools/units.py` says which tests belong to a module: its own test file, or those of its unit.
-So no line depends on a test that lies elsewhere. This is a plugin of pytest, so that no test runs
-twice: it takes what the probes of the modules say after each test file. The run fails if a module
-falls short all of whose tests are run.
+These are the tests of its unit, or those of whole servers and clients: the contract and the
+simulations. `tests/tools/units.py` says where both are. So no line depends on a test of another
+unit. This is a plugin of pytest, so that no test runs twice: it takes what the probes of the
+modules say after each test file. The run fails if a module falls short all of whose tests are run.
 
 coverage.py says which lines and branches a module has, and which need not be covered. It does not
 measure here: its tracer made most tests take two to three times as long.
@@ -26,7 +26,7 @@ import pytest
 from coverage import Coverage
 
 from tests.tools.probes import Place, Probes
-from tests.tools.units import modules
+from tests.tools.units import modules, shared
 
 PACKAGES = ("fibaction", "fibaction_transports")
 
@@ -49,7 +49,8 @@ class Tracer:
     """Follows the tests that cover modules, in one process."""
 
     def __init__(self, root: Path) -> None:
-        self._modules = list(modules(root))
+        common = shared(root)
+        self._modules = [(module, [*tests, *common]) for module, tests in modules(root)]
         self._tests = {test for _, tests in self._modules for test in tests}
         self._probes = Probes(*PACKAGES)
         self._found: dict[Path, dict[str, set[Place]]] = {}
@@ -143,7 +144,8 @@ class Gathering:
             missing = [test for test in tests if not test.exists()]
             for test in missing:
                 yield f"{module.relative_to(root)}: there is no {test.relative_to(root)}"
-            if not missing and all(any(map(test.is_relative_to, asked)) for test in tests):
+            needed = [*tests, *shared(root)]
+            if not missing and all(any(map(test.is_relative_to, asked)) for test in needed):
                 looked_at.append(module)
         for name, gaps_ in self._uncovered(looked_at).items():
             if gaps_:
@@ -178,10 +180,10 @@ class Gathering:
         if session.exitstatus != pytest.ExitCode.OK:
             self._lines = ["own coverage is not looked at when tests fail"]
         elif short := list(self.shortcomings()):
-            self._lines = ["not covered by their own tests:", *short]
+            self._lines = ["not covered by the tests of their units, or of whole servers:", *short]
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         else:
-            self._lines = ["each module is covered by its own tests"]
+            self._lines = ["each module is covered by the tests of its unit, or of whole servers"]
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_unconfigure(self, config: pytest.Config) -> None:

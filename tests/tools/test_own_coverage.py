@@ -51,7 +51,7 @@ HALF_FIRST = """
 from fibaction.first import first_sign
 def test_some(): assert first_sign([-3]) == -1
 """
-COVERED = "each module is covered by its own tests"
+COVERED = "each module is covered by the tests of its unit, or of whole servers"
 
 
 @pytest.fixture
@@ -72,7 +72,8 @@ def project(tmp_path: Path) -> Path:
         "tests/test_first.py": WHOLE_FIRST,
         "tests/wire/test_minus.py": NEGATIVE,
         "tests/wire/test_plus.py": POSITIVE,
-        "tests/wire/test_messages.py": WHOLE_SIGN.replace("sign import", "wire.codec import"),
+        "tests/contract/test_all.py": WHOLE_SIGN.replace("sign import", "wire.codec import"),
+        "tests/transports/tcp/test_tcp.py": "",
     }.items():
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -170,16 +171,15 @@ def test_the_tests_of_a_unit_cover_its_modules_together(
 
 
 def test_a_unit_is_looked_at_when_all_its_tests_are_run(project: Path) -> None:
-    assert COVERED in run(project, "tests/wire/test_plus.py")[1]
-    assert COVERED in run(project, "tests/wire")[1]
+    (project / "tests/wire/test_minus.py").unlink()
+    whole = ["tests/wire", "tests/transports/tcp", "tests/contract"]
+    for missing in whole:
+        assert COVERED in run(project, *(one for one in whole if one != missing))[1]
+    assert COVERED not in run(project, *whole)[1]
 
 
-def test_a_module_that_has_a_test_file_of_its_own_in_a_unit_is_covered_by_that_alone(
-    project: Path,
-) -> None:
-    test = project / "tests/wire/test_messages.py"
-    test.rename(test.with_name("test_more.py"))
-    test.write_text("")
+def test_a_module_that_the_contract_alone_covers_passes(project: Path) -> None:
+    (project / "tests/contract/test_all.py").write_text("")
     status, said = run(project, "tests")
     assert "fibaction/wire/codec.py: 4, 5, 6\n" in said
     assert status == 1
@@ -187,7 +187,7 @@ def test_a_module_that_has_a_test_file_of_its_own_in_a_unit_is_covered_by_that_a
 
 def test_only_modules_whose_test_files_are_run_are_looked_at(project: Path) -> None:
     (project / "tests/test_first.py").write_text(HALF_FIRST)
-    status, said = run(project, "tests/test_sign.py")
+    status, said = run(project, "tests/test_sign.py", "tests/contract")
     assert COVERED in said
     assert status == 0
 
