@@ -127,9 +127,7 @@ def test_what_programs_use_has_an_example_of_valid_python(value: object) -> None
 def test_an_import_brings_no_parser_of_action_files_which_has_a_module_of_its_own() -> None:
     imported = modules_after("from fibaction import *")
     assert {name for name in imported if name.startswith("fibaction.interfaces")} == set()
-    assert "fibaction.interfaces" in modules_after(
-        "from fibaction.interfaces.action_files import load_action"
-    )
+    assert "fibaction.interfaces" in modules_after("from fibaction.action_files import load_action")
 
 
 def test_an_import_brings_no_transport_no_ros_and_no_event_loop() -> None:

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalRejected, connect, serve
-from fibaction.interfaces.action_files import InterfaceError, action_source, load_action
+from fibaction.action_files import InterfaceError, action_source, load_action
 from fibaction_transports.inprocess import InProcessTransport
 
 FILES = Path(__file__).parents[1] / "action_files"

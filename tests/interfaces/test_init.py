@@ -1,5 +1,4 @@
-from fibaction import interfaces
-from fibaction.interfaces import action_files
+from fibaction import action_files, interfaces
 
 
 def test_the_package_exports_the_error_that_its_users_catch() -> None:

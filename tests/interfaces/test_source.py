@@ -12,7 +12,7 @@ import msgspec
 import pytest
 from hypothesis import given, settings, strategies
 
-from fibaction.interfaces.action_files import load_action
+from fibaction.action_files import load_action
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.source import python_source
 from fibaction.types.action import Action

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction.interfaces.action_files import load_action
+from fibaction.action_files import load_action
 from fibaction.schema.typescript import typescript_source
 from tests.support.fibonacci import FIBONACCI
 from tests.support.golden import GOLDEN

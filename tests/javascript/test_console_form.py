@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction.interfaces.action_files import load_action
+from fibaction.action_files import load_action
 from fibaction.schema.payload import JsonCodec
 from fibaction.schema.template import Template
 from fibaction.types.schemas import schema_of

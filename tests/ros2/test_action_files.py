@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, strategies
 
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
-from fibaction.interfaces.action_files import load_action
+from fibaction.action_files import load_action
 from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageDefinition
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.parser import parse_action, parse_message

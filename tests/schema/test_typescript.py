@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from fibaction import Action, ActionInfo
-from fibaction.interfaces.action_files import load_action
+from fibaction.action_files import load_action
 from fibaction.schema.typescript import typescript_source
 from tests.support.fibonacci import FIBONACCI
 
