@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from fibaction._runtime import log
+from tests.tools import second_try
 
 settings.register_profile(
     "fibaction",
@@ -39,6 +40,11 @@ WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 
 # The lines of all tests together would be a flood: each is written, but in the tests of that limit.
 log.QUOTA = sys.maxsize
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let failed tests that start processes have a second try, where `.ci/run` asks for it."""
+    second_try.register(config)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -409,5 +409,7 @@ def reach(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Re
     if reason is not None:
         pytest.skip(reason)
     skip_if_unable(request.param, request)
+    if request.param == "nats":
+        request.node.add_marker("processes")
     monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
     return WAYS[request.param]
