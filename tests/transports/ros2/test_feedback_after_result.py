@@ -8,17 +8,20 @@ from typing import Any
 
 import pytest
 
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.followed_goals import FollowedGoals
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses
 from fibaction_transports.ros2.node.parts import TopicSubscription
+from fibaction_transports.ros2.node.status_list import ReceivedStatuses
 from fibaction_transports.ros2.on_dds.topics import DdsSubscription
 from fibaction_transports.ros2.qos import EndQos
 
 pytestmark = pytest.mark.anyio
 GOAL = GoalID(bytes(range(16)))
 OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"")
+RUNNING = GoalInfo(GOAL, 5, GoalStatus.EXECUTING)
 FEEDBACK = b"\x00\x01\x00\x00" + GOAL
 
 
@@ -41,18 +44,21 @@ class Node:
         return SimpleNamespace(send=lambda request: 1)
 
 
-def ended(catch_up: Callable[[Callable[[], None]], None]) -> tuple[Any, RosGoalStream]:
+def ended(
+    catch_up: Callable[[Callable[[], None]], None], known: ReceivedStatuses | None = None
+) -> tuple[FollowedGoals, RosGoalStream]:
     """Return the goals of a client, and the stream of one whose result has arrived."""
     node: Any = Node()
     service: Any = SimpleNamespace(
         Request=lambda: SimpleNamespace(goal_id=SimpleNamespace(uuid=None))
     )
-    known: Any = None
     decoder: Any = Decoder()
+    known = known or ReceivedStatuses()
     followed = FollowedGoals(
         node, "a", "a/get", service, EndQos(), known, is_reliable=True, catch_up=catch_up
     )
     stream = RosGoalStream(GOAL, decoder, 10, reads=True)
+    stream.begin(RUNNING)
     followed.add(stream)
     node.answer(followed.request_result(stream), SimpleNamespace(status=GoalStatus.SUCCEEDED))
     return followed, stream
@@ -78,6 +84,16 @@ async def test_feedback_that_is_on_its_way_comes_before_the_outcome() -> None:
 async def test_without_a_way_to_ask_the_result_ends_the_feedback() -> None:
     _, stream = ended(lambda then: then())
     assert stream.take() == (OUTCOME,)
+
+
+def test_a_goal_is_not_active_any_more_when_its_result_was_faster_than_the_status_list() -> None:
+    known = ReceivedStatuses()
+    known.update(pack_statuses([pack_line(RUNNING)]))
+    followed, _ = ended(lambda then: then(), known)
+    assert followed.active(GOAL) is None
+    used_again = GoalInfo(GOAL, 6, GoalStatus.EXECUTING)
+    known.update(pack_statuses([pack_line(used_again)]))
+    assert followed.active(GOAL) == used_again
 
 
 class Silent(TopicSubscription):

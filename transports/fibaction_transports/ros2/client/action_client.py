@@ -201,8 +201,7 @@ class RosActionClient:
         self._follow(stream)
         try:
             self._followed.request_result(stream)
-            info = self.known.get(stream.goal_id)
-            if info is not None and info.status.is_active:
+            if (info := self._followed.active(stream.goal_id)) is not None:
                 stream.begin(info)
             else:
                 await self._decided(stream)
@@ -271,7 +270,7 @@ class RosActionClient:
         shared = self._followed if self._rivals.can_be_told_apart else ()
         self._choose_servers(stream for stream in shared if stream.has_begun)
         for stream in self._undecided:
-            if (now := self.known.get(stream.goal_id)) is not None and now.status.is_active:
+            if (now := self._followed.active(stream.goal_id)) is not None:
                 stream.begin(now)
 
     # Servers that have gone

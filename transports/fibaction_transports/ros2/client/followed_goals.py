@@ -23,13 +23,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from anyio import current_time
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ProtocolError
-from fibaction.words.goals import GoalID
+from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.convert.status_bytes import goal_of_feedback
@@ -46,9 +46,17 @@ FAILED_REQUESTS = 2
 """Failed requests for a goal's result after which an unreadable response is attributed to it."""
 
 ENDED = 1000
-"""Ended goals that are remembered, to tell of feedback that arrives too late."""
+"""Ended goals that are remembered, to notice what arrives of them too late."""
 
 logger = clean_logger("fibaction.ros2")
+
+
+class _EndedGoal(NamedTuple):
+    """A goal whose result has arrived."""
+
+    stamp: int
+    is_read: bool
+    """True if feedback that arrives now is lost to a reader."""
 
 
 class FollowedGoals:
@@ -86,7 +94,7 @@ class FollowedGoals:
         self._unfinished: dict[RosGoalStream, float] = {}
         """The streams that have their outcome and wait for feedback, each with the time until which
         they wait."""
-        self._ended: dict[bytes, None] = {}
+        self._ended: dict[bytes, _EndedGoal] = {}
         self.results = ros.caller(
             service, service_type, qos, self._take_result, self._take_unreadable
         )
@@ -133,6 +141,15 @@ class FollowedGoals:
         stream.take_from(publishers)
         self._finish_if_complete(stream)
 
+    def active(self, goal_id: bytes) -> GoalInfo | None:
+        """Return an active goal of the last status list. The result of a goal may arrive before
+        the list that tells its end; then the goal is not active any more.
+        """
+        info, ended = self._known.get(goal_id), self._ended.get(goal_id)
+        if info is None or not info.status.is_active:
+            return None
+        return None if ended is not None and ended.stamp == info.stamp else info
+
     def take_count(self, goal_id: bytes, count: int) -> None:
         """Take the number of feedback messages that a goal had in all."""
         for stream in tuple(self.of(goal_id)):
@@ -164,17 +181,17 @@ class FollowedGoals:
                 )
 
     def _finish(self, stream: RosGoalStream) -> None:
-        if stream.reads:
-            self._ended[stream.goal_id] = None
-            if len(self._ended) > ENDED:
-                del self._ended[next(iter(self._ended))]
+        self._ended[stream.goal_id] = _EndedGoal(stream.stamp, stream.reads)
+        if len(self._ended) > ENDED:
+            del self._ended[next(iter(self._ended))]
         stream.finish()
         self.remove(stream)
 
     def _warn_of_late_feedback(self, goal_id: bytes) -> None:
         """Log once that feedback of a goal has arrived after its result, and is lost."""
-        if goal_id in self._ended:
-            del self._ended[goal_id]
+        ended = self._ended.get(goal_id)
+        if ended is not None and ended.is_read:
+            self._ended[goal_id] = ended._replace(is_read=False)
             logger.warning(
                 "%s: feedback of goal %s arrived after its result, and is lost",
                 self._action,
