@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
+from statistics import median
 from time import monotonic, perf_counter
 from typing import Any, NamedTuple
 
@@ -172,6 +173,8 @@ class Figures(NamedTuple):
     work: list[float]
     """Seconds of the processor that the server has used from the sending of each of these goals to
     its end, in order of length: the latency on a machine that does nothing else, or more."""
+    quiet: float
+    """The median of this work before the attack."""
     stopped: float
     """Seconds from SIGTERM to the end of the server."""
     code: int | None
@@ -246,7 +249,7 @@ async def figures_of(name: str, seconds: float = 0.0, *, looks: bool = False) ->
                     async with anyio.create_task_group() as honest:
                         honest.start_soon(be_honest, client, server, latencies, work)
                         await until(lambda: len(latencies) >= 5)
-                        idle = (await server.reset()).memory
+                        idle, quiet = (await server.reset()).memory, median(work)
                         latencies.clear()
                         work.clear()
                         if seconds:
@@ -262,4 +265,5 @@ async def figures_of(name: str, seconds: float = 0.0, *, looks: bool = False) ->
                 stopped, code = await server.stop(SHUTDOWN + 10)
                 attacking.cancel_scope.cancel()
         above = (reading.peak - idle) / 2**20
-        return Figures(reading, above, sorted(latencies), sorted(work), stopped, code, server.log)
+        times = sorted(latencies), sorted(work), quiet, stopped
+        return Figures(reading, above, *times, code, server.log)

@@ -11,7 +11,7 @@ from tests.hostile.meter import Reading
 from tests.hostile.verdict import faults
 
 READING = Reading(0.01, 0, 100, 1.0, 40 * 2**20, 40 * 2**20, 0.0, "")
-FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], [0.001], 0.1, 0, "2026-01-01 a: line\n")
+FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], [0.001], 0.0002, 0.1, 0, "")
 
 
 def test_the_help_is_laid_out_and_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -39,9 +39,25 @@ def test_the_help_is_laid_out_and_says_what_there_is(capsys: pytest.CaptureFixtu
 def test_each_broken_bound_is_told(changed: dict[str, object], said: str) -> None:
     attack = next(iter(ATTACKS.values()))
 
-    assert faults(attack, FIGURES) == []
-    told = " ".join(faults(attack, FIGURES._replace(**changed)))  # type: ignore[arg-type]  # of each field
-    assert said in told
+    assert faults(attack, FIGURES, is_trial=True) == []
+    broken = FIGURES._replace(**changed)  # type: ignore[arg-type]  # of each field
+    assert said in " ".join(faults(attack, broken, is_trial=True))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"reading": READING._replace(longest=0.21), "quiet": 0.0002},
+        {"reading": READING._replace(longest=0.051), "quiet": 0.00005},
+        {"code": None},
+    ],
+)
+def test_beside_other_programs_a_bound_of_time_is_a_ratio(changed: dict[str, object]) -> None:
+    attack = next(iter(ATTACKS.values()))
+
+    busy = FIGURES._replace(reading=READING._replace(longest=0.3), quiet=0.001, stopped=9.0)
+    assert faults(attack, busy) == []
+    assert faults(attack, FIGURES._replace(**changed))  # type: ignore[arg-type]  # of each field
 
 
 def test_a_name_that_no_attack_has_is_an_error() -> None:

@@ -9,6 +9,7 @@ from contextlib import ExitStack, asynccontextmanager, contextmanager
 from multiprocessing import get_context
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
+from statistics import median
 from time import perf_counter
 from typing import NamedTuple
 
@@ -30,7 +31,7 @@ from tests.hostile.rtps.datagram_attacks import (
     attacker_of,
 )
 from tests.hostile.rtps.echo_victim import ANSWERED, ASKED, EchoIdentity
-from tests.hostile.verdict import LONGEST_TURN
+from tests.hostile.verdict import slowness
 from tests.support.ros_domain import claim_domain
 from tests.transports.rtps.world import TYPE, payload
 
@@ -38,7 +39,8 @@ PATIENCE = 50.0
 """Seconds for one attack in its short form."""
 WORK = 0.3
 """Seconds of the processor that the victim uses until it has answered, at the 99th percentile: some
-datagrams of the attack, at their dearest.
+datagrams of the attack, at their dearest. On a busy machine more of them wait, so it is a bound of
+the trials only.
 """
 HONEST_QUESTIONS = 10
 """Questions of the honest peer during an attack, at least."""
@@ -59,6 +61,8 @@ class CrowdFigures(NamedTuple):
     """Bytes that the attacker has sent; 0 if it was another process."""
     sent: int
     """Bytes that the victim has sent, but those for the honest peer's questions."""
+    quiet: float
+    """The median of the work before the attack."""
     stopped: float
     code: int | None
 
@@ -71,17 +75,15 @@ class CrowdFigures(NamedTuple):
         return self.work[min(len(self.work) - 1, int(len(self.work) * quantile))]
 
 
-def broken_bounds(attack: DatagramAttack, found: CrowdFigures) -> list[str]:
+def broken_bounds(
+    attack: DatagramAttack, found: CrowdFigures, *, is_trial: bool = False
+) -> list[str]:
     """Return the bounds that were broken."""
-    wrong: list[str] = []
-    if found.work_of(0.99) > WORK:
+    wrong = slowness(found, is_trial=is_trial)
+    if is_trial and found.work_of(0.99) > WORK:
         wrong.append(f"{found.work_of(0.99) * 1000:.0f} ms of work until an answer")
-    if found.reading.longest > LONGEST_TURN:
-        wrong.append(f"a turn took {found.reading.longest * 1000:.0f} ms")
     if found.above > attack.above:
         wrong.append(f"{found.above:.0f} MiB above the idle victim, not {attack.above}")
-    if found.code != 0 or found.stopped > SHUTDOWN:
-        wrong.append(f"SIGTERM took {found.stopped:.1f} s, exit code {found.code}")
     most = attack.factor * found.attacked + MOST_REPAIRS
     if found.attacked and found.sent > most:
         wrong.append(f"it sent {found.sent:,} bytes for {found.attacked:,}")
@@ -224,6 +226,7 @@ async def figures_of(name: str, seconds: float = 0.0) -> CrowdFigures:
                 tasks.start_soon(honest.ask, domain)
                 await until(lambda: len(honest.latencies) >= 10)
                 idle, before = (await server.reset()).memory, total.value
+                quiet = median(honest.work)
                 honest.clear()
                 async with attacked(name, victim, is_long=seconds > 0) as attacker:
                     if seconds:
@@ -237,4 +240,4 @@ async def figures_of(name: str, seconds: float = 0.0) -> CrowdFigures:
                 tasks.cancel_scope.cancel()
         above = (reading.peak - idle) / 2**20
         latencies, work = sorted(honest.latencies), sorted(honest.work)
-        return CrowdFigures(reading, above, latencies, work, said, sent, stopped, code)
+        return CrowdFigures(reading, above, latencies, work, said, sent, quiet, stopped, code)

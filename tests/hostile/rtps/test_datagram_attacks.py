@@ -12,7 +12,7 @@ from tests.hostile.rtps.crowd import CrowdFigures, broken_bounds, figures_of
 from tests.hostile.rtps.datagram_attacks import DATAGRAM_ATTACKS
 
 READING = Reading(0.01, 0, 100, 1.0, 40 * 2**20, 40 * 2**20, 0.0, "")
-FIGURES = CrowdFigures(READING, 1.0, [0.001, 0.002], [0.001], 1000, 2000, 0.1, 0)
+FIGURES = CrowdFigures(READING, 1.0, [0.001, 0.002], [0.001], 1000, 2000, 0.0002, 0.1, 0)
 
 
 @pytest.mark.asyncio
@@ -37,8 +37,8 @@ async def test_an_attack_by_datagrams_costs_the_others_little(name: str) -> None
 def test_each_broken_bound_of_datagrams_is_told(changed: dict[str, object], said: str) -> None:
     attack = next(iter(DATAGRAM_ATTACKS.values()))
 
-    assert broken_bounds(attack, FIGURES) == []
-    told = broken_bounds(attack, FIGURES._replace(**changed))  # type: ignore[arg-type]  # of each field
+    assert broken_bounds(attack, FIGURES, is_trial=True) == []
+    told = broken_bounds(attack, FIGURES._replace(**changed), is_trial=True)  # type: ignore[arg-type]  # of each field
     assert said in " ".join(told)
 
 
