@@ -413,40 +413,17 @@ class MemoryBroker(Broker):
 
     # Records
 
-    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
-        """See `Broker.create_streams`."""
-        await self.before("create_streams", "")
-
-    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
-        """See `Broker.create_key_stream`."""
-        await self.before("create_key_stream", "")
-
-    async def create_history_stream(
-        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
+    async def create_streams(
+        self,
+        names: FleetNames,
+        *,
+        replicas: int = 0,
+        has_keys: bool = False,
+        history: GoalHistory | None = None,
     ) -> None:
-        """See `Broker.create_history_stream`."""
-        await self.before("create_history_stream", "")
-        self.shared.history = history
-
-    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
-        """See `Broker.add_past`."""
-        if len(data) > self.max_record - 2 * len(head):
-            self.shared.at(
-                current_time(),
-                lambda: then(PutError(PutFailure.TOO_LARGE, "maximum payload exceeded")),
-            )
-            return
-        self.shared.heads[subject] = head
-        self.put(subject, data, expected=0, then=then)
-
-    @asynccontextmanager
-    async def watch_heads(
-        self, stream: str, subject: str, since: int
-    ) -> AsyncGenerator[MemoryWatch, None]:
-        """See `Broker.watch_heads`; `since` leaves out nothing."""
-        async with self.watch(stream, subject) as watch:
-            watch.has_heads = True
-            yield watch
+        """See `Broker.create_streams`."""
+        await self.before("create_streams", "keys" if has_keys else "")
+        self.shared.history = history or self.shared.history
 
     async def find_stream(self, stream: str) -> BrokerStream | None:
         """See `Broker.find_stream`."""
@@ -462,9 +439,12 @@ class MemoryBroker(Broker):
         *,
         expected: int,
         ttl: float | None = None,
+        head: bytes = b"",
         then: Stored,
     ) -> None:
         """See `Broker.put`."""
+        if head:
+            self.shared.heads[subject] = head
 
         def fail() -> None:
             then(PutError(PutFailure.UNKNOWN, "no answer"))
@@ -473,7 +453,7 @@ class MemoryBroker(Broker):
             if self._is_away:
                 self.shared.at(current_time() + ANSWER_TIMEOUT, fail)
                 return
-            if len(data) > self.max_record:
+            if len(data) > self.max_record - 2 * len(head):
                 then(PutError(PutFailure.TOO_LARGE, "maximum payload exceeded"))
                 return
             stored = self.shared.put(subject, data, expected, math.inf if ttl is None else ttl)
@@ -498,11 +478,14 @@ class MemoryBroker(Broker):
         raise BrokerAway(f"no answer about {subject}")
 
     @asynccontextmanager
-    async def watch(self, stream: str, subject: str) -> AsyncGenerator[MemoryWatch, None]:
-        """See `Broker.watch`."""
+    async def watch(
+        self, stream: str, subject: str, *, heads_since: int | None = None
+    ) -> AsyncGenerator[MemoryWatch, None]:
+        """See `Broker.watch`; `heads_since` leaves out nothing."""
         await self.before("watch", subject)
         self._check_there()
         watch = MemoryWatch(self, subject)
+        watch.has_heads = heads_since is not None
         self._watches.append(watch)
         try:
             yield watch

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import anyio
@@ -156,28 +156,25 @@ class FakeBroker(Broker):
     async def flush(self) -> None:
         raise NotImplementedError
 
-    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
-        """Do nothing."""
-
-    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
-        """Do nothing."""
-
-    async def create_history_stream(
-        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
+    async def create_streams(
+        self,
+        names: FleetNames,
+        *,
+        replicas: int = 0,
+        has_keys: bool = False,
+        history: GoalHistory | None = None,
     ) -> None:
-        raise NotImplementedError
-
-    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
-        raise NotImplementedError
-
-    def watch_heads(
-        self, stream: str, subject: str, since: int
-    ) -> AbstractAsyncContextManager[BrokerWatch]:
-        """Watch records that are their own heads."""
-        return self.watch(stream, subject)
+        """Do nothing."""
 
     def put(
-        self, subject: str, data: bytes, *, expected: int, ttl: float | None = None, then: Stored
+        self,
+        subject: str,
+        data: bytes,
+        *,
+        expected: int,
+        ttl: float | None = None,
+        head: bytes = b"",
+        then: Stored,
     ) -> None:
         last = self.records.get(subject)
         if expected != (last.sequence if last else 0):
@@ -201,7 +198,10 @@ class FakeBroker(Broker):
         return self.records.get(subject)
 
     @asynccontextmanager
-    async def watch(self, stream: str, subject: str) -> AsyncGenerator[BrokerWatch, None]:
+    async def watch(
+        self, stream: str, subject: str, *, heads_since: int | None = None
+    ) -> AsyncGenerator[BrokerWatch, None]:
+        """Watch records, which are their own heads."""
         await anyio.lowlevel.checkpoint()
         if self.is_away:
             raise BrokerAway("away")

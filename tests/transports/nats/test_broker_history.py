@@ -27,7 +27,7 @@ from fibaction import (
 )
 from fibaction.words.goal_history import GoalHistory
 from fibaction.words.goal_query import GoalQuery, PastPage
-from fibaction_transports.nats.broker import history_stream, jetstream
+from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.broker import PutError, PutFailure
 from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker
 from fibaction_transports.nats.names import FleetNames
@@ -129,15 +129,15 @@ async def test_a_bridge_and_a_worker_tell_the_history_over_rest(
 async def test_heads_are_told_since_a_time(shared_broker: NatsServer, fleet: str) -> None:
     names = FleetNames(fleet)
     async with open_broker(settings_of(shared_broker, fleet)) as broker:
-        await broker.create_history_stream(names, GoalHistory())
+        await broker.create_streams(names, history=GoalHistory())
         stored: list[int | PutError] = []
         for _ in range(2):
             subject = names.past("count", GoalID(bytes(16)), 7)
-            broker.add_past(subject, b"head", b"data", stored.append)
+            broker.put(subject, b"data", expected=0, head=b"head", then=stored.append)
         await broker.flush()
         heads: list[list[bytes]] = []
         for since in (0, time.time_ns() - HOUR, time.time_ns() + HOUR):
-            async with broker.watch_heads(names.history, names.past("count"), since) as watch:
+            async with broker.watch(names.history, names.past("count"), heads_since=since) as watch:
                 heads.append([record.data for record in await first_of(watch)])
     assert heads == [[b"head"], [b"head"], []]
     first, second = stored
@@ -274,15 +274,15 @@ async def test_the_bounds_of_the_worker_that_joined_last_hold(
     names = FleetNames(fleet)
     async with open_broker(settings_of(shared_broker, fleet)) as broker:
         for history in (GoalHistory(), GoalHistory(seconds=60, goals=7)):
-            await broker.create_history_stream(names, history)
+            await broker.create_streams(names, history=history)
         found = await config_of(broker, names)
         assert (found["max_age"], found["max_msgs"]) == (60 * jetstream.SECOND, 7)
-        assert found["max_bytes"] == history_stream.HISTORY_BYTES
-        await broker.create_history_stream(names, GoalHistory(seconds=math.inf))
+        assert found["max_bytes"] == jetstream.HISTORY_BYTES
+        await broker.create_streams(names, history=GoalHistory(seconds=math.inf))
         found = await config_of(broker, names)
         assert (found.get("max_age", 0), found["discard"]) == (0, "old")
         too_many = GoalHistory(goals=2**70)
-        await broker.create_history_stream(names, too_many)
+        await broker.create_streams(names, history=too_many)
 
 
 async def test_bounds_that_cannot_be_set_are_one_sentence(
@@ -294,10 +294,10 @@ async def test_bounds_that_cannot_be_set_are_one_sentence(
         raise jetstream.ApiError({"description": "not now"})
 
     async with open_broker(settings_of(shared_broker, fleet)) as broker:
-        await broker.create_history_stream(names, GoalHistory())
-        monkeypatch.setattr(history_stream, "update_stream", fail)
+        await broker.create_streams(names, history=GoalHistory())
+        monkeypatch.setattr(jetstream, "update_stream", fail)
         with pytest.raises(TransportError, match="HISTORY cannot be set: not now"):
-            await broker.create_history_stream(names, GoalHistory(goals=1))
+            await broker.create_streams(names, history=GoalHistory(goals=1))
 
 
 async def test_a_broker_with_little_storage_keeps_a_smaller_history(
@@ -313,10 +313,10 @@ async def test_a_broker_with_little_storage_keeps_a_smaller_history(
 
     monkeypatch.setattr(jetstream, "create_stream", create)
     client: Any = None
-    await history_stream.create_history_stream(client, FleetNames(fleet), GoalHistory(), 1, 1)
-    whole = history_stream.HISTORY_BYTES
+    await jetstream.create_history(client, FleetNames(fleet), GoalHistory(), 1, 1)
+    whole = jetstream.HISTORY_BYTES
     assert sizes == [whole, whole // 2, whole // 4]
     sizes.clear()
     monkeypatch.setattr(jetstream, "LEAST_BYTES", whole)
     with pytest.raises(TransportError, match="insufficient storage"):
-        await history_stream.create_history_stream(client, FleetNames(fleet), GoalHistory(), 1, 1)
+        await jetstream.create_history(client, FleetNames(fleet), GoalHistory(), 1, 1)

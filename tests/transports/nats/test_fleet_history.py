@@ -128,13 +128,13 @@ async def test_records_of_lost_workers_are_looked_at_once(
         keep(shared, ended(3), a.membership.incarnation)
         a.journals.history.open(a.journals.tasks, LEASE)
         asked: list[str] = []
-        add = a.broker.add_past
+        put = a.broker.put
 
-        def adding(subject: str, head: bytes, data: bytes, then: Stored) -> None:
+        def putting(subject: str, data: bytes, **given: Any) -> None:
             asked.append(subject)
-            add(subject, head, data, then)
+            put(subject, data, **given)
 
-        monkeypatch.setattr(a.broker, "add_past", adding)
+        monkeypatch.setattr(a.broker, "put", putting)
         takeover: Any = a.takeover
         is_gone = takeover._lost.is_gone
         for _ in range(2):
@@ -233,12 +233,12 @@ async def test_what_is_too_large_is_left_out_of_a_goal(size: int, kept: bytes | 
 async def test_a_refusal_for_another_reason_is_told_in_the_log(
     log: Hearing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(_subject: str, _head: bytes, _data: bytes, then: Stored) -> None:
+    def refuse(_subject: str, _data: bytes, *, then: Stored, **_: Any) -> None:
         then(PutError(PutFailure.TOO_LARGE, "maximum payload exceeded"))
 
     async with MemoryBrokers() as shared:
         broker = shared.member()
-        monkeypatch.setattr(broker, "add_past", refuse)
+        monkeypatch.setattr(broker, "put", refuse)
         await noted(broker, 1)
     assert "maximum payload exceeded" in log.warnings[0]
 
@@ -269,15 +269,17 @@ async def test_a_page_has_each_goal_once_though_the_watch_begins_again(
     async with MemoryBrokers() as shared:
         broker = shared.member()
         past = await noted(broker, 1, 2)
-        watch_heads = broker.watch_heads
+        watch_once = broker.watch
 
         @asynccontextmanager
-        async def twice(stream: str, subject: str, since: int) -> AsyncGenerator[BrokerWatch, None]:
-            async with watch_heads(stream, subject, since) as watch:
+        async def twice(
+            stream: str, subject: str, **given: Any
+        ) -> AsyncGenerator[BrokerWatch, None]:
+            async with watch_once(stream, subject, **given) as watch:
                 watch._found.appendleft(shared.matching(subject)[:1])
                 yield watch
 
-        monkeypatch.setattr(broker, "watch_heads", twice)
+        monkeypatch.setattr(broker, "watch", twice)
         assert stamps(await past.past_goals(PastPage())) == [2, 1]
 
 
@@ -297,7 +299,8 @@ async def test_a_record_that_cannot_be_read_is_left_out() -> None:
         broker = shared.member()
         past = await noted(broker, 1)
         subject = NAMES.past("count", goal(2).goal_id, 2)
-        broker.add_past(subject, b"of a later version", b"as well", lambda _answer: None)
+        head = b"of a later version"
+        broker.put(subject, b"as well", expected=0, head=head, then=lambda _answer: None)
         await broker.flush()
         assert stamps(await past.past_goals(PastPage())) == [1]
         assert await past.past_goal(goal(2).goal_id) is None
@@ -320,15 +323,16 @@ async def test_brokers_that_stop_to_tell_the_history_are_an_error(
     async with MemoryBrokers() as shared:
         broker = shared.member()
         past = await noted(broker, 1)
+        watch_once = broker.watch
 
         @asynccontextmanager
         async def stopping(
-            stream: str, subject: str, _since: int
+            stream: str, subject: str, **given: Any
         ) -> AsyncGenerator[BrokerWatch, None]:
-            async with broker.watch(stream, subject) as watch:
+            async with watch_once(stream, subject, **given) as watch:
                 broker.is_away = True
                 yield watch
 
-        monkeypatch.setattr(broker, "watch_heads", stopping)
+        monkeypatch.setattr(broker, "watch", stopping)
         with pytest.raises(StoreError, match=f"no answer within {PATIENCE:g} s"):
             await past.past_goals(PastPage())

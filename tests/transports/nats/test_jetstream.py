@@ -18,6 +18,7 @@ from fibaction_transports.nats.broker.broker import (
     PutFailure,
 )
 from fibaction_transports.nats.broker.client import NatsClient
+from fibaction_transports.nats.broker.consumers import HEAD, NoteQueue, RecordWatch, delivery
 from fibaction_transports.nats.broker.jetstream import (
     NAME_IN_USE,
     NO_LEADER,
@@ -31,8 +32,6 @@ from fibaction_transports.nats.broker.jetstream import (
 )
 from fibaction_transports.nats.broker.login import BrokerInfo
 from fibaction_transports.nats.broker.nats_broker import NatsBroker
-from fibaction_transports.nats.broker.note_queue import NoteQueue
-from fibaction_transports.nats.broker.record_watch import HEAD, RecordWatch, delivery
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from tests.transports.nats.scripted_client import NO_RESPONDERS, ScriptedClient, failed
@@ -495,6 +494,16 @@ async def test_a_consumer_that_is_gone_is_made_again(
     notes = NoteQueue(client, NAMES.want("a")).notes()
     assert (await anext(notes)).data == b"one"
     assert len(client.bodies("CONSUMER.CREATE")) == consumers
+    await notes.aclose()
+
+
+@pytest.mark.asyncio
+async def test_brokers_without_a_leader_are_soon_asked_again_for_notes(no_pause: None) -> None:
+    client: Any = ScriptedClient(CONSUMER_CREATE=[BrokerAway("no answer")] * 4 + [{}])
+    answering(client, note(b"one"))
+    notes = NoteQueue(client, NAMES.want("a")).notes()
+    assert (await anext(notes)).data == b"one"
+    assert client.timeouts == [1, 2, 4, 5, 5]
     await notes.aclose()
 
 

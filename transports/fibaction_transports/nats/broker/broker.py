@@ -23,6 +23,7 @@ from contextlib import AbstractAsyncContextManager
 from enum import Enum
 from typing import NamedTuple, TypeAlias
 
+from fibaction.border.abc import Notifier
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.names import FleetNames
 
@@ -178,31 +179,20 @@ class Broker(ABC):
     # Records
 
     @abstractmethod
-    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
+    async def create_streams(
+        self,
+        names: FleetNames,
+        *,
+        replicas: int = 0,
+        has_keys: bool = False,
+        history: GoalHistory | None = None,
+    ) -> None:
         """Make the streams of a fleet, or check those that are there.
 
         Clients make none: a stream that is missing is like an empty one. `replicas` is the number
-        of brokers that keep each record; 0 leaves it to the broker, or as it is.
-
-        Raises:
-            TransportError: A stream of this name is of something else, or cannot be made.
-        """
-
-    @abstractmethod
-    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
-        """Make the stream of the places of keys, or check the one that is there: see
-        `create_streams`, which was called before.
-
-        Raises:
-            TransportError: A stream of this name is of something else, or cannot be made.
-        """
-
-    @abstractmethod
-    async def create_history_stream(
-        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
-    ) -> None:
-        """Make the stream of the history, or set the bounds of the one that is there: see
-        `create_streams`.
+        of brokers that keep each record; 0 leaves it to the broker, or as it is. With `has_keys`,
+        the fleet has the stream of the places of keys; with `history`, it has that of the history,
+        with these bounds, which are set if it is there already.
 
         Raises:
             TransportError: A stream of this name is of something else, or cannot be made.
@@ -224,13 +214,31 @@ class Broker(ABC):
         *,
         expected: int,
         ttl: float | None = None,
+        head: bytes = b"",
         then: Stored,
     ) -> None:
         """Store a record in place of the one with the sequence `expected`; 0 if there is none.
 
-        `ttl` is its time to live in seconds, rounded up to whole ones. `then` is called once, on
-        the event loop. Without data, it stores a marker, which deletes the record.
+        `ttl` is its time to live in seconds, rounded up to whole ones. A record of the past has a
+        head. `then` is called once, on the event loop. Without data, it stores a marker, which
+        deletes the record.
         """
+
+    async def put_and_wait(
+        self, subject: str, data: bytes, *, expected: int, ttl: float | None = None
+    ) -> int | PutError:
+        """Store a record as `put` does, and return the answer."""
+        answers: list[int | PutError] = []
+        news = Notifier()
+
+        def answered(answer: int | PutError) -> None:
+            answers.append(answer)
+            news.notify()
+
+        self.put(subject, data, expected=expected, ttl=ttl, then=answered)
+        while not answers:
+            await news.wait()
+        return answers[0]
 
     @abstractmethod
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
@@ -241,25 +249,13 @@ class Broker(ABC):
         """
 
     @abstractmethod
-    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[BrokerWatch]:
+    def watch(
+        self, stream: str, subject: str, *, heads_since: int | None = None
+    ) -> AbstractAsyncContextManager[BrokerWatch]:
         """Watch the records of a subject, which may have wildcards, while the block lasts.
 
-        Raises:
-            BrokerAway: The broker does not answer.
-        """
-
-    @abstractmethod
-    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
-        """Store a record of the past with its head, unless there is one of this subject: then it is
-        refused. `then` is as for `put`.
-        """
-
-    @abstractmethod
-    def watch_heads(
-        self, stream: str, subject: str, since: int
-    ) -> AbstractAsyncContextManager[BrokerWatch]:
-        """Watch the records of the past of a subject, as `watch` does, with their heads in place of
-        their data: those that were stored at a time or later, in nanoseconds since 1970.
+        With `heads_since`, the records have their heads in place of their data, and only those come
+        that were stored at that time or later, in nanoseconds since 1970.
 
         Raises:
             BrokerAway: The broker does not answer.

@@ -14,6 +14,7 @@ import msgspec
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerStream,
@@ -58,6 +59,11 @@ SHARE, MOST_OTHER_BYTES = 16, 2**23
 """It reserves this part of them for the leases of its workers, and for its notes; and the most."""
 LEAST_BYTES = 2**18
 """The least bytes of each of the three."""
+HISTORY_BYTES = 2**28
+"""Bytes that a new history reserves, or a half of it, and so on, where the broker has less storage.
+"""
+LEAST_AGE, MOST_AGE = SECOND // 10, 2**63 - 1
+"""Nanoseconds for which brokers can keep a record of the history."""
 
 logger = clean_logger("fibaction.nats")
 
@@ -214,16 +220,18 @@ class NoStorage(TransportError):
 
 
 async def create_streams(
-    client: NatsClient, names: FleetNames, replicas: int, brokers: int
+    client: NatsClient, names: FleetNames, replicas: int, brokers: int, *, has_keys: bool = False
 ) -> None:
-    """Make the streams of a fleet, or check those that are there.
+    """Make the streams of a fleet but that of its history, or check those that are there.
 
     Each has a limit, which is reserved for it: goals that fill their stream leave room for leases.
 
     Raises:
         TransportError: A stream of this name is of something else, or cannot be made.
     """
-    goals, *others, _keys = _streams(names)
+    goals, *others, keys = _streams(names)
+    if has_keys:
+        others.append(keys)
     made = await create_large_stream(client, goals, GOAL_BYTES, replicas, brokers)
     if made.get("max_bytes", -1) < 0:
         logger.warning(
@@ -236,17 +244,39 @@ async def create_streams(
         made = await _create_beside(made, client, wanted, replicas, brokers)
 
 
-async def create_key_stream(
-    client: NatsClient, names: FleetNames, replicas: int, brokers: int
+async def create_history(
+    client: NatsClient, names: FleetNames, history: GoalHistory, replicas: int, brokers: int
 ) -> None:
-    """Make the stream of the places of keys, or check the one that is there. The others are there.
+    """Make the stream of a history, whose oldest records the brokers remove, or set the bounds of
+    the one that is there.
 
     Raises:
         TransportError: A stream of this name is of something else, or cannot be made.
     """
-    goals, *_others, keys = _streams(names)
-    made = await create_stream(client, goals, replicas, brokers)
-    await _create_beside(made, client, keys, replicas, brokers)
+    age = history.seconds * SECOND
+    bounds = {
+        "max_age": int(max(age, LEAST_AGE)) if age < MOST_AGE else 0,  # 0 is none
+        "max_msgs": min(history.goals, MOST_AGE),
+    }
+    wanted = {
+        "name": names.history,
+        "subjects": [names.all_past()],
+        "retention": "limits",
+        "storage": "file",
+        "discard": "old",
+        "max_msgs_per_subject": 1,
+        "allow_direct": True,
+        **bounds,
+    }
+    found = await create_large_stream(client, wanted, HISTORY_BYTES, replicas, brokers)
+    if any(found.get(name) != value for name, value in bounds.items()):
+        found.pop("duplicate_window", None)  # the broker chooses one that fits the age
+        try:
+            await update_stream(client, {**found, **bounds})
+        except (ApiError, NoResponders, BrokerAway) as exc:
+            raise TransportError(
+                f"the bounds of the stream {names.history} cannot be set: {exc}"
+            ) from exc
 
 
 async def _create_beside(

@@ -31,9 +31,7 @@ from fibaction_transports.nats.broker.broker import (
     Stored,
 )
 from fibaction_transports.nats.broker.client import NatsClient
-from fibaction_transports.nats.broker.history_stream import create_history_stream
-from fibaction_transports.nats.broker.note_queue import NoteQueue
-from fibaction_transports.nats.broker.record_watch import HEAD, watch_records
+from fibaction_transports.nats.broker.consumers import HEAD, NoteQueue, watch_records
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 
@@ -83,16 +81,18 @@ class NatsBroker(Broker):
 
     # Records
 
-    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
-        await jetstream.create_streams(self._client, names, replicas, self.brokers)
-
-    async def create_key_stream(self, names: FleetNames, *, replicas: int = 0) -> None:
-        await jetstream.create_key_stream(self._client, names, replicas, self.brokers)
-
-    async def create_history_stream(
-        self, names: FleetNames, history: GoalHistory, *, replicas: int = 0
+    async def create_streams(
+        self,
+        names: FleetNames,
+        *,
+        replicas: int = 0,
+        has_keys: bool = False,
+        history: GoalHistory | None = None,
     ) -> None:
-        await create_history_stream(self._client, names, history, replicas, self.brokers)
+        brokers = self.brokers
+        await jetstream.create_streams(self._client, names, replicas, brokers, has_keys=has_keys)
+        if history is not None:
+            await jetstream.create_history(self._client, names, history, replicas, brokers)
 
     async def find_stream(self, stream: str) -> BrokerStream | None:
         return await jetstream.find_stream(self._client, stream)
@@ -104,6 +104,7 @@ class NatsBroker(Broker):
         *,
         expected: int,
         ttl: float | None = None,
+        head: bytes = b"",
         then: Stored,
     ) -> None:
         if len(data) > self.max_record:
@@ -117,10 +118,8 @@ class NatsBroker(Broker):
             ttl = jetstream.MARKER_TTL if ttl is None else ttl
         if ttl is not None and ttl < math.inf:
             headers["Nats-TTL"] = str(max(1, math.ceil(ttl)))
-        self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
-
-    def add_past(self, subject: str, head: bytes, data: bytes, then: Stored) -> None:
-        headers = {EXPECTED: "0", HEAD: base64.b64encode(head).decode()}
+        if head:
+            headers[HEAD] = base64.b64encode(head).decode()
         self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
 
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
@@ -152,13 +151,10 @@ class NatsBroker(Broker):
         found = answer["message"]
         return BrokerRecord(subject, base64.b64decode(found.get("data", "")), found["seq"])
 
-    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[BrokerWatch]:
-        return watch_records(self._client, stream, subject)
-
-    def watch_heads(
-        self, stream: str, subject: str, since: int
+    def watch(
+        self, stream: str, subject: str, *, heads_since: int | None = None
     ) -> AbstractAsyncContextManager[BrokerWatch]:
-        return watch_records(self._client, stream, subject, since)
+        return watch_records(self._client, stream, subject, heads_since)
 
     # Notes
 

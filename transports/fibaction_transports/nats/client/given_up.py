@@ -5,7 +5,6 @@ from __future__ import annotations
 import secrets
 import time
 
-from fibaction.border.abc import Notifier
 from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.errors import ConnectionLost, StoreError
@@ -79,16 +78,6 @@ class GivenUpGoals:
 
     async def _put(self, subject: str, entry: GoalEntry, expected: int) -> int | PutError:
         """Store a record, and return the answer."""
-        answers: list[int | PutError] = []
-        news = Notifier()
-
-        def answered(answer: int | PutError) -> None:
-            answers.append(answer)
-            news.notify()
-
         goal = entry.goal
         ttl = max(1.0, (goal.keep_until - time.time_ns()) / SECOND) if goal.keep_until else None
-        self._broker.put(subject, encode(entry), expected=expected, ttl=ttl, then=answered)
-        while not answers:
-            await news.wait()
-        return answers[0]
+        return await self._broker.put_and_wait(subject, encode(entry), expected=expected, ttl=ttl)

@@ -57,10 +57,10 @@ class FleetHistory(PastSource):
         found: dict[Place, GoalInfo] = {}  # a record may come again
         slices = Slices()
         try:
-            async with self._broker.watch_heads(
+            async with self._broker.watch(
                 self._names.history,
                 self._names.past(self.action),
-                0 if since is None else max(0, min(since, time.time_ns()) - SKEW),
+                heads_since=0 if since is None else max(0, min(since, time.time_ns()) - SKEW),
             ) as watch:
                 while (records := await _next(watch)) is not None:
                     for record in records:

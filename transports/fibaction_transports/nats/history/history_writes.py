@@ -132,7 +132,7 @@ class HistoryWrites:
                 self._leave_out(answer.text)
             self._forget(past)
 
-        self._broker.add_past(past.subject, past.head, past.data, answered)
+        self._broker.put(past.subject, past.data, expected=0, head=past.head, then=answered)
 
     async def _send_again(self, past: _Past, pause: float) -> None:
         await sleep(pause)

@@ -204,22 +204,13 @@ class Membership:
         self, entry: LeaseEntry | None, expected: int, ttl: float | None = None
     ) -> int | PutError:
         """Store the lease, or delete it, and wait for the answer."""
-        answers: list[int | PutError] = []
-        news = Notifier()
-
-        def answered(answer: int | PutError) -> None:
-            answers.append(answer)
-            news.notify()
-
         data = b"" if entry is None else encode(entry)
         self._last_put = current_time()
-        self._broker.put(
-            self._subject, data, expected=expected, ttl=ttl or self.lease, then=answered
-        )
         with move_on_after(self.lease * RESEND_PART):
-            while not answers:
-                await news.wait()
-        return answers[0] if answers else PutError(PutFailure.UNKNOWN, "no answer")
+            return await self._broker.put_and_wait(
+                self._subject, data, expected=expected, ttl=ttl or self.lease
+            )
+        return PutError(PutFailure.UNKNOWN, "no answer")
 
     # Stay
 

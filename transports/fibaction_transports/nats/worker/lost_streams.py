@@ -20,7 +20,6 @@ lost: outcomes, and goals that had no worker.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from anyio import sleep
 
@@ -28,7 +27,6 @@ from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import BrokerAway
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.worker.journals import WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE
 from fibaction_transports.nats.worker.takeover import Takeover
@@ -41,24 +39,19 @@ LOST = ""
 logger = clean_logger("fibaction.nats")
 
 
-class Maker(Protocol):
-    """A function that makes streams of a fleet which are missing."""
-
-    async def __call__(self, names: FleetNames, *, replicas: int) -> None: ...
-
-
 class LostStreams:
     """The streams of one fleet, as one worker looks after them."""
 
     def __init__(self, journals: WorkerJournals, takeover: Takeover, replicas: int) -> None:
-        self._broker = broker = journals.broker
+        self._broker = journals.broker
         self._names = names = journals.names
         self._membership = journals.membership
         self._journals = journals
         self._takeover = takeover
         self._replicas = replicas
         self._known: dict[str, str] = {}  # the identities of the streams
-        self._makers: dict[str, Maker] = {names.goals: broker.create_streams}  # by their streams
+        self._has_keys = False
+        self._history: GoalHistory | None = None
         self._repairs: dict[str, tuple[str, Callable[[], None]]] = {
             names.workers: ("the leases of workers", self._membership.rewrite),
             names.goals: ("outcomes, and goals that had no worker", self._rewrite_goals),
@@ -82,8 +75,8 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: The stream cannot be made.
         """
-        make = self._broker.create_key_stream
-        await self._open(self._names.keys, make, "the places of keys", repair)
+        self._has_keys = True
+        await self._open(self._names.keys, "the places of keys", repair)
 
     async def open_history(self, history: GoalHistory) -> None:
         """Make the stream of the history if it is missing, with these bounds, and look for it.
@@ -92,16 +85,12 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: The stream cannot be made.
         """
+        self._history = history
+        await self._open(self._names.history, "the goals of the past", lambda: None)
 
-        async def make(names: FleetNames, *, replicas: int) -> None:
-            await self._broker.create_history_stream(names, history, replicas=replicas)
-
-        await self._open(self._names.history, make, "the goals of the past", lambda: None)
-
-    async def _open(self, stream: str, make: Maker, what: str, repair: Callable[[], None]) -> None:
-        await make(self._names, replicas=self._replicas)
+    async def _open(self, stream: str, what: str, repair: Callable[[], None]) -> None:
+        await self._make()
         self._known[stream] = await self._identity(stream)
-        self._makers[stream] = make
         self._repairs[stream] = what, repair
 
     async def run(self) -> None:
@@ -132,13 +121,21 @@ class LostStreams:
                 logger.error("the stream %s was lost, and with it %s", stream, what)
                 self._known[stream] = LOST
         if LOST in found.values():
-            for make in self._makers.values():
-                await make(self._names, replicas=self._replicas)
+            await self._make()
         for stream in lost:
             self._known[stream] = await self._identity(stream)
             if self._known[stream] != LOST:
                 _, repair = self._repairs[stream]
                 repair()
+
+    async def _make(self) -> None:
+        """Make the streams that are missing."""
+        await self._broker.create_streams(
+            self._names,
+            replicas=self._replicas,
+            has_keys=self._has_keys,
+            history=self._history,
+        )
 
     async def _identity(self, stream: str) -> str:
         found = await self._broker.find_stream(stream)

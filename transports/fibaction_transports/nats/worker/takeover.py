@@ -151,18 +151,8 @@ class Takeover(MemberPart):
             await self._put(subject, LeaseEntry(worker, b""), expected)
 
     async def _put(self, subject: str, entry: LeaseEntry, expected: int) -> int | PutError:
-        answers: list[int | PutError] = []
-        news = Notifier()
-
-        def answered(answer: int | PutError) -> None:
-            answers.append(answer)
-            news.notify()
-
         ttl = entry.lease or LEFT_TTL
-        self._broker.put(subject, encode(entry), expected=expected, ttl=ttl, then=answered)
-        while not answers:
-            await news.wait()
-        return answers[0]
+        return await self._broker.put_and_wait(subject, encode(entry), expected=expected, ttl=ttl)
 
     # Scans
 

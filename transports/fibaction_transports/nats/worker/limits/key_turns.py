@@ -223,9 +223,13 @@ class KeyTurns:
         return next_entry(entry, demand, gone, self._most, gives=gives)
 
     async def _write(self, before: KeyEntry, entry: KeyEntry, sequence: int) -> float | None:
-        """Write a record over another one; return the seconds after which to look again."""
+        """Write a record over another one, or delete that if it is empty; return the seconds after
+        which to look again.
+        """
         at, running = (self._incarnation, self._stream), self._running
-        answer = await self._put(entry, sequence)
+        nonce = secrets.token_bytes(NONCE_SIZE)
+        data = b"" if entry.is_empty else encode(replace(entry, nonce=nonce))
+        answer = await self._fleet.broker.put_and_wait(self._subject, data, expected=sequence)
         if isinstance(answer, PutError):
             return self._failed(answer, sequence) if self._is_still(at) else 0.0
         for worker in given(before, entry):
@@ -258,19 +262,3 @@ class KeyTurns:
             return CLASH_PAUSE
         logger.warning("the places of a key are not stored, and its goals wait: %s", error.text)
         return LONGEST_PAUSE
-
-    async def _put(self, entry: KeyEntry, expected: int) -> int | PutError:
-        """Store a record, or delete it if it is empty, and wait for the answer."""
-        answers: list[int | PutError] = []
-        news = Notifier()
-
-        def answered(answer: int | PutError) -> None:
-            answers.append(answer)
-            news.notify()
-
-        nonce = secrets.token_bytes(NONCE_SIZE)
-        data = b"" if entry.is_empty else encode(replace(entry, nonce=nonce))
-        self._fleet.broker.put(self._subject, data, expected=expected, then=answered)
-        while not answers:
-            await news.wait()
-        return answers[0]

@@ -1,9 +1,9 @@
-"""`RecordWatch`: the records of a subject of a stream, and then each change.
+"""Consumers of JetStream: `RecordWatch` for records, and `NoteQueue` for notes.
 
 Theory of operation
 -------------------
 
-A consumer of JetStream delivers the newest record of each subject, and then all new ones, to an
+The consumer of a watch delivers the newest record of each subject, and then all new ones, to an
 inbox of this client. It is kept in the memory of one broker, so it is gone after a restart of that
 one. It counts what it delivers; a number that is left out is a gap. Nothing of this is repaired in
 place: after a gap, after heartbeats that did not come, and after each reconnection, there is a new
@@ -14,14 +14,20 @@ after the end of the first records, as a change.
 
 The broker asks now and then whether what it has delivered was taken (flow control); it is told so
 when `next` has returned it. So a reader that is slow holds the broker back, and not the memory.
+
+Each subject of notes has one consumer, which all workers share; it is kept as long as its stream. A
+worker asks it for one note, and gets it when there is one. A worker that is gone has its note come
+again to another one.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import AsyncGenerator
+from collections import deque
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
+from typing import Any
 
 import anyio
 import msgspec
@@ -35,8 +41,10 @@ from fibaction_transports.nats.broker.broker import (
     BrokerSubscription,
     BrokerWatch,
     NoResponders,
+    Note,
 )
 from fibaction_transports.nats.broker.client import NatsClient
+from fibaction_transports.nats.names import stream_of_note
 
 HEARTBEAT = 2
 """Seconds between heartbeats of a consumer that has nothing to deliver."""
@@ -46,6 +54,44 @@ MISSED = 2.5
 """A consumer is gone after so many heartbeats without a message."""
 LOOK_AGAIN = 1.0
 """Seconds until a stream that is missing is looked for again."""
+ACK_WAIT = 5
+"""Seconds after which a note that is not done comes again."""
+ASKED_FOR = 5
+"""Seconds for which a consumer remembers that it was asked for a note."""
+LATENESS = 1.0
+"""Seconds that its answer may be late."""
+
+
+class _ConsumerMaker:
+    """Makes the consumers of one subject.
+
+    Brokers without a leader do not answer, and the next request may find one. So the first request
+    has a short time, and the next ones longer ones.
+    """
+
+    def __init__(self, client: NatsClient, stream: str, subject: str) -> None:
+        self._client = client
+        self._stream = stream
+        self._subject = subject
+        self._timeout = jetstream.INFO_TIMEOUT
+
+    async def make(self, name: str, config: Mapping[str, object]) -> dict[str, Any]:
+        """Make a consumer, or find the one of this name, and return the answer.
+
+        Raises:
+            BrokerAway: There was no answer; the consumer may be made nevertheless.
+            ApiError, NoResponders: It cannot be made now.
+        """
+        config = {"name": name, "filter_subject": self._subject, **config}
+        body = msgspec.json.encode({"stream_name": self._stream, "config": config})
+        api = f"CONSUMER.CREATE.{self._stream}.{name}.{self._subject}"
+        try:
+            answer = await jetstream.call(self._client, api, body, self._timeout)
+        except BrokerAway:
+            self._timeout = min(2 * self._timeout, jetstream.API_TIMEOUT)
+            raise
+        self._timeout = jetstream.INFO_TIMEOUT
+        return answer
 
 
 class RecordWatch(BrokerWatch):
@@ -59,7 +105,7 @@ class RecordWatch(BrokerWatch):
         """
         self._client = client
         self._stream = stream
-        self._subject = subject
+        self._maker = _ConsumerMaker(client, stream, subject)
         self._since = since
         self._inbox: BrokerSubscription | None = None
         self._consumer = ""
@@ -100,18 +146,15 @@ class RecordWatch(BrokerWatch):
 
     async def _begin(self) -> None:
         """Make a new consumer; while its stream is missing, it is like an empty one."""
-        patience = jetstream.INFO_TIMEOUT
         while True:
             while not self._client.is_connected:
                 await self._news.wait()
             try:
-                return await self._make_consumer(patience)
+                return await self._make_consumer()
             except (BrokerAway, NoResponders, jetstream.ApiError):
-                # Brokers without a leader do not answer: the next request may find one.
-                patience = min(2 * patience, jetstream.API_TIMEOUT)
                 await anyio.sleep(jetstream.TRY_AGAIN)
 
-    async def _make_consumer(self, patience: float) -> None:
+    async def _make_consumer(self) -> None:
         is_known_to_be_missing, self._is_missing = self._is_missing, False
         self._remove_consumer()
         self._connection = self._client.connections
@@ -119,10 +162,8 @@ class RecordWatch(BrokerWatch):
         self._inbox = await self._client.subscribe(inbox, self._on_message)
         name = inbox.rpartition(".")[2]
         config = {
-            "name": name,
             "deliver_policy": "last_per_subject",
             "deliver_subject": inbox,
-            "filter_subject": self._subject,
             "ack_policy": "none",
             "max_deliver": 1,
             "flow_control": True,
@@ -131,14 +172,12 @@ class RecordWatch(BrokerWatch):
             "num_replicas": 1,
             **({} if self._since is None else _heads_since(self._since)),
         }
-        body = msgspec.json.encode({"stream_name": self._stream, "config": config})
         self._records, self._flow, self._taken = [], [], 0
         self._is_broken = self._is_complete = self._is_told = False
         self._heard = anyio.current_time()
-        api = f"CONSUMER.CREATE.{self._stream}.{name}.{self._subject}"
         self._consumer = name  # one that is not answered in time may be made nevertheless
         try:
-            answer = await jetstream.call(self._client, api, body, patience)
+            answer = await self._maker.make(name, config)
         except jetstream.ApiError as exc:
             self._consumer = ""
             if exc.number != jetstream.STREAM_NOT_FOUND:
@@ -234,3 +273,82 @@ async def watch_records(
         yield watch
     finally:
         watch.close()
+
+
+class NoteQueue:
+    """The notes of one subject."""
+
+    def __init__(self, client: NatsClient, subject: str) -> None:
+        self._client = client
+        self._stream = stream_of_note(subject)
+        self._maker = _ConsumerMaker(client, self._stream, subject)
+        self._consumer = "_".join(subject.split(".")[2:])
+        self._connection = 0  # the one on which the consumer is known to be there
+        self._found: deque[RawMessage] = deque()
+        self._is_answered = True
+        self._news = Notifier()
+
+    async def notes(self) -> AsyncGenerator[Note, None]:
+        """Take the notes, forever."""
+        inbox = self._client.new_inbox()
+        subscription = None
+        self._client.to_notify.add(self._news)
+        try:
+            while True:
+                if not self._client.is_connected:
+                    await self._news.wait()
+                    continue
+                try:
+                    if subscription is None:
+                        subscription = await self._client.subscribe(inbox, self._on_message)
+                    await self._take(inbox)
+                except (BrokerAway, NoResponders, jetstream.ApiError):
+                    self._connection = 0
+                    await anyio.sleep(jetstream.TRY_AGAIN)
+                while self._found:
+                    yield self._note(self._found.popleft())
+        finally:
+            self._client.to_notify.discard(self._news)
+            if subscription is not None:
+                subscription.close()
+            for message in self._found:
+                self._client.publish(message.reply, b"-NAK")
+
+    async def _take(self, inbox: str) -> None:
+        """Ask for a note, and wait for the answer."""
+        if self._connection != self._client.connections:
+            connection = self._client.connections
+            await self._make_consumer()
+            self._connection = connection
+        self._is_answered = False
+        asked = {"batch": 1, "expires": ASKED_FOR * jetstream.SECOND}
+        subject = f"$JS.API.CONSUMER.MSG.NEXT.{self._stream}.{self._consumer}"
+        self._client.publish(subject, msgspec.json.encode(asked), inbox)
+        with anyio.move_on_after(ASKED_FOR + LATENESS):
+            while not (self._found or self._is_answered):
+                if self._connection != self._client.connections:
+                    return
+                await self._news.wait()
+
+    async def _make_consumer(self) -> None:
+        """Make the consumer, if it is not there."""
+        config = {
+            "durable_name": self._consumer,
+            "ack_policy": "explicit",
+            "ack_wait": ACK_WAIT * jetstream.SECOND,
+            "max_deliver": -1,
+            "max_ack_pending": -1,
+        }
+        await self._maker.make(self._consumer, config)
+
+    def _on_message(self, message: RawMessage) -> None:
+        if not message.status:
+            self._found.append(message)
+        else:
+            self._is_answered = True
+            if message.status not in ("404", "408"):  # the consumer, or its leader, is gone
+                self._connection = 0
+        self._news.notify()
+
+    def _note(self, message: RawMessage) -> Note:
+        return Note(message.data, lambda: self._client.publish(message.reply, b"+ACK"))
