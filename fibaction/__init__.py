@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         InvalidURL,
         LimitReached,
         ProtocolError,
+        RejectionCode,
         ServerFailed,
         ServerNotFound,
         StoreError,
@@ -85,8 +86,8 @@ else:
         "words.errors": (
             "ActionError AuthenticationFailed CancelRejected ConnectionLost GoalAborted "
             "GoalCanceled GoalKept GoalRejected GoalTimeout InvalidMessage InvalidTransition "
-            "InvalidURL LimitReached ProtocolError ServerFailed ServerNotFound StoreError "
-            "TransportError UnknownGoal"
+            "InvalidURL LimitReached ProtocolError RejectionCode ServerFailed ServerNotFound "
+            "StoreError TransportError UnknownGoal"
         ),
         "border.goal_store": "GoalStore",
         "words.goals": (
@@ -165,6 +166,7 @@ __all__ = [
     "Permission",
     "Progress",
     "ProtocolError",
+    "RejectionCode",
     "Report",
     "Retry",
     "Return",

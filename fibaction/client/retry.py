@@ -53,8 +53,8 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds that a delay takes at most."""
     on: tuple[type[ActionError], ...] = _SAFE
     """The errors after which there is another attempt: all of `ServerNotFound`, `ConnectionLost`,
-    `LimitReached` and `GoalRejected`, or some of them. Of the rejections, only those of a busy
-    server are retried (`GoalRejected.is_busy`): any other one is the server's decision."""
+    `LimitReached` and `GoalRejected`, or some of them. Of the rejections, only those of a busy or
+    stopping server are retried (`RejectionCode.is_temporary`): any other one is a decision."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -77,7 +77,7 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
 
     def is_for(self, error: ActionError) -> bool:
         """Return whether there may be another attempt after this error."""
-        if isinstance(error, GoalRejected) and not error.is_busy:
+        if isinstance(error, GoalRejected) and not error.code.is_temporary:
             return False
         return isinstance(error, self.on)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
 
-from fibaction.words.errors import GoalRejected
+from fibaction.words.errors import GoalRejected, RejectionCode
 
 if TYPE_CHECKING:
     from fibaction.schema.payload import JsonCodec
@@ -55,7 +55,7 @@ class GoalCheck:
     def _check(self, goal: bytes, misread: str, pause: Pause | None) -> None:
         text = self._mismatch(goal, pause) or misread
         if text:
-            raise GoalRejected(text, is_unreadable=True)
+            raise GoalRejected(text, code=RejectionCode.UNREADABLE)
 
     def _mismatch(self, goal: bytes, pause: Pause | None) -> str:
         """Return what is wrong with a goal; empty if the schema finds nothing."""

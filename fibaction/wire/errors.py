@@ -29,6 +29,7 @@ from fibaction.words.errors import (
     InvalidURL,
     LimitReached,
     ProtocolError,
+    RejectionCode,
     ServerFailed,
     ServerNotFound,
     TransportError,
@@ -66,9 +67,8 @@ def number_of(error: ActionError) -> int:
 def error_of(message: Failed | Rejected, goal_id: GoalID | None = None) -> ActionError:
     """Return the error that a server has answered with; `goal_id` is the goal of the request."""
     if isinstance(message, Rejected):
-        return GoalRejected(
-            shortened(message.reason), goal_id=goal_id, is_unreadable=message.is_unreadable
-        )
+        code = RejectionCode(message.code)
+        return GoalRejected(shortened(message.reason), goal_id=goal_id, code=code)
     return _error(message.why, message.text, goal_id)
 
 
@@ -84,7 +84,7 @@ def failed(request: int, error: ActionError, limit: int) -> bytes:
 
 def _answer(request: int, error: ActionError, text: str) -> Rejected | Failed:
     if isinstance(error, GoalRejected):
-        return Rejected(request, text, error.is_unreadable)
+        return Rejected(request, text, error.code)
     return Failed(request, number_of(error), text)
 
 

@@ -33,7 +33,7 @@ from typing import Any
 from fibaction._runtime.text import REASON, excerpt
 from fibaction.words.action_error import ActionError as ActionError  # the root of this tree
 from fibaction.words.goals import WHY_UNKNOWN, GoalID
-from fibaction.words.statuses import GoalStatus
+from fibaction.words.statuses import GoalStatus, NamedNumber
 from fibaction.words.statuses import (
     InvalidTransition as InvalidTransition,  # raised by the table alone
 )
@@ -57,28 +57,68 @@ class _GoalError(ActionError):
         return f"goal {self.goal_id} {self.what}" + (f": {reason}" if reason else "")
 
 
+class RejectionCode(NamedNumber):
+    """The kind of a rejection, by which clients decide what to do. The reason is text for people.
+
+    docs/concepts.md has the table of them. The numbers are those of the wire.
+    """
+
+    REJECTED = 0
+    """The server has decided so; also if the transport does not carry the code."""
+    BUSY = 1
+    """There is no room for the goal. The same goal may be accepted later, or elsewhere."""
+    UNREADABLE = 2
+    """The goal does not fit the type of the server's action. A server of another version may be
+    able to read it."""
+    DUPLICATE = 3
+    """The ID of the goal is in use by another goal."""
+    INVALID = 4
+    """The goal cannot be taken at all: its ID is all zeros, or it is too large to be kept."""
+    FAILED = 5
+    """A function of the server that decides on goals, such as `on_goal`, has failed."""
+    STOPPING = 6
+    """The server is stopping. The same goal may be accepted later, or elsewhere."""
+
+    @property
+    def is_temporary(self) -> bool:
+        """True if the same goal may be accepted later, or by another server."""
+        return self in (RejectionCode.BUSY, RejectionCode.STOPPING)
+
+    @classmethod
+    def _missing_(cls, value: object) -> RejectionCode | None:
+        """Take the number of a newer peer as `REJECTED`."""
+        return cls.REJECTED if isinstance(value, int) else None
+
+
 class GoalRejected(_GoalError):
     """The server did not accept the goal; `reason` says why. Nothing was run.
 
     Raise it in `on_goal` to reject; a client's `send_goal` raises it.
+
+    For example:
+
+        def on_goal(goal: Drive) -> None:
+            if battery.is_charging:
+                raise GoalRejected("the battery is charging", code=RejectionCode.BUSY)
     """
 
     what = "was rejected"
 
     def __init__(
-        self, reason: str, *, goal_id: GoalID | None = None, is_unreadable: bool = False
+        self,
+        reason: str,
+        *,
+        goal_id: GoalID | None = None,
+        code: RejectionCode = RejectionCode.REJECTED,
     ) -> None:
         super().__init__(reason, goal_id=goal_id)
-        self.is_unreadable = is_unreadable
-        """True if the goal does not fit the type of the server's action. A server of another
-        version may be able to read it."""
+        self.code = RejectionCode(code)
+        """The kind of the rejection: it, and never the reason, decides what clients do."""
 
     @property
     def is_busy(self) -> bool:
-        """True if the server had no room for the goal: the reason begins with `busy`. The same
-        goal may be accepted later.
-        """
-        return self.reason.startswith("busy")
+        """True if the server had no room for the goal. The same goal may be accepted later."""
+        return self.code is RejectionCode.BUSY
 
 
 class GoalAborted(_GoalError):

@@ -14,8 +14,10 @@ from fibaction import (
     ActionServer,
     GoalHandle,
     GoalID,
+    GoalRejected,
     GoalStatus,
     Outcome,
+    RejectionCode,
     connect,
     serve,
 )
@@ -57,8 +59,8 @@ def test_in_words_it_reads_as_ros_prints_it(capsys: pytest.CaptureFixture[str]) 
 
 def test_in_words_reasons_are_told_and_cleaned(capsys: pytest.CaptureFixture[str]) -> None:
     words = TextPrinter()
-    words.rejected(GOAL_ID, "too hot\x1b")
-    words.rejected(GOAL_ID, "")
+    words.rejected(GoalRejected("too hot\x1b"))
+    words.rejected(GoalRejected(""))
     words.ended(Outcome(GoalStatus.ABORTED, reason="no\nway"))
     words.ended(UNKNOWN_OUTCOME)
 
@@ -83,7 +85,7 @@ def test_in_json_each_event_is_an_object(capsys: pytest.CaptureFixture[str]) -> 
     told = goal_printer(feedback=True, as_json=True, full=False)
     told.sending({"order": 1})
     told.accepted(GOAL_ID, 5)
-    told.rejected(GOAL_ID, "no")
+    told.rejected(GoalRejected("no", goal_id=GOAL_ID, code=RejectionCode.BUSY))
     told.status(GoalStatus.EXECUTING)
     told.feedback(1, [0])
     JsonPrinter(feedback=False).feedback(2, [0])
@@ -91,7 +93,7 @@ def test_in_json_each_event_is_an_object(capsys: pytest.CaptureFixture[str]) -> 
 
     assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == [
         {"event": "accepted", "goal_id": str(GOAL_ID), "stamp": 5},
-        {"event": "rejected", "goal_id": str(GOAL_ID), "reason": "no"},
+        {"event": "rejected", "goal_id": str(GOAL_ID), "reason": "no", "code": "BUSY"},
         {"event": "status", "status": "EXECUTING"},
         {"event": "feedback", "number": 1, "feedback": [0]},
         {"event": "result", "status": "CANCELED", "result": [0], "reason": "asked"},

@@ -24,6 +24,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     GoalTimeout,
+    RejectionCode,
     Retry,
     Schedule,
     ServerNotFound,
@@ -346,7 +347,7 @@ async def test_a_cancellation_of_the_caller_cancels_a_goal_that_is_being_sent() 
 async def test_the_goal_is_sent_again_with_longer_and_longer_delays_and_the_time_left() -> None:
     watch = Watch()
     async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server, sends=[GoalRejected("busy: full")] * 3)
+        endpoint = Scripted(server, sends=[GoalRejected("full", code=RejectionCode.BUSY)] * 3)
         retry = Retry(attempts=4, delay=1.0, max_delay=3.0)
         assert await endpoint.client.call(Goal(0), timeout=20, retry=retry) == Result([0])
         assert watch.shows(1 + 2 + 3)

@@ -15,6 +15,7 @@ from fibaction import (
     GoalRejected,
     GoalTimeout,
     LimitReached,
+    RejectionCode,
     Retry,
     ServerNotFound,
     TransportError,
@@ -81,7 +82,7 @@ def test_the_delays_double_up_to_the_longest_and_are_shortened_by_chance() -> No
 
 
 def test_a_rule_is_for_its_errors_and_of_rejections_for_those_of_a_busy_server() -> None:
-    busy, no = GoalRejected("busy: 1 of 1 running"), GoalRejected("too far")
+    busy, no = GoalRejected("1 of 1 running", code=RejectionCode.BUSY), GoalRejected("too far")
     assert (busy.is_busy, no.is_busy) == (True, False)
     for error in (busy, ServerNotFound(""), ConnectionLost(""), LimitReached("")):
         assert Retry().is_for(error)

@@ -18,6 +18,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     Outcome,
+    RejectionCode,
     ServerNotFound,
     UnknownGoal,
     connect,
@@ -442,7 +443,7 @@ async def test_a_goal_of_a_client_without_types_is_checked_as_at_the_other_doors
         with pytest.raises(GoalRejected) as caught:
             await client.send_goal(goal)
         assert reason in caught.value.reason
-        assert caught.value.is_unreadable
+        assert caught.value.code is RejectionCode.UNREADABLE
         assert await client.call({"order": 2}) == {"sequence": [0, 1, 1]}
 
 

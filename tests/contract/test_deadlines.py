@@ -24,6 +24,7 @@ from fibaction import (
     GoalStatus,
     GoalTimeout,
     LimitReached,
+    RejectionCode,
     Retry,
     Schedule,
     ServerNotFound,
@@ -305,7 +306,7 @@ class Troubled(ForwardingEndpoint):
 @pytest.mark.parametrize(
     "error",
     [
-        GoalRejected("busy: 1 of 1 running"),
+        GoalRejected("1 of 1 running", code=RejectionCode.BUSY),
         ServerNotFound("it is not served yet"),
         LimitReached("the server is full"),
         ConnectionLost("the line broke"),
@@ -400,7 +401,8 @@ async def test_a_goal_that_has_run_is_not_run_again(reach: Reach) -> None:
 @pytest.mark.promise("RETRY-1")
 async def test_the_last_error_is_raised_after_the_last_attempt(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, let_go())) as client:
-        troubled = Troubled(client.endpoint, *[GoalRejected(f"busy: {n}") for n in range(9)])
+        busy = [GoalRejected(f"busy: {n}", code=RejectionCode.BUSY) for n in range(9)]
+        troubled = Troubled(client.endpoint, *busy)
         with pytest.raises(GoalRejected, match="busy: 3") as caught:
             await troubled.client.call(Goal(1), retry=Retry(attempts=4, delay=0))
     assert caught.value.is_busy
@@ -524,7 +526,8 @@ async def test_an_accepted_goal_that_the_server_has_forgotten_is_not_run_again(
 @pytest.mark.promise("DEADLINE-1", "RETRY-1")
 async def test_the_timeout_is_for_all_attempts_together(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, let_go())) as client:
-        troubled = Troubled(client.endpoint, GoalRejected("busy: no arm is free"))
+        busy = GoalRejected("no arm is free", code=RejectionCode.BUSY)
+        troubled = Troubled(client.endpoint, busy)
         with pytest.raises(GoalTimeout) as caught:
             await troubled.client.call(
                 Goal(1), timeout=0.1, retry=Retry(delay=1000, max_delay=1000)

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction import GoalRejected
+from fibaction import GoalRejected, RejectionCode
 from fibaction.schema.goal_check import GoalCheck
 from fibaction.types.action import Codec
 
@@ -40,7 +40,7 @@ def test_a_goal_is_rejected_with_the_text_of_the_schema_or_else_of_its_type(
 ) -> None:
     with pytest.raises(GoalRejected, match=f"^{re.escape(reason)}$") as caught:
         GoalCheck(Codec(Drive).schema).check(goal, misread)
-    assert caught.value.is_unreadable
+    assert caught.value.code is RejectionCode.UNREADABLE
 
 
 @pytest.mark.asyncio

@@ -26,7 +26,7 @@ from fibaction.server.life import Event, InvalidStep, Phase
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
-from fibaction.words.errors import GoalRejected, InvalidTransition
+from fibaction.words.errors import GoalRejected, InvalidTransition, RejectionCode
 from fibaction.words.goals import (
     NO_GOAL,
     UNKNOWN_SENDER,
@@ -226,13 +226,13 @@ def test_an_accepted_goal_sent_again_is_repeated_whatever_its_status(
 def test_a_rejected_goal_sent_again_gets_the_same_reason() -> None:
     registry = GoalRegistry(result_timeout=10.0)
     registry.admit(A, b"x", now=0.0)
-    error = registry.reject(A, "too far", now=1.0, is_unreadable=True)
+    error = registry.reject(A, "too far", RejectionCode.UNREADABLE, now=1.0)
     assert not registry.is_undecided(A)
     assert registry.find(A, now=1.0) is None
     with pytest.raises(GoalRejected) as caught:
         registry.admit(A, b"x", now=1.0)
     assert vars(caught.value) == vars(error)
-    assert error.is_unreadable
+    assert error.code is RejectionCode.UNREADABLE
     assert rejection_of(registry, A, b"x", now=10.9) == "too far"
     assert rejection_of(registry, A, b"other", now=10.9) == IN_USE
 

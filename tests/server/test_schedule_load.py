@@ -183,7 +183,7 @@ class Load:
                 goal_id, FIBONACCI.goal.encode(goal), sender=sender
             )
         except GoalRejected as exc:
-            if not exc.reason.startswith("busy: "):
+            if not exc.is_busy:
                 self.wrong.append(exc.reason)
             self.rejected += 1
             return None

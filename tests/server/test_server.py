@@ -31,6 +31,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     Outcome,
+    RejectionCode,
     ServerNotFound,
     UnknownGoal,
 )
@@ -580,7 +581,7 @@ async def test_a_goal_that_cannot_be_is_rejected_at_once_and_again() -> None:
                 with pytest.raises(GoalRejected, match=reason) as caught:
                     server.offer_goal(GoalRequest(goal_id, payload))
                 assert caught.value.goal_id == goal_id
-                assert caught.value.is_unreadable == (payload == b"\x01")
+                assert (caught.value.code is RejectionCode.UNREADABLE) == (payload == b"\x01")
     with pytest.raises(ServerNotFound, match="'fibonacci' is not running"):
         server.offer_goal(GoalRequest(GoalID.random(), packed(1)))
 

@@ -333,7 +333,7 @@ class Record:
             return (
                 ON_PURPOSE in error.reason
                 or (stops and "stopping" in error.reason)
-                or (error.reason.startswith("busy: ") and self.places.counts["busy"] > 0)
+                or (error.is_busy and self.places.counts["busy"] > 0)
                 or (goal_id in self.clashes and "in use" in error.reason)
                 or ("too much at once" in error.reason and self._is_limited)
             )

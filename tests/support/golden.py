@@ -133,8 +133,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         ),
     ),
     (
-        Rejected(1, "the order is negative"),
-        "942201b5746865206f72646572206973206e65676174697665c2",
+        Rejected(1, "the order is negative", 4),
+        "942201b5746865206f72646572206973206e6567617469766504",
     ),
     (
         Failed(2, Why.SERVER_NOT_FOUND, "it is not served"),

@@ -56,6 +56,7 @@ from fibaction.words.errors import (
     InvalidURL,
     LimitReached,
     ProtocolError,
+    RejectionCode,
     ServerFailed,
     ServerNotFound,
     TransportError,
@@ -389,11 +390,11 @@ async def test_each_number_of_a_failure_is_an_error_and_the_call_is_over(
 async def test_a_goal_that_is_rejected_is_named_with_the_reason() -> None:
     async with reached() as (connection, server):
         async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")) as sending:
-            await server.say(Rejected((await server.hear(SendGoal)).id, "no arm", True))
+            await server.say(Rejected((await server.hear(SendGoal)).id, "no arm", 2))
             with pytest.raises(GoalRejected) as caught:
                 await sending.answer()
         assert (caught.value.reason, caught.value.goal_id) == ("no arm", GOAL_ID)
-        assert caught.value.is_unreadable
+        assert caught.value.code is RejectionCode.UNREADABLE
         assert await server.hear_all() == []
 
 

@@ -70,6 +70,7 @@ from fibaction.words.errors import (
     InvalidMessage,
     LimitReached,
     ProtocolError,
+    RejectionCode,
     ServerNotFound,
 )
 from fibaction.words.goals import GoalID
@@ -368,7 +369,7 @@ async def test_no_more_goals_are_taken_than_the_limit_and_more_once_one_has_ende
         client, other = await served.greet(ANN), await served.greet(BOB)
         await client.send(1, A)
         text = "too much at once: the limits of a connection are 1 goals and 7 other requests"
-        assert await client.ask(send(2, B), Rejected) == Rejected(2, text)
+        assert await client.ask(send(2, B), Rejected) == Rejected(2, text, RejectionCode.BUSY)
         failed = await client.ask(Follow(3, "fibonacci", B, None, False, 1), Failed)
         assert failed == Failed(3, Why.LIMIT, text)
         await other.send(1, B)
@@ -444,7 +445,7 @@ async def test_goals_that_are_decided_upon_take_no_more_memory_than_the_limit() 
         await client.say(send(1, A, None))
         assert await client.hear_all() == []
         rejected = await client.ask(send(2, B, None), Rejected)
-        assert rejected == Rejected(2, f"too many bytes at once: the limit is {len(GOAL)}")
+        assert rejected == Rejected(2, f"too many bytes at once: the limit is {len(GOAL)}", 1)
         await other.say(send(2, B, None))
         decide.set()
         await client.hear(Following)

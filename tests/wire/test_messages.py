@@ -412,7 +412,13 @@ def test_every_number_has_limits_but_versions_and_reasons() -> None:
     }
     limited = {(type(message), name) for message, name in fields_named(LIMITS)}
     assert numbers - limited == {
-        *((Goodbye, "why"), (Failed, "why"), (Hello, "version"), (Welcome, "version"))
+        *(
+            (Goodbye, "why"),
+            (Failed, "why"),
+            (Rejected, "code"),
+            (Hello, "version"),
+            (Welcome, "version"),
+        )
     }
 
 

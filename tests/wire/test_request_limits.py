@@ -9,6 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction import RejectionCode
 from fibaction._runtime.slices import SLICE
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Permission
@@ -77,7 +78,7 @@ async def test_a_connection_follows_one_goal_so_often_and_no_more() -> None:
         assert kinds(await client.ask_all(follow(None, own=False, request=2))) == [Following]
         again = follow(None, own=False, request=3)
         assert await client.ask(again, Failed) == Failed(3, Why.LIMIT, OFTEN)
-        assert await client.ask(send(4), Rejected) == Rejected(4, OFTEN)
+        assert await client.ask(send(4), Rejected) == Rejected(4, OFTEN, RejectionCode.BUSY)
         await client.send(5, B)
         assert kinds(await other.ask_all(follow(None, own=False))) == [Following]
 
@@ -110,7 +111,9 @@ async def test_a_goal_that_is_being_decided_upon_counts_for_each_time_it_was_sen
         running(*feedback(1), fib.Result([]), on_goal=on_goal), limits=Limits(follows=2)
     ) as served:
         client = await served.greet()
-        assert await client.ask_all(*map(send, range(1, 4))) == [Rejected(3, OFTEN)]
+        assert await client.ask_all(*map(send, range(1, 4))) == [
+            Rejected(3, OFTEN, RejectionCode.BUSY)
+        ]
         decided.set()
         heard = await client.hear_by_id()
         assert {kinds(messages)[-1] for messages in heard.values()} == {Ended}
@@ -155,7 +158,9 @@ async def test_goals_of_one_client_wait_within_its_limit_of_memory(by: str) -> N
     access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None
     async with serving(server, access=access, limits=Limits(memory=2 * len(GOAL))) as served:
         client, other = await served.greet(ANN), await served.greet(BOB)
-        rejected = Rejected(3, f"too many bytes at once: the limit is {2 * len(GOAL)}")
+        rejected = Rejected(
+            3, f"too many bytes at once: the limit is {2 * len(GOAL)}", RejectionCode.BUSY
+        )
         messages = [send(1, A, None), send(2, B, None), send(3, C, None)]
         assert await client.ask_all(*messages) == [rejected]
         assert await other.ask_all(send(3, C, None)) == []
@@ -179,7 +184,7 @@ async def test_goals_of_all_clients_wait_within_one_limit_of_memory(
         for client, goal_id in zip(clients[:2], (A, B), strict=True):
             assert await client.ask_all(send(1, goal_id, None)) == []
         text = f"too many bytes at once: the limit of all clients is {2 * len(GOAL)}"
-        assert await clients[2].ask_all(send(1, C, None)) == [Rejected(1, text)]
+        assert await clients[2].ask_all(send(1, C, None)) == [Rejected(1, text, RejectionCode.BUSY)]
         clients[0].channel.cut()  # what it sent is given up
         await settled()
         assert await clients[2].ask_all(send(2, C, None)) == []

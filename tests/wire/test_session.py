@@ -59,6 +59,7 @@ from fibaction.words.errors import (
     GoalRejected,
     InvalidTransition,
     ProtocolError,
+    RejectionCode,
     ServerNotFound,
     UnknownGoal,
 )
@@ -233,13 +234,11 @@ async def test_a_goal_is_told_from_its_acceptance_to_its_end() -> None:
         assert await client.hear_all() == []
 
 
-@pytest.mark.parametrize(("reason", "is_unreadable"), [("no arm", True), ("größer als 🤖", False)])
-async def test_a_goal_that_is_rejected_is_told_with_the_reason(
-    reason: str, is_unreadable: bool
-) -> None:
-    async with serving(scripted(GoalRejected(reason, is_unreadable=is_unreadable))) as served:
+@pytest.mark.parametrize(("reason", "code"), [("no arm", 2), ("größer als 🤖", 0)])
+async def test_a_goal_that_is_rejected_is_told_with_the_reason(reason: str, code: int) -> None:
+    async with serving(scripted(GoalRejected(reason, code=RejectionCode(code)))) as served:
         client = await served.greet()
-        assert await client.ask(send(1), Rejected) == Rejected(1, reason, is_unreadable)
+        assert await client.ask(send(1), Rejected) == Rejected(1, reason, code)
 
 
 # As `os.fsdecode` makes it of a file name that is not UTF-8.

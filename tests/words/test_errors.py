@@ -22,6 +22,7 @@ from fibaction.words.errors import (
     InvalidURL,
     LimitReached,
     ProtocolError,
+    RejectionCode,
     ServerFailed,
     ServerNotFound,
     TransportError,
@@ -150,10 +151,9 @@ def test_an_error_of_others_is_its_name_and_what_it_says_if_it_can() -> None:
     assert text_of(Mute("too far")) == "Mute"
 
 
-def test_a_rejection_says_whether_the_server_was_busy() -> None:
-    for reason, is_busy in (("busy: 1 of 1 running", True), ("busy", True), ("too busy", False)):
-        assert GoalRejected(reason).is_busy is is_busy
-        assert not GoalRejected(reason).is_unreadable
+def test_the_reason_of_a_rejection_does_not_say_whether_the_server_was_busy() -> None:
+    assert GoalRejected("no room", code=RejectionCode.BUSY).is_busy
+    assert not GoalRejected("busy: 1 of 1 running").is_busy
 
 
 def test_what_is_not_said_is_none_or_empty() -> None:

@@ -15,6 +15,7 @@ from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.process.logs import log_connection
 from fibaction.types.action import Action
+from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
 
@@ -48,7 +49,7 @@ class GoalPrinter(ABC):
         """Print that the server has accepted it, and the goal whose step it is, if it is one."""
 
     @abstractmethod
-    def rejected(self, goal_id: GoalID, reason: str) -> None:
+    def rejected(self, error: GoalRejected) -> None:
         """Print that the server has rejected it."""
 
     @abstractmethod
@@ -79,8 +80,9 @@ class TextPrinter(GoalPrinter):
         step = f"It is the step {step_of(parent)}\n" if parent else ""
         say(f"Goal accepted with ID: {goal_id}\n{step}")
 
-    def rejected(self, goal_id: GoalID, reason: str) -> None:
-        say(f"Goal was rejected: {clean(reason)}" if reason else "Goal was rejected.")
+    def rejected(self, error: GoalRejected) -> None:
+        reason = clean(error.reason)
+        say(f"Goal was rejected: {reason}" if reason else "Goal was rejected.")
 
     def status(self, status: GoalStatus) -> None:
         pass  # the verb prints a remark when it causes a change
@@ -116,8 +118,9 @@ class JsonPrinter(GoalPrinter):
         more = {"parent": parent_json(parent)} if parent else {}
         say_json({"event": "accepted", "goal_id": str(goal_id), "stamp": stamp, **more})
 
-    def rejected(self, goal_id: GoalID, reason: str) -> None:
-        say_json({"event": "rejected", "goal_id": str(goal_id), "reason": reason})
+    def rejected(self, error: GoalRejected) -> None:
+        goal_id, reason, code = str(error.goal_id), error.reason, error.code.name
+        say_json({"event": "rejected", "goal_id": goal_id, "reason": reason, "code": code})
 
     def status(self, status: GoalStatus) -> None:
         say_json({"event": "status", "status": status.name})

@@ -235,7 +235,7 @@ class _GoalSender:
         try:
             stream = await self._deliver(payload)
         except GoalRejected as exc:
-            self._printer.rejected(self._goal_id, exc.reason)
+            self._printer.rejected(exc)
             return ExitCode.REJECTED
         if self._options.detach and not self._options.as_json:
             say(str(self._goal_id))

@@ -50,7 +50,13 @@ from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.orders import Busy
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.words.errors import ConnectionLost, GoalRejected, ProtocolError, StoreError
+from fibaction.words.errors import (
+    ConnectionLost,
+    GoalRejected,
+    ProtocolError,
+    RejectionCode,
+    StoreError,
+)
 from fibaction.words.goals import GoalID
 from fibaction.words.meta import NO_META
 
@@ -109,7 +115,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = sent.goal_id
         self._keeper.check()
         if self._is_closed:
-            raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
+            raise GoalRejected(SERVER_STOPPING, goal_id=goal_id, code=RejectionCode.STOPPING)
         verdict = self._registry.admit(goal_id, sent.goal, now=self._logs.now())
         if verdict is Verdict.WAIT:
             return self._offer_again(offer)
@@ -125,9 +131,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
                 asking = self._ask(offer)
             return self._accept(offer) if asking is None else self._accept_later(offer, asking)
         except GoalRejected as exc:
-            raise self._reject(goal_id, exc.reason, is_unreadable=exc.is_unreadable) from None
+            raise self._reject(goal_id, exc.reason, exc.code) from None
         except Busy as exc:
-            raise self._reject_for_now(goal_id, str(exc)) from None
+            raise self._reject(goal_id, str(exc), RejectionCode.BUSY) from None
         except BaseException:
             self._withdraw_offer(goal_id)
             raise
@@ -142,7 +148,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if not busy and self._registry.results.unread_size:
             busy = self._registry.results.busy_for(owner)
         if busy:
-            raise self._reject_for_now(goal_id, busy)
+            raise self._reject(goal_id, busy, RejectionCode.BUSY)
 
     async def _offer_again(self, offer: Offer[GoalT]) -> FeedbackCursor:
         await self.decided(offer.sent.goal_id)
@@ -154,11 +160,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             await asking
             accepted = self._accept(offer)
         except GoalRejected as exc:
-            raise self._reject(
-                offer.sent.goal_id, exc.reason, is_unreadable=exc.is_unreadable
-            ) from None
+            raise self._reject(offer.sent.goal_id, exc.reason, exc.code) from None
         except Busy as exc:
-            raise self._reject_for_now(offer.sent.goal_id, str(exc)) from None
+            raise self._reject(offer.sent.goal_id, str(exc), RejectionCode.BUSY) from None
         except BaseException:
             self._withdraw_offer(offer.sent.goal_id)
             raise
@@ -194,7 +198,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def _accept(self, offer: Offer[GoalT]) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
         if self._is_closed:
-            raise GoalRejected(SERVER_STOPPING)
+            raise GoalRejected(SERVER_STOPPING, code=RejectionCode.STOPPING)
         if self._is_draining:
             raise Busy(DRAINING)
         sent = offer.sent
@@ -238,8 +242,11 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = offer.sent.goal_id
         del self._writing[goal_id]
         offer.record.happen(Event.TOO_LARGE)
-        why = "busy" if isinstance(error, StoreFull) else "the goal cannot be kept"
-        offer.error = self._reject(goal_id, f"{why}: {error}")
+        if isinstance(error, StoreFull):
+            offer.error = self._reject(goal_id, f"busy: {error}", RejectionCode.BUSY)
+        else:
+            reason = f"the goal cannot be kept: {error}"
+            offer.error = self._reject(goal_id, reason, RejectionCode.INVALID)
         self._dispatcher.withdraw(goal_id)
 
     async def _await_acceptance(self, offer: Offer[GoalT], write: int) -> FeedbackCursor:
@@ -282,22 +289,21 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher.withdraw(goal.goal_id)
         return True
 
-    def _reject(self, goal_id: GoalID, reason: str, *, is_unreadable: bool = False) -> GoalRejected:
-        """Reject a goal, and return the error to raise."""
-        reason, now = shortened(reason), self._logs.now()
-        error = self._registry.reject(goal_id, reason, now=now, is_unreadable=is_unreadable)
+    def _reject(self, goal_id: GoalID, reason: str, code: RejectionCode) -> GoalRejected:
+        """Reject a goal, and return the error to raise. A retry gets the same one, but for a goal
+        that may be accepted later: it is decided again.
+        """
+        reason = shortened(reason)
+        if code.is_temporary:
+            self._registry.withdraw(goal_id)
+            error = GoalRejected(reason, goal_id=goal_id, code=code)
+        else:
+            error = self._registry.reject(goal_id, reason, code, now=self._logs.now())
         self._tell_decision(goal_id)
         name = self._action.name
         logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
         self._watchers.rejected(goal_id, reason)
         return error
-
-    def _reject_for_now(self, goal_id: GoalID, busy: str) -> GoalRejected:
-        """Reject a goal for lack of room, without a record: it may be accepted later."""
-        self._withdraw(goal_id)
-        logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, busy)
-        self._watchers.rejected(goal_id, busy)
-        return GoalRejected(busy, goal_id=goal_id)
 
     def _withdraw_offer(self, goal_id: GoalID) -> None:
         self._withdraw(goal_id)

@@ -32,7 +32,13 @@ from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_cla
 from fibaction._runtime.asyncio_task import asyncio_task
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
-from fibaction.words.errors import CancelRejected, GoalAborted, GoalRejected, text_of
+from fibaction.words.errors import (
+    CancelRejected,
+    GoalAborted,
+    GoalRejected,
+    RejectionCode,
+    text_of,
+)
 
 T = TypeVar("T")
 Arguments = TypeVarTuple("Arguments")
@@ -116,11 +122,11 @@ class Callbacks:
                 if scope.cancel_called:  # stopped before this coroutine began
                     if isinstance(awaitable, Coroutine):
                         awaitable.close()
-                    raise rejection(SERVER_STOPPING)
+                    raise _rejected(rejection, SERVER_STOPPING, RejectionCode.STOPPING)
                 with scope:
                     _check(name, await awaited(awaitable), rejection)
                 if scope.cancelled_caught:
-                    raise rejection(SERVER_STOPPING)
+                    raise _rejected(rejection, SERVER_STOPPING, RejectionCode.STOPPING)
         finally:
             self._waiting.discard(scope)
             _running.reset(token)
@@ -139,7 +145,11 @@ def failures_as(rejection: _Rejection, name: str, action: str) -> Generator[None
     except Exception as exc:
         reason = f"{name} failed: {text_of(exc)}"
         logger.error("action %r: %s", action, reason, exc_info=exc)
-        raise rejection(reason) from exc
+        raise _rejected(rejection, reason, RejectionCode.FAILED) from exc
+
+
+def _rejected(rejection: _Rejection, reason: str, code: RejectionCode) -> Exception:
+    return GoalRejected(reason, code=code) if rejection is GoalRejected else rejection(reason)
 
 
 def _check(name: str, answer: object, rejection: _Rejection) -> None:

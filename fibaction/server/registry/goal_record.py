@@ -11,7 +11,7 @@ import msgspec
 from fibaction._runtime.text import LENGTH, shortened
 from fibaction.server.life import LIFE, Event, Phase
 from fibaction.types.action import GoalT
-from fibaction.words.errors import GoalRejected
+from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.meta import UNKNOWN_ORIGIN, Meta, origin_in
 from fibaction.words.statuses import INITIAL, GoalStatus
@@ -189,11 +189,11 @@ class Rejection(msgspec.Struct, frozen=True):
 
     digest: bytes
     reason: str
-    is_unreadable: bool
+    code: RejectionCode
 
     def error(self, goal_id: GoalID) -> GoalRejected:
         """Return the error for the goal, and for each retry of it."""
-        return GoalRejected(self.reason, goal_id=goal_id, is_unreadable=self.is_unreadable)
+        return GoalRejected(self.reason, goal_id=goal_id, code=self.code)
 
 
 class EndKind(Enum):

@@ -45,7 +45,7 @@ from fibaction.server.registry.cancellation import Cancellation, cancellation_of
 from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
 from fibaction.server.registry.kept_results import HeldBytes, KeptResults
-from fibaction.words.errors import GoalRejected
+from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import ID_IN_USE, NO_GOAL, GoalID, Outcome, Sender, digest_of
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
 
@@ -134,16 +134,20 @@ class GoalRegistry:
         elif (rejection := self._rejected.get(goal_id, now)) is not None:
             if rejection.digest == digest:
                 raise rejection.error(goal_id)
-            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id, code=RejectionCode.DUPLICATE)
         elif goal_id == NO_GOAL:
-            raise GoalRejected("its ID is all zeros, which is reserved", goal_id=goal_id)
+            raise GoalRejected(
+                "its ID is all zeros, which is reserved",
+                goal_id=goal_id,
+                code=RejectionCode.INVALID,
+            )
         else:
             known = digest
             held = HeldBytes(self.budget, len(payload))
             self._undecided[goal_id] = _Undecided(digest, held)
             verdict = Verdict.DECIDE
         if known != digest:
-            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id, code=RejectionCode.DUPLICATE)
         return verdict
 
     @property
@@ -233,10 +237,15 @@ class GoalRegistry:
         self._listing = None
 
     def reject(
-        self, goal_id: GoalID, reason: str, *, now: float, is_unreadable: bool = False
+        self,
+        goal_id: GoalID,
+        reason: str,
+        code: RejectionCode = RejectionCode.REJECTED,
+        *,
+        now: float,
     ) -> GoalRejected:
         """Reject an undecided goal, and return the error to raise; a retry gets the same one."""
-        rejection = Rejection(self._undecided.pop(goal_id).digest, reason, is_unreadable)
+        rejection = Rejection(self._undecided.pop(goal_id).digest, reason, code)
         self._rejected.put(goal_id, rejection, now)
         self._rejected.expire(now, MOST_REJECTIONS)
         return rejection.error(goal_id)

@@ -47,7 +47,7 @@ from fibaction.server.scheduling.orders import Act, Busy, Order
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.shared_scheduler import SharedScheduler
 from fibaction.types.action import GoalT
-from fibaction.words.errors import GoalRejected, text_of
+from fibaction.words.errors import GoalRejected, RejectionCode, text_of
 from fibaction.words.goals import GoalID, Sender
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
                 expires=self._expires(deadline),
             )
         except Busy as busy:
-            raise GoalRejected(str(busy)) from None
+            raise GoalRejected(str(busy), code=RejectionCode.BUSY) from None
         self._shared.carry_out(orders)
 
     def failure_of(self, request: GoalT, sender: Sender) -> str:

@@ -68,8 +68,9 @@ class Rejected(WireMessage, tag=34):
 
     id: ID
     reason: str
-    is_unreadable: bool = False
-    """True if the goal does not fit the type of the action; another version of that may fit."""
+    code: int = 0
+    """Kind of the rejection, for programs: one of the `RejectionCode` numbers; a number that is not
+    known means 0."""
 
 
 @final

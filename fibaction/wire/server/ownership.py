@@ -46,7 +46,7 @@ from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.wire.messages import Follow
 from fibaction.wire.server.end_only import EndOnly
 from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
-from fibaction.words.errors import GoalRejected, UnknownGoal
+from fibaction.words.errors import GoalRejected, RejectionCode, UnknownGoal
 from fibaction.words.goals import ID_IN_USE, GoalID, digest_of
 
 logger = clean_logger("fibaction.wire")
@@ -153,7 +153,7 @@ class Owners:
         if goal is not None and owned.digest is None and _endpoint_of(ended[-1]).owner_of(goal_id):
             return None  # the endpoint has kept the goal since before a restart, and compares it
         if goal is not None and owned.digest not in (None, digest_of(goal)):
-            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id, code=RejectionCode.DUPLICATE)
         lost = [_stream_of(call) for call in ended if call.held.is_lost]
         if not lost:
             return EndOnly(_stream_of(ended[-1]))

@@ -80,6 +80,7 @@ from fibaction.words.errors import (
     GoalRejected,
     LimitReached,
     ProtocolError,
+    RejectionCode,
 )
 
 LONGEST_NAME = 1000
@@ -191,12 +192,14 @@ class Session:
         """Reject the request if a limit, told as a sentence, forbids it."""
         if self._subscription(message.id) is not None:
             raise ProtocolError(f"it used the ID {message.id} twice")
+        code = RejectionCode.BUSY
         if not limit and len(getattr(message, "action", "")) > LONGEST_NAME:
+            code = RejectionCode.INVALID
             limit = f"the name of an action has at most {LONGEST_NAME} characters"
         if limit:
             answer: Rejected | Failed = Failed(message.id, Why.LIMIT, limit)
             if isinstance(message, SendGoal):
-                answer = Rejected(message.id, limit)
+                answer = Rejected(message.id, limit, code)
             self._link.post(encode(answer))
         return not limit
 

@@ -48,7 +48,7 @@ from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
 from fibaction.wire.settings import Limits
-from fibaction.words.errors import GoalRejected
+from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import GoalID
 from fibaction.words.meta import size_of
 
@@ -192,11 +192,15 @@ class SessionGoals:
         """
         size = len(message.goal) + (size_of(message.meta) if message.meta else 0)
         if self._undecided + size > self._limits.memory:
-            raise GoalRejected(f"too many bytes at once: the limit is {self._limits.memory}")
+            raise GoalRejected(
+                f"too many bytes at once: the limit is {self._limits.memory}",
+                code=RejectionCode.INVALID if size > self._limits.memory else RejectionCode.BUSY,
+            )
         # A little of each connection always passes: one client must not use up what all have.
         if self._undecided + size > UNCOUNTED and not self._memory.has_room(size):
             raise GoalRejected(
-                f"too many bytes at once: the limit of all clients is {self._memory.limit}"
+                f"too many bytes at once: the limit of all clients is {self._memory.limit}",
+                code=RejectionCode.BUSY,
             )
         return size
 

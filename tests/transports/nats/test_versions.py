@@ -17,6 +17,7 @@ from fibaction import (
     GoalHandle,
     GoalRejected,
     GoalStatus,
+    RejectionCode,
     Schedule,
     connect,
     serve,
@@ -101,7 +102,7 @@ class TestNewGoals:
         client = await mixed.client(First)
         with pytest.raises(GoalRejected, match=MISSING) as caught:
             await client.call(First(1))
-        assert caught.value.is_unreadable
+        assert caught.value.code is RejectionCode.UNREADABLE
         assert sorted(mixed.fleet.lines.dialed) == ["a", "d"]
 
     async def test_a_refusal_by_a_worker_that_can_read_it_is_the_answer(
@@ -147,7 +148,7 @@ class TestNewGoals:
             mixed.fleet.workers["a"].deafen()
             mixed.fleet.workers["a"].end_lease()
             mixed.fleet.workers["b"].listen(NAMES.offer("steps"))
-            raise GoalRejected(MISSING, is_unreadable=True)
+            raise GoalRejected(MISSING, code=RejectionCode.UNREADABLE)
 
         await mixed.add("a", First, on_goal=leave)
         await mixed.add("b", First)
@@ -173,7 +174,7 @@ async def test_a_new_goal_is_passed_on_to_a_worker_that_can_read_it(
         third = await stack.enter_async_context(connect(url, version(Third)))
         with pytest.raises(GoalRejected, match='goal has no field "distance"') as caught:
             await third.call(Third(1.0))
-        assert caught.value.is_unreadable
+        assert caught.value.code is RejectionCode.UNREADABLE
 
 
 @pytest.mark.asyncio

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from fibaction import GoalID, GoalRejected, TransportError
+from fibaction import GoalID, GoalRejected, RejectionCode, TransportError
 from fibaction._runtime.http_rules import Refused
 from fibaction.schema.payload import PayloadError
 from fibaction.words.errors import ActionError, ConnectionLost, GoalKept, LimitReached, UnknownGoal
@@ -21,8 +21,8 @@ GOAL = GoalID(bytes(15) + b"\1")
     ("error", "status", "kind", "detail"),
     [
         (GoalRejected("too far", goal_id=GOAL), 422, "GoalRejected", "too far"),
-        (GoalRejected(ID_IN_USE), 409, "GoalRejected", ID_IN_USE),
-        (GoalRejected("busy: later"), 503, "GoalRejected", "busy: later"),
+        (GoalRejected(ID_IN_USE, code=RejectionCode.DUPLICATE), 409, "GoalRejected", ID_IN_USE),
+        (GoalRejected("busy: later", code=RejectionCode.BUSY), 503, "GoalRejected", "busy: later"),
         (UnknownGoal(GOAL), 404, "UnknownGoal", str(UnknownGoal(GOAL))),
         (GoalKept("later"), 503, "GoalKept", "later"),
         (ConnectionLost("cut"), 502, "ConnectionLost", "cut"),

@@ -25,6 +25,7 @@ from fibaction import (
     Limits,
     Peer,
     Permission,
+    RejectionCode,
     Sender,
     SqliteStore,
     Watcher,
@@ -561,7 +562,7 @@ async def test_json_that_nests_too_deep_is_refused(log: Hearing) -> None:
 
 async def test_a_goal_that_the_server_rejects_has_its_reason(log: Hearing) -> None:
     def too_far(goal: Goal) -> None:
-        raise GoalRejected("busy: later" if goal.order else "too far")
+        raise GoalRejected("too far", code=RejectionCode(goal.order))
 
     async with served(ActionServer(FIBONACCI, Held(), on_goal=too_far)) as url:
         answer = await fetch(url, "POST", GOALS, {"order": 0})

@@ -245,7 +245,9 @@ class GoalRequests(RequestHandler):
             return await self._goals.send(skill, goal_id, payload, context_id)
         except GoalRejected as exc:
             status = status_of(TaskState.TASK_STATE_REJECTED, time(), exc.reason)
-            return Task(id=str(goal_id), context_id=context_id or str(goal_id), status=status)
+            task = Task(id=str(goal_id), context_id=context_id or str(goal_id), status=status)
+            task.metadata.update({"code": exc.code.name})
+            return task
         except ActionError as exc:
             raise InternalError(f"the goal may not have been sent: {exc}") from exc
 

@@ -42,7 +42,7 @@ async def test_without_feedback_there_is_the_result_only(serving: Serving) -> No
 async def test_every_end_is_told_as_the_libraries_show_it(serving: Serving) -> None:
     async with serving(Robot().server) as served, served.connect() as client:
         for order, expected in [
-            (-1, result("order is negative", 0, ok=False)),
+            (-1, result("order is negative", 0, ok=False, code=0)),
             (6, result("six is too many", 6, ok=False)),
             (7, result({"sequence": [7]}, 6, reason="seven is too many")),
         ]:

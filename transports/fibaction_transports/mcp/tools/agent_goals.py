@@ -188,7 +188,10 @@ class AgentGoals:
             goal = await action.client.send_goal(message)
         except GoalRejected as exc:
             reason = exc.reason or "the server gave no reason"
-            raise ToolError(f"The goal was rejected, and nothing was done: {reason}") from exc
+            advice = ". You may try again later." if exc.code.is_temporary else ""
+            raise ToolError(
+                f"The goal was rejected, and nothing was done: {reason}{advice}"
+            ) from exc
         except ConnectionLost as exc:
             raise ToolError(
                 f"The connection was lost, and the goal may have been accepted: {exc}. Call"

@@ -47,6 +47,7 @@ from fibaction.words.errors import (
     ConnectionLost,
     GoalRejected,
     InvalidMessage,
+    RejectionCode,
     ServerNotFound,
     StoreError,
     UnknownGoal,
@@ -107,7 +108,7 @@ class FleetEndpoint(Endpoint):
                 return sent
             except (GoalRejected, ConnectionLost, ServerNotFound) as exc:
                 error = exc
-            if place.is_used and isinstance(error, GoalRejected) and error.is_busy:
+            if place.is_used and isinstance(error, GoalRejected) and error.code.is_temporary:
                 places.refuse(self._info.name, place)
                 continue
             answer = placement.answer(error)
@@ -140,7 +141,7 @@ class FleetEndpoint(Endpoint):
         """
         goal_id, goal = request.goal_id, request.goal
         if found.goal.digest != digest_of(goal):
-            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id, code=RejectionCode.DUPLICATE)
         call_id, credit = self._parts.connections.next_id(), 1 if request.feedback else None
         opening = SendGoal(call_id, self._info.name, goal_id, goal, credit)
         return ended_goal(opening, found.goal)

@@ -35,6 +35,7 @@ from fibaction.words.errors import (
     ConnectionLost,
     GoalRejected,
     ProtocolError,
+    RejectionCode,
     copy_of,
 )
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, NoResponders
@@ -227,5 +228,6 @@ class RoomFinder:
         if is_early and any(lease.has_room for lease in serving):
             return ""
         raise GoalRejected(
-            f"busy: all {len(serving)} workers of action {excerpt(action)!r} are busy"
+            f"busy: all {len(serving)} workers of action {excerpt(action)!r} are busy",
+            code=RejectionCode.BUSY,
         )

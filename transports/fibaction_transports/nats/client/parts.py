@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from anyio import current_time
 
 from fibaction.types.action import ActionInfo
-from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
+from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected, RejectionCode
 from fibaction_transports.nats.client.call_routes import (
     FIRST_PAUSE,
     LONGEST_PAUSE,
@@ -118,10 +118,11 @@ class Placement:
 
     def _answer_by(self, rejected: GoalRejected) -> GoalRejected | None:
         """Return the answer by a rejection: that of a worker that can read the goal, if any can."""
-        if self.owner or not (rejected.is_busy or rejected.is_unreadable):
+        is_unreadable = rejected.code is RejectionCode.UNREADABLE
+        if self.owner or not (rejected.code.is_temporary or is_unreadable):
             return rejected
         lease = self._parts.workers.get(self.worker)
-        if rejected.is_unreadable and lease is not None:
+        if is_unreadable and lease is not None:
             self._types.append(self._type_at(lease))
         if not self._types:
             return self._next_or(rejected)
@@ -129,7 +130,7 @@ class Placement:
         self._rejections.append(rejected)
         if self.reader:
             return None
-        return next((one for one in self._rejections if one.is_busy), self._rejections[0])
+        return next((one for one in self._rejections if one.code.is_temporary), self._rejections[0])
 
     def _next_or(self, error: E) -> E | None:
         """Return None to ask another worker; the error if all of them were asked."""

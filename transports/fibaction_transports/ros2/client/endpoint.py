@@ -18,6 +18,7 @@ from fibaction.words.errors import (
     ConnectionLost,
     GoalRejected,
     ProtocolError,
+    RejectionCode,
     TransportError,
 )
 from fibaction.words.goals import (
@@ -80,7 +81,8 @@ class RosEndpoint(Endpoint):
             await checking
         except GoalRejected as exc:
             misread = exc.reason
-        return GoalRejected(shortened(misread), goal_id=request.goal_id, is_unreadable=True)
+        code = RejectionCode.UNREADABLE
+        return GoalRejected(shortened(misread), goal_id=request.goal_id, code=code)
 
     async def feedback(
         self,

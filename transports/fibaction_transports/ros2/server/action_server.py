@@ -42,7 +42,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.abc import Endpoint, GoalStream, Notifier
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
-from fibaction.words.errors import ActionError, GoalRejected, ProtocolError
+from fibaction.words.errors import ActionError, GoalRejected, ProtocolError, RejectionCode
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     CancelAnswer,
@@ -186,7 +186,7 @@ class RosActionServer:
             # A client sends it again, or two goals clash: the first answer counts.
             await self._progress.wait()
         if goal_id in self._forwarders or goal_id in self._statuses:
-            raise GoalRejected("its ID is in use")
+            raise GoalRejected("its ID is in use", code=RejectionCode.DUPLICATE)
         self._deciding.add(goal_id)  # until the client has been told
         payload = self._codecs.goal.from_ros(goal)
         stream = await self._endpoint.send_goal(goal_id, payload, checked=True)

@@ -25,12 +25,12 @@ from fibaction.words.errors import (
     InvalidMessage,
     LimitReached,
     ProtocolError,
+    RejectionCode,
     ServerFailed,
     ServerNotFound,
     TransportError,
     UnknownGoal,
 )
-from fibaction.words.goals import ID_IN_USE
 
 PROBLEM_JSON = "application/problem+json"
 RETRY = ("Retry-After", "1")
@@ -51,6 +51,13 @@ STATUSES: dict[type[ActionError], tuple[int, str]] = {
     TransportError: (502, "The server of the action cannot be reached."),
 }
 """The status and the title of each error; a subclass that is not here has those of its base."""
+
+REJECTIONS = {
+    RejectionCode.BUSY: 503,
+    RejectionCode.DUPLICATE: 409,
+    RejectionCode.STOPPING: 503,
+}
+"""The status of a rejected goal, if it is not that of `GoalRejected`."""
 
 
 @dataclass(frozen=True)
@@ -85,16 +92,12 @@ def problem_of(error: Refused | PayloadError | ActionError) -> Problem:
         )
     known = next(kind for kind in (*type(error).__mro__, ServerFailed) if kind in STATUSES)
     status, title = STATUSES[known]
-    headers: tuple[tuple[str, str], ...] = ()
+    members: dict[str, Any] = {}
     if isinstance(error, GoalRejected):
-        text = sendable(error.reason)
-        if error.is_busy:
-            status, headers = 503, (RETRY,)
-        elif error.reason == ID_IN_USE:
-            status = 409
-    elif status in (429, 503):
-        headers = (RETRY,)
-    return Problem(status, text, title, _type(known.__name__), headers=headers)
+        text, members = sendable(error.reason), {"code": error.code.name}
+        status = REJECTIONS.get(error.code, status)
+    headers = (RETRY,) if status in (429, 503) else ()
+    return Problem(status, text, title, _type(known.__name__), members, headers)
 
 
 def _type(name: str) -> str:

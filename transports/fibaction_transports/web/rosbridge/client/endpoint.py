@@ -14,6 +14,7 @@ from fibaction.words.errors import (
     ConnectionLost,
     GoalRejected,
     InvalidMessage,
+    RejectionCode,
     ServerNotFound,
     TransportError,
 )
@@ -67,7 +68,7 @@ class RosbridgeEndpoint(Endpoint):
         keeper, goal_id = self._keeper, request.goal_id
         sent = keeper.goals.get(goal_id)
         if sent is not None and sent.digest != digest_of(request.goal):
-            raise GoalRejected(ID_IN_USE, goal_id=request.goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id, code=RejectionCode.DUPLICATE)
         if sent is None:
             sent = await self._send(goal_id, request.goal)
         try:
@@ -89,7 +90,7 @@ class RosbridgeEndpoint(Endpoint):
         try:
             args = arguments_text(goal)
         except PayloadError as exc:
-            raise GoalRejected(str(exc), goal_id=goal_id) from exc
+            raise GoalRejected(str(exc), goal_id=goal_id, code=RejectionCode.INVALID) from exc
         link = await keeper.link()
         if not self._type_name:
             self._type_name = await keeper.type_of(self._name)

@@ -23,6 +23,7 @@ from fibaction.words.errors import (
     ActionError,
     GoalRejected,
     ProtocolError,
+    RejectionCode,
     ServerNotFound,
     copy_of,
 )
@@ -106,7 +107,7 @@ class OutgoingGoal(FeedbackLog[GoalFacts]):
     def take_result(self, message: ActionResult) -> None:
         """End the goal."""
         if not message.result and message.status not in _ENDS:
-            self._take_failure(message.values)
+            self._take_failure(message.values, message.code)
             return
         try:
             outcome = self._outcome(message)
@@ -123,14 +124,15 @@ class OutgoingGoal(FeedbackLog[GoalFacts]):
         if not self._is_decided.is_set():
             self._take_failure(text)
 
-    def _take_failure(self, values: object) -> None:
+    def _take_failure(self, values: object, code: int | None = None) -> None:
         text = excerpt(values, REASON) if isinstance(values, str) else ""
         if self._is_accepted:
             self._end(Outcome(GoalStatus.ABORTED, reason=text or NO_REASON))
-        elif text == NO_SERVER or _NOT_SERVED.match(text):
+        elif code is None and (text == NO_SERVER or _NOT_SERVED.match(text)):
             self.lose(ServerNotFound(f"the action {self.action!r} is not served: {text}"))
         else:
-            self.lose(GoalRejected(text or NO_REASON, goal_id=self.goal.goal_id))
+            goal_id, kind = self.goal.goal_id, RejectionCode(code or 0)
+            self.lose(GoalRejected(text or NO_REASON, goal_id=goal_id, code=kind))
 
     def _outcome(self, message: ActionResult) -> Outcome[bytes]:
         """Return the outcome in a result.

@@ -39,6 +39,8 @@ class ActionResult(msgspec.Struct, tag_field="op", tag="action_result"):
     """True if `values` is a result."""
     reason: str = ""
     """The reason of the end, which only servers of fibaction tell."""
+    code: int | None = None
+    """The `RejectionCode` of a goal that was not accepted, which only servers of fibaction tell."""
 
 
 class ServiceResponse(msgspec.Struct, tag_field="op", tag="service_response"):

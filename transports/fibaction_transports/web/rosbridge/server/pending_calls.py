@@ -126,7 +126,7 @@ class PendingCalls:
     def _ended(self, message: Ended | Rejected) -> list[str]:
         goal = self._forget(message.id)
         if isinstance(message, Rejected):
-            return goal.replies.failed(message.reason)
+            return goal.replies.rejected(message.reason, message.code)
         self._replies.append(encode(Received(message.id)))
         missed = message.place - goal.feedback_count if goal.has_feedback else 0
         if missed > 0:

@@ -70,6 +70,11 @@ class GoalReplies:
         members |= {"status": end.status, "result": True}
         return self._told(members | ({"reason": end.reason} if end.reason else {}))
 
+    def rejected(self, reason: str, code: int) -> list[str]:
+        """Return the end of a goal that was not accepted."""
+        members = {"values": reason, "status": GoalStatus.UNKNOWN, "result": False, "code": code}
+        return self._told(self._result | members)
+
     def failed(self, text: str, status: GoalStatus = GoalStatus.UNKNOWN) -> list[str]:
         """Return the end of a goal without a result; UNKNOWN if it was not accepted."""
         return self._told({**self._result, "values": text, "status": status, "result": False})
