@@ -10,6 +10,7 @@ import errno
 import logging
 import signal
 import sys
+from collections.abc import Iterable
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Any
@@ -18,7 +19,6 @@ import click
 
 from fibaction.cli.arguments.addresses import ADDRESS
 from fibaction.cli.arguments.options import URL
-from fibaction.cli.arguments.ros_args import without_ros_args
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.lines import LogHandler
 from fibaction.cli.process.exit_at_once import exit_at_once
@@ -28,7 +28,7 @@ from fibaction.cli.process.logs import CleanFormatter
 VERBS = {
     "list": ("list", "list_command", "List the actions that are served."),
     "info": ("info", "info_command", "Show the servers and the clients of an action."),
-    "type": ("type", "type_command", "Print the type of an action."),
+    "type": ("info", "type_command", "Print the type of an action."),
     "find": ("list", "find_command", "List the actions of a type."),
     "wait": ("wait", "wait_command", "Wait until an action is served."),
     "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
@@ -41,10 +41,10 @@ VERBS = {
     "workers": ("workers", "workers_command", "List the workers of a fleet."),
     "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
     "serve": ("serve", "serve_command", "Run your action servers."),
-    "record": ("record_file", "record_command", "Record the goals of a server from outside."),
-    "replay": ("replay_file", "replay_command", "Answer goals as a recording has it."),
-    "show": ("show_file", "show_command", "Summarise a recording."),
-    "export": ("export_file", "export_command", "Write a recording as an MCAP file."),
+    "record": ("recordings", "record_command", "Record the goals of a server from outside."),
+    "replay": ("recordings", "replay_command", "Answer goals as a recording has it."),
+    "show": ("recordings", "show_command", "Summarise a recording."),
+    "export": ("recordings", "export_command", "Write a recording as an MCAP file."),
     "store": ("store", "store_command", "Back up the file in which a server keeps its goals."),
     "broker": ("run_broker", "broker_command", "Run a broker for a fleet on this machine."),
     "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
@@ -127,6 +127,25 @@ def cli(context: click.Context, url: str, address: str | None) -> None:
     source = context.get_parameter_source("url")
     if address is not None and source is click.core.ParameterSource.COMMANDLINE:
         raise click.UsageError("the server is given twice: by --connection and by --url")
+
+
+def without_ros_args(arguments: Iterable[str]) -> list[str]:
+    """Return the arguments that are not for ROS 2.
+
+    Those for ROS 2, which `ros2 run` and `ros2 launch` add, go from `--ros-args` to `--` or to the
+    end, may come several times, and are read by the node from the command line of the process:
+    https://design.ros2.org/articles/ros_command_line_arguments.html
+    """
+    own: list[str] = []
+    is_for_ros = False
+    for argument in arguments:
+        if argument == "--ros-args":
+            is_for_ros = True
+        elif not is_for_ros:
+            own.append(argument)
+        elif argument == "--":
+            is_for_ros = False
+    return own
 
 
 def main() -> None:

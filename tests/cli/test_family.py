@@ -20,7 +20,7 @@ from fibaction import (
     Parent,
     serve,
 )
-from fibaction.cli.output.family import Family, family_of, step_of
+from fibaction.cli.output.goal_table import Family, family_of, step_of
 from fibaction.cli.verbs.attach import attach
 from fibaction.cli.verbs.list_goals import Form, list_goals
 from fibaction.observe.monitor import GoalKey, GoalSnapshot, Monitor

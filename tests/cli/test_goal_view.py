@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, Parent
-from fibaction.cli.output.goal_view import ORDERS, GoalView
+from fibaction.cli.output.screen import ORDERS, GoalView
 from fibaction.client.events import GoalFeedback
 from fibaction.observe.monitor import GoalKey, Monitor
 

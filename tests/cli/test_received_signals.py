@@ -10,7 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.cli.process.received_signals import MOST_AT_ONCE, ReceivedSignals, handle_with
+from fibaction.cli.process.signals import MOST_AT_ONCE, ReceivedSignals, handle_with
 from tests.support.processes import PATIENCE
 
 

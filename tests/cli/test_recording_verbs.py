@@ -14,7 +14,7 @@ import pytest
 
 from fibaction import serve as fibaction_serve
 from fibaction.cli.process.exit_codes import ExitCode, Failure
-from fibaction.cli.verbs import record_file, replay_file, serve
+from fibaction.cli.verbs import recordings, serve
 from fibaction.observe.recordings.recording_file import Record, read_records
 from tests.cli.conftest import Invoke, Run, Start
 from tests.cli.served import Heard, counter
@@ -123,7 +123,7 @@ def test_a_replay_serves_until_a_signal_comes(
     folder: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said = Said()
-    monkeypatch.setattr(replay_file, "say", said)
+    monkeypatch.setattr(recordings, "say", said)
     file = folder / "today.jsonl"
     info = counter("count").info
     file.write_bytes(msgspec.json.encode(Record(1, "server", "count", info=info)) + b"\n")
@@ -175,7 +175,7 @@ async def test_a_recording_from_outside_ends_at_a_signal(folder: Path) -> None:
     said = Said()
     async with fibaction_serve(counter("count"), f"unix://{folder}/socket") as (url,):
         with said.on_stdout():
-            code = await record_file.record(url, str(folder / "today.jsonl"))
+            code = await recordings.record(url, str(folder / "today.jsonl"))
     assert (code, len(said)) == (ExitCode.SUCCEEDED, 1)
     assert [one.event for one in read_records(folder / "today.jsonl")] in ([], ["server"])
 
@@ -185,7 +185,7 @@ async def test_a_file_that_cannot_be_written_is_one_sentence(folder: Path) -> No
     file = f"{folder}/missing/today.jsonl"
     async with fibaction_serve(counter("count"), f"unix://{folder}/socket") as (url,):
         with pytest.raises(Failure, match=f"cannot record to {file}: No such file or directory"):
-            await record_file.record(url, file)
+            await recordings.record(url, file)
 
 
 def test_a_recording_that_cannot_be_exported_is_one_sentence(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fibaction.cli.arguments.ros_args import without_ros_args
+from fibaction.cli.app import without_ros_args
 from tests.cli.conftest import Run
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fibaction.border.abc import FeedbackItem, GoalStream
 from fibaction.cli.output.escape import clean
-from fibaction.cli.output.family import parent_json, step_of
+from fibaction.cli.output.goal_table import parent_json, step_of
 from fibaction.cli.output.lines import console, note, on_terminal, say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode

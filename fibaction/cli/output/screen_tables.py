@@ -9,9 +9,8 @@ from rich.text import Text
 
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.escape import excerpt
-from fibaction.cli.output.family import Family
 from fibaction.cli.output.goal_details import GoalDetails
-from fibaction.cli.output.goal_table import FAMILY, STYLES, GoalRow, unambiguous
+from fibaction.cli.output.goal_table import FAMILY, STYLES, Family, GoalRow, unambiguous
 from fibaction.cli.output.progress import on_one_line, percent_bar, text_beside_bar
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import message_of

@@ -10,6 +10,12 @@
 An event loop handles signals between its tasks only, so a task that computes would keep them
 waiting. `SignalReceiver` ends the process if the loop has not taken a signal within `GRACE`; on
 Windows, which has no timer of signals, if another one comes before it is taken.
+
+The event loop of Unix learns of a signal from a file descriptor that Python's own handler writes
+to, so a handler in Python may be set beside it: that one is called also while the loop is blocked.
+The event loop of Windows has no such receiver. There, Python wakes it at each signal, and the
+handler of `ReceivedSignals` tells it. Windows has no SIGTERM from elsewhere. It has SIGBREAK, by
+Ctrl-Break and by a program that stops another one.
 """
 
 from __future__ import annotations
@@ -18,16 +24,80 @@ import os
 import signal
 import sys
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager, suppress
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self, TypeAlias
 
 import anyio
 
+from fibaction._runtime.asyncio_task import asyncio_loop
 from fibaction._runtime.tasks import Background
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.process.received_signals import ReceivedSignals, handle_with
+
+Handler: TypeAlias = Callable[[int, object], None]
+
+NUMBERS: Final = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name)
+)
+"""The signals that end a verb."""
+MOST_AT_ONCE = 8
+"""Signals that may come before they are taken; more count as these."""
+
+
+def handle_with(handler: Handler) -> None:
+    """Make this the handler of the signals."""
+    for number in NUMBERS:
+        signal.signal(number, handler)
+
+
+class ReceivedSignals:
+    """Receives the signals, one for each `next`, during its block.
+
+    The handler gets each of them at once, also while the event loop is blocked.
+    """
+
+    def __init__(self, handler: Handler) -> None:
+        self._handler = handler
+        self._stack = ExitStack()
+        self._signals: AsyncIterator[Any]
+
+    def __enter__(self) -> None:
+        """Begin to receive."""
+        try:
+            self._signals = self._stack.enter_context(anyio.open_signal_receiver(*NUMBERS))
+        except NotImplementedError:
+            self._signals = self._receive_by_handler()
+        else:
+            handle_with(self._handler)
+
+    def __exit__(self, *_: object) -> None:
+        """Restore the handlers from before."""
+        self._stack.close()
+
+    async def next(self) -> None:
+        """Wait for the next signal."""
+        await anext(self._signals)
+
+    def _receive_by_handler(self) -> AsyncIterator[int]:
+        loop = asyncio_loop()
+        come, taken = anyio.create_memory_object_stream[int](MOST_AT_ONCE)
+        self._stack.callback(come.close)
+        self._stack.callback(taken.close)
+
+        def tell(number: int) -> None:
+            if come.statistics().current_buffer_used < MOST_AT_ONCE:
+                come.send_nowait(number)
+
+        def handle(number: int, frame: object) -> None:
+            loop.call_soon_threadsafe(tell, number)
+            self._handler(number, frame)
+
+        for number in NUMBERS:
+            self._stack.callback(signal.signal, number, signal.getsignal(number))
+            signal.signal(number, handle)
+        return taken
+
 
 SAME_SIGNAL = 0.1
 """Seconds within which a second signal counts as the first again: some programs, such as `timeout`,

@@ -7,9 +7,8 @@ from functools import partial
 import click
 
 from fibaction._api import connect
-from fibaction.cli.arguments.completion import ACTION, GOAL_ID
+from fibaction.cli.arguments.completion import ACTION, GOAL_ID, namespace_option
 from fibaction.cli.arguments.goal_lookup import ActionClients, find_goal, goal_digits
-from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.lines import note

@@ -13,8 +13,7 @@ from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection, Endpoint
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.action_names import names_of, no_action, shown
-from fibaction.cli.arguments.completion import ACTION
-from fibaction.cli.arguments.namespace_option import NAMESPACE, namespace_option
+from fibaction.cli.arguments.completion import ACTION, NAMESPACE, namespace_option
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import reject_inproc
 from fibaction.cli.bridge.actions import BridgedActions

@@ -9,7 +9,7 @@ import click
 
 from fibaction._api import connect
 from fibaction.cli.arguments.action_names import shown
-from fibaction.cli.arguments.completion import ACTION_OR_GOAL_ID
+from fibaction.cli.arguments.completion import ACTION_OR_GOAL_ID, namespace_option
 from fibaction.cli.arguments.goal_lookup import (
     MOST_AT_ONCE,
     ActionClients,
@@ -17,7 +17,6 @@ from fibaction.cli.arguments.goal_lookup import (
     goal_digits,
     goals_of,
 )
-from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt

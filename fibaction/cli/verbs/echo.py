@@ -10,8 +10,7 @@ import click
 
 from fibaction._api import ClientConnection, connect
 from fibaction.cli.arguments.action_names import find_action, shown
-from fibaction.cli.arguments.completion import ACTION
-from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.completion import ACTION, namespace_option
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.escape import excerpt

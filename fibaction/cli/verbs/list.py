@@ -9,8 +9,7 @@ import click
 
 from fibaction._api import connect
 from fibaction.cli.arguments.action_names import shown
-from fibaction.cli.arguments.completion import TYPE
-from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.completion import TYPE, namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace, namespace_of
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt

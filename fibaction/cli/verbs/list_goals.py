@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from enum import Enum
 from functools import partial
+from typing import Any
 
 import anyio
 import click
+import msgspec
 
 from fibaction._api import ClientConnection, connect
+from fibaction.border.goal_store import StoredGoal
 from fibaction.cli.arguments.action_names import shown
-from fibaction.cli.arguments.completion import ACTION
+from fibaction.cli.arguments.completion import ACTION, namespace_option
 from fibaction.cli.arguments.goal_lookup import (
     DEFAULT,
     ActionClients,
@@ -21,13 +24,11 @@ from fibaction.cli.arguments.goal_lookup import (
     goals_of,
     with_past,
 )
-from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import json_option, url_option
-from fibaction.cli.arguments.stored_goals import rows_of_store
-from fibaction.cli.output.family import Family
 from fibaction.cli.output.goal_table import (
     CSV_COLUMNS,
+    Family,
     GoalRow,
     csv_cells,
     in_color,
@@ -35,13 +36,15 @@ from fibaction.cli.output.goal_table import (
     picture,
 )
 from fibaction.cli.output.lines import console, note, on_terminal, say, say_csv, say_json
-from fibaction.cli.output.outcomes import Outcomes
+from fibaction.cli.output.outcomes import Outcomes, readable, with_outcome
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.cli.verbs.echo import EventPrinter, print_events
 from fibaction.cli.verbs.workers import note_unreadable
 from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError
+from fibaction.words.goal_query import GoalQuery
+from fibaction.words.goals import Outcome
 
 UPDATE_PAUSE = 0.5
 """Seconds between two updates of a list that is watched."""
@@ -286,3 +289,32 @@ async def _check_connection(clients: Iterable[AnyClient]) -> None:
         for client in clients:
             return await client.wait_for_server()  # all have the same connection
         await anyio.sleep(AWAY_TIMEOUT)
+
+
+async def rows_of_store(
+    path: str, names: Collection[str], past: GoalQuery | None = None
+) -> list[GoalRow]:
+    """Return the goals in the file, of these actions or of all, in the order of their acceptance;
+    with `past`, also those of its history that are wanted.
+
+    Raises:
+        StoreError: The file cannot be read.
+    """
+    from fibaction.stores._copy import stored_goals  # sqlite3 would slow down --help
+
+    wanted = set(map(shown, names))
+    rows = [
+        with_outcome(GoalRow(action, goal.info), _outcome(goal))
+        for action, goals in (await stored_goals(path, past)).items()
+        if not wanted or shown(action) in wanted
+        for goal in goals
+    ]
+    return sorted(rows, key=lambda row: row.info.stamp)
+
+
+def _outcome(goal: StoredGoal) -> Outcome[Any] | None:
+    """Return the outcome of a goal that has ended, its result as plain data."""
+    if goal.told_status.is_active:
+        return None
+    raw = Outcome(goal.told_status, goal.result, goal.reason)
+    return readable(raw, msgspec.msgpack.decode)

@@ -19,9 +19,8 @@ from fibaction._runtime.tasks import Background
 from fibaction._runtime.text import printable
 from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.cli.arguments.action_names import find_action, shown
-from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL
+from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL, namespace_option
 from fibaction.cli.arguments.goal_input import read_goal, shell_meta
-from fibaction.cli.arguments.namespace_option import namespace_option
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import full_option, json_option, labels_option, url_option
 from fibaction.cli.output.goal_table import ordinal

@@ -25,8 +25,10 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.process.last_seconds import LastSeconds
 from fibaction.cli.process.logs import log_events, log_with_time
 from fibaction.cli.process.reload import SAME_STOP, run_reloading, started_by
-from fibaction.cli.process.serve_watchers import metrics_of, recorded
 from fibaction.cli.process.signals import stop_signals
+from fibaction.observe.metrics import Metrics
+from fibaction.observe.metrics_server import serve_metrics
+from fibaction.observe.recordings.recorder import Recorder
 from fibaction.stores.sqlite_store import SqliteStore
 from fibaction.words.goal_history import DAY, GoalHistory
 from fibaction.words.statuses import GoalStatus
@@ -229,3 +231,43 @@ async def _log_goals(action: str, changes: StatusStream) -> None:
         while (goal := await changes.receive()) is not None:
             if goal.status is not GoalStatus.UNKNOWN:  # its end was logged before
                 logger.info("goal %s of action %r: %s", goal.goal_id, action, goal.status.name)
+
+
+@asynccontextmanager
+async def metrics_of(servers: Sequence[AnyServer], address: str) -> AsyncGenerator[None, None]:
+    """Serve the metrics of servers during the block, in which they are started.
+
+    Raises:
+        Failure: The address cannot be used, or prometheus-client is not installed.
+    """
+    try:
+        counts = Metrics()
+    except ImportError as exc:
+        needs = "--metrics needs prometheus-client: pip install 'fibaction[metrics]'"
+        raise Failure(needs, ExitCode.USAGE) from exc
+    for server in servers:
+        server.watch_by([counts])
+    try:
+        serving = serve_metrics(counts, address, servers)
+    except ValueError as exc:
+        raise Failure(str(exc), ExitCode.USAGE) from exc
+    async with serving as url:
+        say(f"metrics at {url}")
+        yield
+
+
+@contextmanager
+def recorded(servers: Sequence[AnyServer], path: str) -> Generator[None, None, None]:
+    """Record the goals of servers during the block, in which they are started.
+
+    Raises:
+        Failure: The file cannot be written to.
+    """
+    try:
+        recorder = Recorder(path)
+    except OSError as exc:
+        raise Failure(f"cannot record to {path}: {exc.strerror}", ExitCode.USAGE) from exc
+    with recorder:
+        for server in servers:
+            server.watch_by([recorder])
+        yield

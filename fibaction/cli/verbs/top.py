@@ -14,7 +14,7 @@ import click
 from fibaction._api import ClientConnection, connect
 from fibaction._runtime.tasks import Background
 from fibaction.border.urls import without_settings
-from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.completion import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import url_option
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
