@@ -211,7 +211,7 @@ def test_a_gap_far_away_is_not_held() -> None:
     victim = Victim()
     for start in range(10, 10_000, 7):
         victim.receive(Gap(*victim.ends, start, NumberSet(start + 3, (start + 5,))))
-    (proxy,) = victim.reader._writers.values()
+    (proxy,) = victim.reader.proxies.values()
     assert len(proxy._held) < 256
     assert victim.works
     assert victim.node.participant.counters.invalid == 0
@@ -292,7 +292,7 @@ def test_an_acknowledgement_that_waits_is_not_sent_if_something_is_missing_meanw
 
 def test_held_samples_far_after_the_first_heartbeat_are_requested_again() -> None:
     victim = Victim()
-    (proxy,) = victim.reader._writers.values()
+    (proxy,) = victim.reader.proxies.values()
     proxy._next = None
     victim.receive(Data(*victim.ends, 1000, payload("far")))
     victim.receive(Gap(*victim.ends, 1, NumberSet(2000)))
@@ -413,7 +413,7 @@ def test_held_samples_are_freed_when_their_writer_is_gone() -> None:
 
 def test_samples_before_the_first_heartbeat_are_held_and_bounded() -> None:
     victim = Victim()
-    (proxy,) = victim.reader._writers.values()
+    (proxy,) = victim.reader.proxies.values()
     proxy._next = None
     for number in range(1000, 2000):
         victim.receive(Data(*victim.ends, number, payload(str(number))))

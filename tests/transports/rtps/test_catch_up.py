@@ -172,7 +172,7 @@ def test_a_heartbeat_from_before_the_question_is_not_the_answer() -> None:
     question.start(is_complete=True, now=1.0)
     question.hear(6, 3, now=1.01)  # overtaken
     question.hear(7, 3, now=1.02)  # repeated
-    question.note_sample(1.03)
+    question.sampled_at = 1.03
     question.hear(8, 4, now=1.03)  # with a late sample
     question.settle(expected=5)
     assert question.is_open

@@ -100,7 +100,7 @@ def test_a_participant_is_incomplete_until_its_endpoints_and_its_samples_have_co
     assert len(other.participant.remote_participants) == 1
     assert (incomplete(), reader.is_complete(writer.guid)) == (1, False)
     withheld.remove(PUBLICATIONS_WRITER)
-    assert world.run_until(lambda: reader.is_matched(writer.guid))
+    assert world.run_until(lambda: writer.guid in reader.writers)
     world.run(0.1)
     assert (incomplete(), incomplete(found_after=world.now)) == (1, 0)
     withheld.clear()

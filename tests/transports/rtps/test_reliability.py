@@ -547,9 +547,9 @@ def test_a_gap_may_be_longer_than_the_window() -> None:
     assert world.run_until(lambda: other.texts(reader) == ["for all"])
     assert other.all(SamplesLost) == []
     gap = Gap(reader.guid.entity, writer.guid.entity, 1002, NumberSet(3000))
-    reader.receive_gap(writer.guid, gap, world.now)
+    reader.proxies[writer.guid].receive_gap(gap, world.now)
     data = Data(reader.guid.entity, writer.guid.entity, 3000, payload("after"))
-    reader.receive_data(writer.guid, data, None, world.now)
+    reader.proxies[writer.guid].receive_data(data, None, world.now)
     world.flush()
     assert other.texts(reader) == ["for all", "after"]
 
@@ -643,10 +643,10 @@ def test_a_writer_is_confirmed_when_its_heartbeat_shows_that_it_has_found_the_re
     reader, modest = reader_of(world, other), reader_of(world, other, BEST_EFFORT)
     world.run(1.0)
     assert reader.writers == modest.writers == [writer.guid]
-    assert reader.confirmed_writers == []
-    assert modest.confirmed_writers == [writer.guid]
+    assert reader.confirmed_writers == set()
+    assert modest.confirmed_writers == {writer.guid}
     is_found = True
-    assert world.run_until(lambda: reader.confirmed_writers == [writer.guid], 3.0)
+    assert world.run_until(lambda: reader.confirmed_writers == {writer.guid}, 3.0)
 
 
 def test_a_fragment_size_that_does_not_fit_is_rejected() -> None:

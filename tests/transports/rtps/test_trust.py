@@ -417,7 +417,7 @@ def test_what_does_not_come_is_requested_only_so_often() -> None:
         sent += victim.later(10.0)
         announced = victim.peer.participant._participants._payload
         victim.receive(Data(UNKNOWN_ENTITY, SPDP_WRITER, 1, announced))
-    (proxy,) = victim.reader._writers.values()
+    (proxy,) = victim.reader.proxies.values()
     assert proxy._requests == MOST_REQUESTS
     assert partials.held == 0
     assert victim.works

@@ -18,6 +18,7 @@ from fibaction_transports.rtps.messages.type_questions import (
     read_answer,
     read_type_id,
 )
+from fibaction_transports.rtps.outbox import PeerRoute
 from fibaction_transports.rtps.qos import Qos
 from tests.transports.rtps.world import Node, World
 
@@ -138,5 +139,6 @@ def test_a_participant_that_does_not_answer_is_not_asked() -> None:
 def test_an_answer_to_nobody_in_particular_is_for_the_reader_of_answers() -> None:
     one = World().join().participant
     writer = Guid(bytes(12) + ids.TYPE_ANSWERS_WRITER)
-    (reader,) = one._local.addressed(ids.UNKNOWN_ENTITY, writer)
-    assert reader.guid.entity == ids.TYPE_ANSWERS_READER
+    reader = one._local.readers[ids.TYPE_ANSWERS_READER]
+    reader.match(writer, PeerRoute(("127.0.0.1", 1)), Qos(), ids.FAST_DDS, 0.0)
+    assert one._local.matched(ids.UNKNOWN_ENTITY, writer) == (reader.proxies[writer],)

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from fibaction_transports.rtps.budgets import PeerBudget
 from fibaction_transports.rtps.limits import RtpsCounters
-from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
+from fibaction_transports.rtps.messages.encoder import (
+    destination_bytes,
+    packet_head,
+    submessage_bytes,
+)
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, UNKNOWN_PREFIX
 from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.submessages import (
     Data,
     DataFragment,
-    Destination,
     Submessage,
     Timestamp,
     WriterHeartbeat,
@@ -41,18 +44,15 @@ class _Entry(NamedTuple):
     time: float | None
 
 
-class _Queue:
+class _Queue(Struct):
     """The submessages for one route."""
 
-    __slots__ = ("entries", "heartbeats", "samples")
-
-    def __init__(self) -> None:
-        self.entries: list[_Entry | None] = []
-        """In order; None for a heartbeat that a newer one has replaced."""
-        self.heartbeats: dict[tuple[bytes, bytes], int] = {}
-        """The place of the newest heartbeat for each reader of each writer."""
-        self.samples: dict[tuple[bytes, int], tuple[int, Data]] = {}
-        """Each sample with its place, by its writer and its number."""
+    entries: list[_Entry | None] = []
+    """In order; None for a heartbeat that a newer one has replaced."""
+    heartbeats: dict[tuple[bytes, bytes], int] = {}
+    """The index of the newest heartbeat for each reader of each writer."""
+    samples: dict[tuple[bytes, int], tuple[int, Data]] = {}
+    """Each sample with its index, by its writer and its number."""
 
 
 class Outbox:
@@ -75,26 +75,35 @@ class Outbox:
         self._head = packet_head(vendor, prefix)
         self._limit = limit
         self._budgets = budgets
-        self._counters = counters
+        self.counters = counters
         self._waiting: dict[PeerRoute, _Queue] = {}
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
+        self.count = 0
+        """The number of submessages that wait."""
 
     def add(self, route: PeerRoute, submessage: Submessage, time: float | None = None) -> None:
         """Send a submessage after those that wait for the same route."""
-        if self._count >= self._limit:
-            self._counters.unsent += 1
+        if self.count >= self._limit:
+            self.counters.unsent += 1
             return
-        self._count += 1
+        self.count += 1
         queue = self._waiting.get(route)
         if queue is None:
             queue = self._waiting[route] = _Queue()
         if isinstance(submessage, WriterHeartbeat):
-            self._replace(queue, submessage)
-        elif isinstance(submessage, Data) and self._is_joined(queue, submessage, time):
-            return
+            # The older heartbeat of the same ends is not sent.
+            ends = submessage.reader, submessage.writer
+            replaced = queue.heartbeats.get(ends)
+            if replaced is not None:
+                queue.entries[replaced] = None
+                self.count -= 1
+            queue.heartbeats[ends] = len(queue.entries)
+        elif isinstance(submessage, Data):
+            here = len(queue.entries), submessage
+            first = queue.samples.setdefault((submessage.writer, submessage.number), here)
+            if first is not here:
+                self.count -= 1
+                self._join(queue, first, submessage, time)
+                return
         queue.entries.append(_Entry(submessage, time))
 
     def has_heartbeat(self, route: PeerRoute, reader: bytes, writer: bytes) -> bool:
@@ -102,25 +111,12 @@ class Outbox:
         queue = self._waiting.get(route)
         return queue is not None and (reader, writer) in queue.heartbeats
 
-    def _replace(self, queue: _Queue, heartbeat: WriterHeartbeat) -> None:
-        """Take the older heartbeat of the same ends away."""
-        ends = heartbeat.reader, heartbeat.writer
-        replaced = queue.heartbeats.get(ends)
-        if replaced is not None:
-            queue.entries[replaced] = None
-            self._count -= 1
-        queue.heartbeats[ends] = len(queue.entries)
-
-    def _is_joined(self, queue: _Queue, data: Data, time: float | None) -> bool:
-        """Return whether the sample waits already, and now goes to this reader as well."""
-        here = len(queue.entries), data
-        at, first = queue.samples.setdefault((data.writer, data.number), here)
-        if first is data:
-            return False
+    @staticmethod
+    def _join(queue: _Queue, waiting: tuple[int, Data], data: Data, time: float | None) -> None:
+        """Send a sample that waits already to this reader as well."""
+        index, first = waiting
         if first.reader != data.reader:
-            queue.entries[at] = _Entry(structs.replace(first, reader=UNKNOWN_ENTITY), time)
-        self._count -= 1
-        return True
+            queue.entries[index] = _Entry(structs.replace(first, reader=UNKNOWN_ENTITY), time)
 
     def datagrams(self) -> Iterator[tuple[bytes, Address]]:
         """Take the datagrams one by one, with the addresses that they are for."""
@@ -128,18 +124,18 @@ class Outbox:
             route = next(iter(self._waiting))
             queue = self._waiting.pop(route)
             entries = [each for each in queue.entries if each is not None]
-            self._count -= len(entries)
+            self.count -= len(entries)
             budget = self._budgets.get(route.prefix)
             for datagram in self._packed(route, entries):
                 if budget is None or budget.may_send(len(datagram)):
                     yield datagram, route.address
                 else:
-                    self._counters.withheld += 1
+                    self.counters.withheld += 1
 
     def _packed(self, route: PeerRoute, entries: list[_Entry]) -> Iterator[bytes]:
         first = self._head
         if route.prefix != UNKNOWN_PREFIX:
-            first += submessage_bytes(Destination(route.prefix))
+            first += destination_bytes(route.prefix)
         parts, size, time, samples = [first], len(first), None, 0
         for entry in entries:
             part = submessage_bytes(entry.submessage)

@@ -238,7 +238,7 @@ class Participant:
     @property
     def waiting(self) -> int:
         """Number of submessages that wait to be sent."""
-        return len(self._shared.outbox)
+        return self._shared.outbox.count
 
     def datagrams_to_send(self) -> Iterator[tuple[bytes, Address]]:
         """Take the datagrams that are to be sent, with their addresses."""

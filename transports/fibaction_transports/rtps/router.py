@@ -5,6 +5,7 @@ from __future__ import annotations
 from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
 from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
+from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
 from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import received_sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
@@ -63,91 +64,87 @@ class MessageRouter:
         Raises:
             InvalidPacket: An announcement of discovery is broken; what came before it is taken.
         """
-        prefix, vendor, size = packet.prefix, packet.vendor, packet.size
+        host, prefix, vendor, size = source[0], packet.prefix, packet.vendor, packet.size
         self._counters.own += prefix == self._own
-        sender = self._participants.sender(prefix, source[0], size, now)
+        sender, is_forged = self._participants.sender(prefix, host, size, now)
         time: float | None = None
         is_ours, of_discovery = True, 0
         for submessage in packet.submessages:
             if isinstance(submessage, Destination):
                 is_ours = submessage.prefix in (self._own, UNKNOWN_PREFIX)
                 if sender is not None and submessage.prefix == self._own:
-                    self._participants.prove(sender, source[0])
-                continue
-            if isinstance(submessage, SourceInfo):
+                    self._participants.prove(sender, host)
+            elif isinstance(submessage, SourceInfo):
                 prefix, vendor, size = submessage.prefix, submessage.vendor, 0
-                sender = self._participants.sender(prefix, source[0], size, now)
-                continue
-            if isinstance(submessage, Timestamp):
+                sender, is_forged = self._participants.sender(prefix, host, size, now)
+            elif isinstance(submessage, Timestamp):
                 time = submessage.time
+            elif not is_ours or prefix == self._own:
                 continue
-            if not is_ours or prefix == self._own:
-                continue
-            if sender is not None and not sender.is_at(source[0]):
+            elif is_forged:
                 self._counters.forged += 1
-                continue
-            if isinstance(submessage, Data) and is_builtin(submessage.writer):
+            elif isinstance(submessage, Data) and is_builtin(submessage.writer):
                 of_discovery += 1
                 if of_discovery > DISCOVERY_AT_ONCE:
                     self._counters.over_limit += 1
-                    continue
-                if submessage.writer == SPDP_WRITER:
+                elif submessage.writer == SPDP_WRITER:
                     sample = received_sample(Guid(prefix + SPDP_WRITER), submessage, time)
-                    self._participants.receive(sample, vendor, source[0], size, now)
+                    self._participants.receive(sample, vendor, host, size, now)
                     sender = self._participants.get(prefix)
-                    continue
-            if sender is not None:  # nothing of a stranger is matched
-                self._hand_over(prefix, submessage, time, now)
+                elif sender is not None:
+                    self._sample(prefix, submessage, time, now)
+            elif sender is not None:  # nothing of a stranger is matched
+                self._hand_over(sender, submessage, time, now)
 
     def _hand_over(
-        self, prefix: bytes, submessage: Submessage, time: float | None, now: float
+        self, sender: RemoteParticipant, submessage: Submessage, time: float | None, now: float
     ) -> None:
+        prefix = sender.data.prefix
         if isinstance(submessage, Data | DataFragment):
-            guid = Guid(prefix + submessage.writer)
-            self._sample(submessage.reader, guid, submessage, time, now)
+            writer = self._sample(prefix, submessage, time, now)
+            if isinstance(submessage, Data) or not is_builtin(submessage.writer):
+                self._liveliness.hear(prefix, writer, now)
         elif isinstance(submessage, WriterHeartbeat):
-            guid = Guid(prefix + submessage.writer)
-            self._heartbeat(submessage.reader, guid, submessage, now)
+            self._heartbeat(prefix, submessage, now)
         elif isinstance(submessage, AckNack | FragmentNack):
-            self._nack(Guid(prefix + submessage.reader), submessage.writer, submessage, now)
+            self._nack(sender, submessage, now)
         elif isinstance(submessage, Gap):
-            guid = Guid(prefix + submessage.writer)
-            for matched in self._endpoints.addressed(submessage.reader, guid):
-                matched.receive_gap(guid, submessage, now)
+            writer = Guid(prefix + submessage.writer)
+            for matched in self._endpoints.matched(submessage.reader, writer):
+                matched.receive_gap(submessage, now)
 
-    def _nack(self, reader: Guid, entity: bytes, nack: AckNack | FragmentNack, now: float) -> None:
-        writer = self._endpoints.writers.get(entity)
+    def _nack(self, sender: RemoteParticipant, nack: AckNack | FragmentNack, now: float) -> None:
+        writer = self._endpoints.writers.get(nack.writer)
         if writer is None:
             return
+        reader = Guid(sender.data.prefix + nack.reader)
         if isinstance(nack, FragmentNack):
             writer.receive_fragment_nack(reader, nack, now)
             return
-        participant = self._participants.get(reader.prefix)
-        if participant is not None and is_builtin(entity):
-            participant.has_acknowledged = True
+        if is_builtin(nack.writer):
+            sender.has_acknowledged = True
         writer.receive_acknack(reader, nack, now)
 
     def _sample(
-        self, reader: bytes, writer: Guid, data: Data | DataFragment, time: float | None, now: float
-    ) -> None:
-        is_known = False
-        for found in self._endpoints.addressed(reader, writer):
+        self, prefix: bytes, data: Data | DataFragment, time: float | None, now: float
+    ) -> Guid:
+        writer = Guid(prefix + data.writer)
+        matched = self._endpoints.matched(data.reader, writer)
+        for found in matched:
             if isinstance(data, Data):
-                is_known |= found.receive_data(writer, data, time, now)
+                found.receive_data(data, time, now)
             else:
-                is_known |= found.receive_fragment(writer, data, time, now)
-        if not is_known:
+                found.receive_fragment(data, time, now)
+        if not matched:
             self._early.note_sample(writer, data.number)
-        if not is_builtin(writer.entity):
-            self._liveliness.hear(writer, now)
+        return writer
 
-    def _heartbeat(
-        self, reader: bytes, writer: Guid, heartbeat: WriterHeartbeat, now: float
-    ) -> None:
-        is_known = False
-        for found in self._endpoints.addressed(reader, writer):
-            is_known |= found.receive_heartbeat(writer, heartbeat, now)
-        if not is_known:
+    def _heartbeat(self, prefix: bytes, heartbeat: WriterHeartbeat, now: float) -> None:
+        writer = Guid(prefix + heartbeat.writer)
+        matched = self._endpoints.matched(heartbeat.reader, writer)
+        for found in matched:
+            found.receive_heartbeat(heartbeat, now)
+        if not matched:
             self._early.keep(writer, heartbeat)
         if heartbeat.is_alive:
-            self._liveliness.hear(writer, now)
+            self._liveliness.hear(prefix, writer, now)

@@ -14,22 +14,21 @@ from heapq import heapify, heappop, heappush, heapreplace
 from itertools import count
 from typing import TypeAlias
 
+from msgspec import Struct
+
 TimerCallback: TypeAlias = Callable[[float], None]
 
 _FEW = 64
 """Invalid entries that the queue may have in any case."""
 
 
-class _Timer:
+class _Timer(Struct, eq=False):
     """The time of one callback."""
 
-    __slots__ = ("callback", "queued", "when")
-
-    def __init__(self, callback: TimerCallback, when: float) -> None:
-        self.callback = callback
-        self.when = when
-        self.queued = math.inf
-        """The time of its entry in the queue."""
+    callback: TimerCallback
+    when: float
+    queued: float = math.inf
+    """The time of its entry in the queue."""
 
 
 class Timers:
@@ -73,10 +72,10 @@ class Timers:
 
     def next(self) -> float:
         """Return the time of the next callback; infinity if there is none."""
-        queue = self._queue
+        queue, timers = self._queue, self._timers
         while queue:
             when, order, timer = queue[0]
-            if not self._is_valid(queue[0]):
+            if timer.queued != when or timers.get(timer.callback) is not timer:
                 heappop(queue)
             elif timer.when > when:
                 timer.queued = timer.when

@@ -81,18 +81,24 @@ class KnownParticipants:
         """Return the participant of an endpoint that it has announced."""
         return self._found[endpoint.prefix]
 
-    def sender(self, prefix: bytes, host: str, size: int, now: float) -> RemoteParticipant | None:
-        """Return a known participant in whose name a datagram of this size came from a host.
+    def sender(
+        self, prefix: bytes, host: str, size: int, now: float
+    ) -> tuple[RemoteParticipant | None, bool]:
+        """Return a known participant in whose name a datagram of this size came from a host, and
+        whether it is at another host.
 
         It renews the lease: Cyclone DDS announces itself once in most of a lease, so one lost
         announcement would end a participant that sends all the time.
         """
         remote = self._found.get(prefix)
-        if remote is not None and remote.is_at(host):
-            remote.expires = now + remote.lease
-            if not remote.budget.is_proven:
-                remote.budget.earn(size)
-        return remote
+        if remote is None:
+            return None, False
+        if not remote.is_at(host):
+            return remote, True
+        remote.expires = now + remote.lease
+        if not remote.budget.is_proven:
+            remote.budget.earn(size)
+        return remote, False
 
     def prove(self, remote: RemoteParticipant, host: str) -> None:
         """Note that something for this very participant came from a host in the name of another."""

@@ -98,9 +98,9 @@ class WriterLiveliness:
         if participant is not None and kind is not None and prefix == sample.writer.prefix:
             self._hear_all(participant, kind, now)
 
-    def hear(self, writer: Guid, now: float) -> None:
-        """Note that a writer has sent something that shows that it is alive."""
-        participant = self._participants.get(writer.prefix)
+    def hear(self, prefix: bytes, writer: Guid, now: float) -> None:
+        """Note that a writer of a participant has sent something that shows that it is alive."""
+        participant = self._participants.get(prefix)
         if participant is None:
             return
         for followed in participant.writers.get(writer, {}).values():

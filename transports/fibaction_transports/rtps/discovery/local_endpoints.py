@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, Guid, is_builtin
 
 _BUILTIN_READERS = {0xC2: b"\xc7", 0xC3: b"\xc4"}
@@ -25,14 +28,17 @@ class LocalEndpoints:
         """Return the readers of the user's topics."""
         return [found for entity, found in self.readers.items() if not is_builtin(entity)]
 
-    def addressed(self, entity: bytes, writer: Guid) -> list[DataReader]:
-        """Return the readers that something from a writer is for, whether they match or not."""
+    def matched(self, entity: bytes, writer: Guid) -> Sequence[WriterProxy]:
+        """Return what takes something of a writer, at the matched readers that it is for."""
         if entity == UNKNOWN_ENTITY and is_builtin(writer.entity):
             entity = writer.entity[:3] + _BUILTIN_READERS.get(writer[-1], b"\xc7")
-        if entity != UNKNOWN_ENTITY:
-            reader = self.readers.get(entity)
-            return [] if reader is None else [reader]
-        return [reader for reader in self.readers.values() if reader.is_matched(writer)]
+        if entity == UNKNOWN_ENTITY:
+            readers = self.readers.values()
+            return [each.proxies[writer] for each in readers if writer in each.proxies]
+        reader = self.readers.get(entity)
+        if reader is None or writer not in reader.proxies:
+            return ()
+        return (reader.proxies[writer],)
 
     def close(self) -> None:
         """Let every endpoint forget what it is matched with."""

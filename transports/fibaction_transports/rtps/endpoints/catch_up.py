@@ -53,7 +53,8 @@ class CatchUp:
         """The last sample that the answer has announced; None if there is no answer yet."""
         self._asked = -math.inf
         self._lost = -math.inf
-        self._sampled = -math.inf
+        self.sampled_at = -math.inf
+        """The time at which a sample has come last."""
         self._count = 0
         self._deadline = -math.inf
         self._pause = FIRST_REPEAT
@@ -61,10 +62,6 @@ class CatchUp:
     def note_loss(self, now: float) -> None:
         """Note that a sample is missing, at least for now."""
         self._lost = now
-
-    def note_sample(self, now: float) -> None:
-        """Note that a sample has come."""
-        self._sampled = now
 
     def start(self, *, is_complete: bool, now: float) -> None:
         """Put the question, or put it again for what was written since; `is_complete` tells that
@@ -92,7 +89,7 @@ class CatchUp:
     def hear(self, count: int, last: int, now: float) -> None:
         """Take a heartbeat, with its count and the last sample: it may be the answer."""
         is_new, self._count = count > self._count, max(count, self._count)
-        if self.is_open and self._last is None and is_new and now != self._sampled:
+        if self.is_open and self._last is None and is_new and now != self.sampled_at:
             self._last = last
             self._timers.cancel(self.on_question_due)
 

@@ -38,7 +38,8 @@ class History:
             raise ValueError(f"depth {depth} keeps no sample: use 1 or more, or None for all")
         self._depth = depth
         self._limits = limits
-        self._samples: dict[int, StoredSample] = {}
+        self.samples: dict[int, StoredSample] = {}
+        """The samples that are kept, by their numbers."""
         self._numbers: dict[bytes, deque[int]] = {}
         self._disposed: deque[int] = deque()
         self.bytes = 0
@@ -49,21 +50,12 @@ class History:
         """The number of the newest sample, kept or not; 0 if there is none."""
 
     def __len__(self) -> int:
-        return len(self._samples)
+        return len(self.samples)
 
     @property
     def has_disposed(self) -> bool:
         """True if samples are kept that say that something is disposed."""
         return bool(self._disposed)
-
-    def get(self, number: int) -> StoredSample | None:
-        """Return a sample; None if it is not kept."""
-        return self._samples.get(number)
-
-    def is_full(self, sample: StoredSample) -> bool:
-        """Return whether another sample has no room in addition to those that are kept."""
-        size = self.bytes + len(sample.payload)
-        return size > self._limits.history or len(self._samples) >= self._limits.history_samples
 
     def add(self, sample: StoredSample) -> int:
         """Keep a sample, and return its number.
@@ -74,14 +66,15 @@ class History:
         numbers = self._numbers.get(sample.key, deque())
         while self._depth is not None and len(numbers) >= self._depth:
             self.forget(numbers[0])
-        if self.is_full(sample):
+        limits, size = self._limits, self.bytes + len(sample.payload)
+        if size > limits.history or len(self.samples) >= limits.history_samples:
             raise LimitReached(
-                f"history of {len(self._samples)} samples and {self.bytes} bytes is full:"
+                f"history of {len(self.samples)} samples and {self.bytes} bytes is full:"
                 " wait until readers have acknowledged, or write less"
             )
-        self.bytes += len(sample.payload)
+        self.bytes = size
         self.last += 1
-        self._samples[self.last] = sample
+        self.samples[self.last] = sample
         numbers.append(self.last)
         self._numbers[sample.key] = numbers
         if sample.is_disposed:
@@ -90,13 +83,13 @@ class History:
 
     def forget(self, number: int) -> None:
         """Keep a sample no longer."""
-        sample = self._samples.pop(number)
+        sample = self.samples.pop(number)
         self.bytes -= len(sample.payload)
         numbers = self._numbers[sample.key]
         numbers.remove(number)
         if not numbers:
             del self._numbers[sample.key]
-        while self.first <= self.last and self.first not in self._samples:
+        while self.first <= self.last and self.first not in self.samples:
             self.first += 1
 
     def forget_acknowledged(self, number: int, *, is_volatile: bool) -> None:
@@ -108,5 +101,5 @@ class History:
             while self.first <= min(number, self.last):
                 self.forget(self.first)
         while self._disposed and self._disposed[0] <= number:
-            if (at := self._disposed.popleft()) in self._samples:
+            if (at := self._disposed.popleft()) in self.samples:
                 self.forget(at)

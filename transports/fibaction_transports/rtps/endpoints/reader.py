@@ -10,12 +10,7 @@ from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
 from fibaction_transports.rtps.events import CaughtUp
 from fibaction_transports.rtps.messages.ids import Guid
-from fibaction_transports.rtps.messages.submessages import (
-    Data,
-    DataFragment,
-    Gap,
-    WriterHeartbeat,
-)
+from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
 from fibaction_transports.rtps.outbox import PeerRoute
 from fibaction_transports.rtps.qos import Qos
 
@@ -41,30 +36,24 @@ class DataReader:
         self.qos = qos
         self._shared = shared
         self._deliver = deliver
-        self._writers: dict[Guid, WriterProxy] = {}
+        self.proxies: dict[Guid, WriterProxy] = {}
+        """The matched writers of other participants, which take what is received of them."""
+        self.confirmed_writers: set[Guid] = set()
+        """The matched writers that have found this reader, too, as far as they tell: reliable ones
+        send heartbeats, and only to readers that they have found.
+        """
 
     @property
     def writers(self) -> list[Guid]:
         """The matched writers of other participants."""
-        return list(self._writers)
-
-    @property
-    def confirmed_writers(self) -> list[Guid]:
-        """The matched writers that have found this reader, too, as far as they tell: reliable ones
-        send heartbeats, and only to readers that they have found.
-        """
-        return [guid for guid, proxy in self._writers.items() if proxy.is_confirmed]
+        return list(self.proxies)
 
     def is_complete(self, writer: Guid) -> bool:
         """Return whether a writer has told which samples it has, and all of them have come; False
         if it is not matched.
         """
-        proxy = self._writers.get(writer)
+        proxy = self.proxies.get(writer)
         return proxy is not None and proxy.is_complete
-
-    def is_matched(self, writer: Guid) -> bool:
-        """Return whether samples of this writer are taken."""
-        return writer in self._writers
 
     def match(
         self,
@@ -78,15 +67,22 @@ class DataReader:
         """Take the samples of a writer from now on, which may have sent a heartbeat before."""
         is_reliable = self.qos.is_reliable and qos.is_reliable
         proxy = WriterProxy(
-            writer, route, vendor, self.guid, self._shared, self._deliver, self._tell_caught_up
+            writer,
+            route,
+            vendor,
+            self.guid,
+            self._shared,
+            self._deliver,
+            self._tell_caught_up,
+            self.confirmed_writers,
         )
-        self._writers[writer] = proxy
+        self.proxies[writer] = proxy
         if is_reliable:
             proxy.start_reliable(heartbeat, now)
 
     def unmatch(self, writer: Guid) -> bool:
         """Forget a writer; return whether it was matched."""
-        proxy = self._writers.pop(writer, None)
+        proxy = self.proxies.pop(writer, None)
         if proxy is not None:
             proxy.close()
         return proxy is not None
@@ -97,13 +93,13 @@ class DataReader:
         Fast DDS repeats a lost heartbeat only after three seconds. If you wait for an answer, ask
         after about 30 ms, and again after twice the time.
         """
-        for proxy in self._writers.values():
+        for proxy in self.proxies.values():
             proxy.ask(now)
 
     @property
     def is_catching_up(self) -> bool:
         """True if writers have been asked by `catch_up`, and `CaughtUp` is still to come."""
-        return any(proxy.is_catching_up for proxy in self._writers.values())
+        return any(proxy.is_catching_up for proxy in self.proxies.values())
 
     def catch_up(self, now: float) -> bool:
         """Find out whether samples are missing that were written before, and get them.
@@ -111,44 +107,13 @@ class DataReader:
         Return True if that takes time: the event `CaughtUp` tells when all of them have come, by
         the rules of `CatchUp`. Return False if there is no need to ask, or no way.
         """
-        for proxy in self._writers.values():
+        for proxy in self.proxies.values():
             proxy.catch_up(now)
         return self.is_catching_up
 
     def _tell_caught_up(self) -> None:
         if not self.is_catching_up:
             self._shared.emit(CaughtUp(self.guid))
-
-    def receive_data(self, writer: Guid, data: Data, time: float | None, now: float) -> bool:
-        """Take a sample; return False if the writer is not matched."""
-        proxy = self._writers.get(writer)
-        if proxy is not None:
-            proxy.receive_data(data, time, now)
-        return proxy is not None
-
-    def receive_fragment(
-        self, writer: Guid, fragment: DataFragment, time: float | None, now: float
-    ) -> bool:
-        """Take fragments of a sample; return False if the writer is not matched."""
-        proxy = self._writers.get(writer)
-        if proxy is not None:
-            proxy.receive_fragment(fragment, time, now)
-        return proxy is not None
-
-    def receive_heartbeat(self, writer: Guid, heartbeat: WriterHeartbeat, now: float) -> bool:
-        """Note which samples there are, and request those that are missing; return False if the
-        writer is not matched.
-        """
-        proxy = self._writers.get(writer)
-        if proxy is not None:
-            proxy.receive_heartbeat(heartbeat, now)
-        return proxy is not None
-
-    def receive_gap(self, writer: Guid, gap: Gap, now: float) -> None:
-        """Note the samples that do not come."""
-        proxy = self._writers.get(writer)
-        if proxy is not None:
-            proxy.receive_gap(gap, now)
 
     def close(self) -> None:
         """Forget all writers."""

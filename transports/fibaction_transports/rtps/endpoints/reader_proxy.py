@@ -57,6 +57,7 @@ class ReaderProxy:
         self, guid: Guid, route: PeerRoute, writer: bytes, history: History, shared: SharedParts
     ) -> None:
         self.guid = guid
+        self._entity = guid.entity
         self._route = route
         self._writer = writer
         self._history = history
@@ -95,26 +96,39 @@ class ReaderProxy:
 
     def is_silent(self, now: float) -> bool:
         """Return whether it lacks samples and has got none of them for long."""
-        return self.has_unacknowledged(self._history.last) and now - self.waits_since > SILENCE
+        if now - self.waits_since <= SILENCE:
+            return False
+        return self.has_unacknowledged(self._history.last)
 
     def write(self, number: int, sample: StoredSample, now: float) -> None:
         """Send a new sample, or a GAP if the reader does not get it."""
-        if not self.has_unacknowledged(number - 1):
+        if not self.is_reliable or (self.acknowledged >= number - 1 and not self._is_new):
             self.waits_since = now
         self._budget.write(len(sample.payload))
-        self.send([number], now, has_heartbeat=self._needs_heartbeat(number, now))
+        if self._is_new:
+            return
+        has_heartbeat = self._needs_heartbeat(number, now)
+        if sample.only_to in (None, self.guid):
+            self._send_sample(number, sample)
+        elif self.is_reliable:
+            self._shared.outbox.add(
+                self._route, Gap(self._entity, self._writer, number, NumberSet(number + 1))
+            )
+        if self.is_reliable:
+            self._note_sent(number, now)
+            if has_heartbeat:
+                self.heartbeat(now)
 
     def skip(self, number: int) -> None:
         """Note a new sample that the reader does not need."""
         if self.acknowledged == number - 1:
             self.acknowledged = number
 
-    def send(self, numbers: Iterable[int], now: float, *, has_heartbeat: bool = True) -> None:
+    def send(self, numbers: Iterable[int], now: float) -> None:
         """Send samples, and a GAP for those that the reader does not get; and a heartbeat."""
         if self._is_new:
             return
         left_out = list[int]()
-        self._forget_sent()
         for number in numbers:
             sample = self._sample(number)
             if sample is None:
@@ -122,27 +136,27 @@ class ReaderProxy:
             else:
                 self._send_sample(number, sample)
             if self.is_reliable:
-                self._sent[number] = now
+                self._note_sent(number, now)
         if self.is_reliable:
             for gap in self._gaps(left_out):
                 self._shared.outbox.add(self._route, gap)
-            if has_heartbeat:
-                self.heartbeat(now)
+            self.heartbeat(now)
 
     def _needs_heartbeat(self, number: int, now: float) -> bool:
         """Return whether a new sample has a heartbeat: one that waits is replaced at no cost."""
         is_recent = now - self._told_at < HEARTBEAT_PAUSE and number - self._told < SAMPLES_WITHOUT
         if not (is_recent and self._is_current):
             return True
-        return self._shared.outbox.has_heartbeat(self._route, self.guid.entity, self._writer)
+        return self._shared.outbox.has_heartbeat(self._route, self._entity, self._writer)
 
     def heartbeat(self, now: float) -> None:
         """Tell the reader which samples there are."""
-        last = self._before if self._is_new else self._history.last
+        first, last = self._before + 1, self._before
+        if not self._is_new:
+            first, last = max(self._history.first, first), self._history.last
         self._told, self._told_at = last, now
-        heartbeat = WriterHeartbeat(
-            self.guid.entity, self._writer, self._first, last, self._shared.next_count()
-        )
+        count = self._shared.next_count()
+        heartbeat = WriterHeartbeat(self._entity, self._writer, first, last, count)
         self._shared.outbox.add(self._route, heartbeat)
 
     def receive_acknack(self, nack: AckNack, now: float) -> None:
@@ -202,9 +216,10 @@ class ReaderProxy:
                 self._sent.pop(number, None)
         self.acknowledged = has
 
-    def _forget_sent(self) -> None:
-        """Forget when samples were sent that are not kept any more."""
-        if len(self._sent) > 2 * len(self._history) + 1:
+    def _note_sent(self, number: int, now: float) -> None:
+        """Note when a sample was sent, and forget it of samples that are not kept any more."""
+        self._sent[number] = now
+        if len(self._sent) > 2 * len(self._history.samples) + 2:
             first = self._history.first
             self._sent = {number: at for number, at in self._sent.items() if number >= first}
 
@@ -220,7 +235,7 @@ class ReaderProxy:
 
     def _sample(self, number: int) -> StoredSample | None:
         """Return a sample if it is for this reader."""
-        sample = self._history.get(number) if number > self._before else None
+        sample = self._history.samples.get(number) if number > self._before else None
         if sample is None or sample.only_to not in (None, self.guid):
             return None
         return sample
@@ -232,7 +247,7 @@ class ReaderProxy:
                 self._send_fragment(number, sample, first)
             return
         data = Data(
-            self.guid.entity,
+            self._entity,
             self._writer,
             number,
             sample.payload,
@@ -244,7 +259,7 @@ class ReaderProxy:
     def _send_fragment(self, number: int, sample: StoredSample, first: int) -> None:
         size = self._shared.fragment_size
         fragment = DataFragment(
-            self.guid.entity,
+            self._entity,
             self._writer,
             number,
             first,
@@ -264,4 +279,4 @@ class ReaderProxy:
             while at < len(numbers) and numbers[at] <= end:
                 end = max(numbers[at] + 1, self._first if start < self._first else 0)
                 at += 1
-            yield Gap(self.guid.entity, self._writer, start, NumberSet(end))
+            yield Gap(self._entity, self._writer, start, NumberSet(end))

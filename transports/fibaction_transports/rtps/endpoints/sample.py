@@ -32,11 +32,11 @@ class Sample(Struct, frozen=True):
     @property
     def is_ended(self) -> bool:
         """True if the sample says that what it is about is disposed or unregistered."""
-        if self.inline_qos is None:
-            return False
-        return any(
-            int.from_bytes(status[3:4]) & _ENDED_BITS for status in self.inline_qos.all(STATUS_INFO)
-        )
+        if self.inline_qos is not None:
+            for pid, status in self.inline_qos.items:
+                if pid == STATUS_INFO and int.from_bytes(status[3:4]) & _ENDED_BITS:
+                    return True
+        return False
 
 
 def received_sample(writer: Guid, data: Data, time: float | None) -> Sample:
@@ -54,7 +54,7 @@ def padded(payload: bytes) -> bytes:
     if len(payload) < ENCAPSULATION:
         raise ValueError(f"payload of {len(payload)} bytes has no encapsulation header of 4 bytes")
     padding = -len(payload) % 4
-    if padding == payload[3] & _PADDING_BITS == 0:
+    if not padding:
         return payload
     return b"".join(
         (payload[:3], bytes([payload[3] & ~_PADDING_BITS | padding]), payload[4:], bytes(padding))

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Container, Sequence
 
+from fibaction.words.errors import LimitReached
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
 from fibaction_transports.rtps.endpoints.reader_proxy import ReaderProxy
 from fibaction_transports.rtps.endpoints.sample import padded
@@ -95,10 +96,12 @@ class DataWriter:
             LimitReached: The history is full.
             ValueError: The payload has no encapsulation header, or the inline QoS are too long.
         """
-        size = sum(len(value) for _, value in inline_qos)
-        if size > MAX_INLINE_QOS:
-            raise ValueError(f"inline QoS of {size} bytes exceed {MAX_INLINE_QOS} bytes")
-        inline = Parameters(tuple(inline_qos)) if inline_qos else None
+        inline = None
+        if inline_qos:
+            inline = Parameters(tuple(inline_qos))
+            size = sum(len(value) for _, value in inline_qos)
+            if size > MAX_INLINE_QOS:
+                raise ValueError(f"inline QoS of {size} bytes exceed {MAX_INLINE_QOS} bytes")
         sample = StoredSample(
             payload=padded(payload), inline_qos=inline, time=time, only_to=only_to
         )
@@ -115,19 +118,25 @@ class DataWriter:
         Raises:
             LimitReached: The history is full.
         """
-        if self._expiries or self._history.is_full(sample):
+        if self._expiries:
             self._forget(now)
-        number = self._history.add(sample)
+        try:
+            number = self._history.add(sample)
+        except LimitReached:
+            self._forget(now)
+            number = self._history.add(sample)
         if self.qos.lifespan < math.inf:
             self._expiries.append((now + self.qos.lifespan, number))
+        is_awaited = False
         for guid, proxy in self._readers.items():
             if only_at is None or guid.prefix in only_at:
                 proxy.write(number, sample, now)
             else:
                 proxy.skip(number)
+            is_awaited |= proxy.is_reliable and not proxy.is_silent(now)
         self._pause = FIRST_HEARTBEAT
         self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
-        if not any(p.is_reliable and not p.is_silent(now) for p in self._readers.values()):
+        if not is_awaited:
             self._forget(now)  # otherwise when they acknowledge
         return number
 
@@ -191,7 +200,7 @@ class DataWriter:
     def _forget_expired(self, now: float) -> None:
         while self._expiries:
             due, number = self._expiries[0]
-            if self._history.get(number) is not None:
+            if number in self._history.samples:
                 if due > now:
                     return
                 self._history.forget(number)

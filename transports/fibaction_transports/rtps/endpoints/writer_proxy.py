@@ -67,8 +67,14 @@ class WriterProxy:
         shared: SharedParts,
         deliver: Callable[[Guid, Sample, float], None],
         on_caught_up: Callable[[], None],
+        confirmed: set[Guid],
     ) -> None:
+        """Match a writer. It is in `confirmed` if it is known to have found the reader, or does
+        not tell.
+        """
         self._guid = guid
+        self._confirmed = confirmed
+        confirmed.add(guid)
         self._route = route
         self._vendor = vendor
         self._reader = reader
@@ -84,11 +90,6 @@ class WriterProxy:
         self._pace = RequestPace(shared.answer_time)
         self._fragment_pause = FRAGMENT_PAUSE
         self._catch_up = CatchUp(shared.timers, self.ask, on_caught_up)
-
-    @property
-    def is_confirmed(self) -> bool:
-        """True if the writer is known to have found the reader, or does not tell."""
-        return not self._is_reliable or self._next is not None
 
     @property
     def is_complete(self) -> bool:
@@ -110,6 +111,7 @@ class WriterProxy:
     def start_reliable(self, heartbeat: WriterHeartbeat | None, now: float) -> None:
         """Take the first heartbeat of the writer, or ask for it until it comes."""
         self._is_reliable = True
+        self._confirmed.discard(self._guid)
         if heartbeat is None:
             self.on_request_due(now)
         else:
@@ -124,10 +126,11 @@ class WriterProxy:
         for number in list(self._held):
             self._unhold(number)
         self._catch_up.close()
+        self._confirmed.discard(self._guid)
 
     def receive_data(self, data: Data, time: float | None, now: float) -> None:
         """Take a sample."""
-        if not self._wants(data.number):
+        if data.number != self._next and not self._wants(data.number):
             return
         if data.payload is not None and len(data.payload) > self._shared.limits.sample:
             self._shared.counters.over_limit += 1
@@ -174,11 +177,13 @@ class WriterProxy:
                 SamplesLost(self._reader, self._guid, self._lost_before(heartbeat.first))
             )
             self._advance(heartbeat.first, now)
-        elif self._missing():
+        elif self._next <= self._announced and self._missing():
             self._catch_up.note_loss(now)
         self._catch_up.hear(heartbeat.count, heartbeat.last, now)
-        self._catch_up.settle(self._next or 1)
-        if self._partials or self._is_behind():
+        if self._catch_up.is_open:
+            self._catch_up.settle(self._next or 1)
+        # What was announced may not have been handed over.
+        if self._partials or (self._next or 1) <= self._announced:
             self._request(now)
         elif not heartbeat.is_final:
             self._shared.timers.set_earlier(self.on_acknowledge_due, now + pause)
@@ -252,17 +257,19 @@ class WriterProxy:
     def _take(self, sample: Sample, now: float) -> None:
         """Hand over a sample, or hold it until those before it have come."""
         number = sample.number
-        self._give_up(number)
+        if self._partials:
+            self._give_up(number)
         self._requests = 0
         self._pace.note_sample(number, now)
-        self._catch_up.note_sample(now)
+        self._catch_up.sampled_at = now
         if not self._is_reliable:
             self._advance(number, now)
         if number == self._next:
             self._next = number + 1
             self._request_pause = FIRST_REQUEST
             self._deliver(self._reader, sample, now)
-            self._hand_over(now)
+            if self._held or self._catch_up.is_open:
+                self._hand_over(now)
         elif self._shared.held.take(len(sample.payload)):
             self._held[number] = sample
             if self._next is not None:
@@ -276,6 +283,7 @@ class WriterProxy:
     def _advance(self, number: int, now: float) -> None:
         """Expect no sample before this number, and hand over what was held for it."""
         self._next = number
+        self._confirmed.add(self._guid)
         for held in sorted(self._held):
             if held < number:
                 self._hand_over_one(held, now)
@@ -308,10 +316,6 @@ class WriterProxy:
         partial = self._partials.get(number)
         if partial is not None:
             self._shared.partials.remove(partial)
-
-    def _is_behind(self) -> bool:
-        """Return whether something that was announced has not been handed over."""
-        return (self._next or 1) <= self._announced
 
     def _missing(self) -> tuple[int, ...]:
         """Return the announced samples of which nothing has come."""

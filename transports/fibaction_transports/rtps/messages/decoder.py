@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from fibaction_transports.rtps.messages import kinds
 from fibaction_transports.rtps.messages.errors import InvalidPacket
@@ -11,9 +11,11 @@ from fibaction_transports.rtps.messages.ids import PREFIX_SIZE
 from fibaction_transports.rtps.messages.layout import (
     BIG,
     LITTLE,
+    MAX_NUMBER,
     U32,
     Order,
     checked_number,
+    invalid_number,
     seconds_of,
 )
 from fibaction_transports.rtps.messages.locators import LOCATOR_SIZE, Locator, read_locator
@@ -60,7 +62,8 @@ def read_packet(datagram: bytes) -> Packet:
     return Packet(prefix, vendor, submessages, len(datagram))
 
 
-def _submessages(data: memoryview) -> Iterator[Submessage]:
+def _submessages(data: memoryview) -> list[Submessage]:
+    found = list[Submessage]()
     offset, end = kinds.PACKET_HEAD, len(data)
     while offset + kinds.SUBMESSAGE_HEAD.size <= end:
         order = LITTLE if data[offset + 1] & kinds.LITTLE_FLAG else BIG
@@ -72,24 +75,31 @@ def _submessages(data: memoryview) -> Iterator[Submessage]:
             raise InvalidPacket(f"submessage of {size} bytes is longer than its datagram")
         read = _READERS.get(kind)
         if read is not None:
-            yield read(data[offset : offset + size], flags, order)
+            found.append(read(data[offset : offset + size], flags, order))
         offset += size
+    return found
 
 
 def _data(body: memoryview, flags: int, order: Order) -> Data:
     _, distance, reader, writer, high, low = kinds.DATA_HEAD[order].unpack_from(body)
-    inline, place = _inline_qos(body, flags, order, distance, kinds.DATA_HEAD.size)
+    inline, place = None, kinds.TO_INLINE + distance
+    if flags & kinds.INLINE_FLAG or place != kinds.DATA_HEAD.size:
+        inline, place = _inline_qos(body, flags, order, place, kinds.DATA_HEAD.size)
     is_key = bool(flags & kinds.KEY_FLAG)
     payload = body[place:] if is_key or flags & kinds.PAYLOAD_FLAG else None
     if payload is not None and len(payload) < U32.size:
         raise InvalidPacket(f"payload of {len(payload)} bytes has no encapsulation header")
-    return Data(reader, writer, checked_number(high, low), payload, inline, is_key)
+    number = (high << 32) | low
+    if not 0 < number < MAX_NUMBER:
+        raise invalid_number(number, 1)
+    return Data(reader, writer, number, payload, inline, is_key)
 
 
 def _fragment(body: memoryview, flags: int, order: Order) -> DataFragment:
     fields = kinds.FRAGMENT_HEAD[order].unpack_from(body)
     _, distance, reader, writer, high, low, first, count, size, whole = fields
-    inline, place = _inline_qos(body, flags, order, distance, kinds.FRAGMENT_HEAD.size)
+    least = kinds.FRAGMENT_HEAD.size
+    inline, place = _inline_qos(body, flags, order, kinds.TO_INLINE + distance, least)
     if size == 0 or whole < U32.size or -(-whole // size) > MAX_FRAGMENTS:
         raise InvalidPacket(f"sample of {whole} bytes in fragments of {size} is beyond the limits")
     last = first + count - 1
@@ -113,10 +123,9 @@ def _fragment(body: memoryview, flags: int, order: Order) -> DataFragment:
 
 
 def _inline_qos(
-    body: memoryview, flags: int, order: Order, distance: int, least: int
+    body: memoryview, flags: int, order: Order, place: int, least: int
 ) -> tuple[Parameters | None, int]:
-    """Return the inline QoS and the place of the payload."""
-    place = kinds.TO_INLINE + distance
+    """Return the inline QoS, which begin at a place, and the place of the payload."""
     if not least <= place <= len(body):
         raise InvalidPacket(f"inline QoS at byte {place} is outside its submessage")
     return read_parameters(body, order, place) if flags & kinds.INLINE_FLAG else (None, place)
@@ -124,8 +133,11 @@ def _inline_qos(
 
 def _heartbeat(body: memoryview, flags: int, order: Order) -> WriterHeartbeat:
     reader, writer, *numbers, count = kinds.HEARTBEAT_BODY[order].unpack_from(body)
-    first = checked_number(numbers[0], numbers[1])
-    last = checked_number(numbers[2], numbers[3], first - 1)
+    first, last = (numbers[0] << 32) | numbers[1], (numbers[2] << 32) | numbers[3]
+    if not 0 < first < MAX_NUMBER:
+        raise invalid_number(first, 1)
+    if not first - 1 <= last < MAX_NUMBER:
+        raise invalid_number(last, first - 1)
     is_final, is_alive = bool(flags & kinds.FINAL_FLAG), bool(flags & kinds.ALIVE_FLAG)
     return WriterHeartbeat(reader, writer, first, last, count, is_final, is_alive)
 

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from fibaction_transports.rtps.messages import kinds
-from fibaction_transports.rtps.messages.layout import LITTLE, U32, Order, halves, time_halves
+from fibaction_transports.rtps.messages.ids import PREFIX_SIZE
+from fibaction_transports.rtps.messages.layout import LITTLE, LOW, U32, Order, halves, time_halves
 from fibaction_transports.rtps.messages.locators import Locator, locator_bytes
 from fibaction_transports.rtps.messages.number_sets import bits_bytes
 from fibaction_transports.rtps.messages.parameters import parameters_bytes
@@ -30,6 +31,9 @@ _Parts: TypeAlias = tuple[int, int, bytes]
 """The kind, the flags and the body of a submessage."""
 
 _MAX_BODY = 2**16 - 1
+_DESTINATION_HEAD = kinds.SUBMESSAGE_HEAD[LITTLE].pack(
+    kinds.INFO_DST, kinds.LITTLE_FLAG, PREFIX_SIZE
+)
 
 
 def packet_head(vendor: bytes, prefix: bytes) -> bytes:
@@ -48,6 +52,11 @@ def submessage_bytes(submessage: Submessage, order: Order = LITTLE) -> bytes:
         raise ValueError(f"submessage of {len(body)} bytes exceeds {_MAX_BODY} bytes")
     flags |= kinds.LITTLE_FLAG if order == LITTLE else 0
     return kinds.SUBMESSAGE_HEAD[order].pack(kind, flags, len(body)) + body
+
+
+def destination_bytes(prefix: bytes) -> bytes:
+    """Return the submessage that says for which participant the following ones are."""
+    return _DESTINATION_HEAD + prefix
 
 
 def _gap(gap: Gap, order: Order) -> _Parts:
@@ -72,8 +81,10 @@ def _timestamp(timestamp: Timestamp, order: Order) -> _Parts:
 
 
 def _data(data: Data, order: Order) -> _Parts:
-    distance = kinds.DATA_HEAD.size - kinds.TO_INLINE
-    head = kinds.DATA_HEAD[order].pack(0, distance, data.reader, data.writer, *halves(data.number))
+    distance, number = kinds.DATA_HEAD.size - kinds.TO_INLINE, data.number
+    head = kinds.DATA_HEAD[order].pack(
+        0, distance, data.reader, data.writer, number >> 32, number & LOW
+    )
     inline = b"" if data.inline_qos is None else parameters_bytes(data.inline_qos)
     flags = kinds.INLINE_FLAG if inline else 0
     if data.payload is not None:
@@ -104,7 +115,8 @@ def _heartbeat(heartbeat: WriterHeartbeat | FragmentHeartbeat, order: Order) -> 
     if isinstance(heartbeat, FragmentHeartbeat):
         numbers = (*halves(heartbeat.number), heartbeat.last, heartbeat.count)
         return kinds.HEARTBEAT_FRAG, 0, kinds.HEARTBEAT_FRAG_BODY[order].pack(*ends, *numbers)
-    span = (*halves(heartbeat.first), *halves(heartbeat.last), heartbeat.count)
+    first, last = heartbeat.first, heartbeat.last
+    span = first >> 32, first & LOW, last >> 32, last & LOW, heartbeat.count
     flags = kinds.FINAL_FLAG if heartbeat.is_final else 0
     flags |= kinds.ALIVE_FLAG if heartbeat.is_alive else 0
     return kinds.HEARTBEAT, flags, kinds.HEARTBEAT_BODY[order].pack(*ends, *span)

@@ -14,6 +14,8 @@ BIG: Order = ">"
 MAX_NUMBER = 2**62
 """The bound of sequence numbers: sums with those that are believed fit into the wire's 64 bits."""
 
+LOW = 2**32 - 1
+"""The bits of the lower half of a sequence number."""
 _FRACTIONS = 2**32
 _ENDLESS_SECONDS = 0x7FFFFFFF
 
@@ -39,13 +41,18 @@ def checked_number(high: int, low: int, least: int = 1) -> int:
     """
     number = (high << 32) | low
     if not least <= number < MAX_NUMBER:
-        raise InvalidPacket(f"sequence number {number} is not between {least} and 2^62")
+        raise invalid_number(number, least)
     return number
+
+
+def invalid_number(number: int, least: int) -> InvalidPacket:
+    """Return the error for a sequence number that is too small or too large."""
+    return InvalidPacket(f"sequence number {number} is not between {least} and 2^62")
 
 
 def halves(number: int) -> tuple[int, int]:
     """Return the two halves of a sequence number."""
-    return number >> 32, number & 0xFFFFFFFF
+    return number >> 32, number & LOW
 
 
 def time_halves(seconds: float) -> tuple[int, int]:
