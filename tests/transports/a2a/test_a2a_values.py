@@ -12,11 +12,9 @@ from google.protobuf.struct_pb2 import Value
 
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import ActionInfo
-from fibaction_transports.a2a.tasks.a2a_values import data_part, has_inexact, plain_of
-from fibaction_transports.a2a.tasks.feedback_position import FeedbackPosition, position_of
-from fibaction_transports.a2a.tasks.skills import Skill
-from fibaction_transports.a2a.tasks.task_list import page_of
-from fibaction_transports.a2a.tasks.task_views import status_of
+from fibaction_transports.a2a.a2a_values import data_part, has_inexact, plain_of
+from fibaction_transports.a2a.agent_card import Skill
+from fibaction_transports.a2a.task_views import AFTER_RESULT, page_of, position_of, status_of
 
 ANY = JsonCodec({}, "result")
 
@@ -57,11 +55,9 @@ def test_inexact_numbers_are_found() -> None:
     assert not has_inexact({"a": [1, 2.0**60, True, "x"]})
 
 
-def test_a_position_is_written_as_it_is_read() -> None:
-    for text in ("17", "2.17", "result", "0"):
-        assert str(position_of(text)) == text
-    assert position_of("2.1") > position_of("17")
-    assert FeedbackPosition(has_result=True) > position_of("2.1")
+def test_positions_are_in_the_order_of_the_updates() -> None:
+    assert position_of("17") == (1, 17)
+    assert AFTER_RESULT == position_of("result") > position_of("2.1") > position_of("17")
 
 
 class _Connection:

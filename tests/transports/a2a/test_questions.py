@@ -10,8 +10,8 @@ from a2a.utils.errors import InvalidParamsError, TaskNotFoundError
 from google.protobuf.json_format import ParseDict
 from google.protobuf.struct_pb2 import Value
 
-from fibaction_transports.a2a.tasks import questions
-from fibaction_transports.a2a.tasks.questions import answer_in
+from fibaction_transports.a2a import questions
+from fibaction_transports.a2a.questions import answer_in
 from tests.transports.a2a.agent_talk import (
     Drive,
     data_of,

@@ -24,8 +24,7 @@ from mcp_types import (
 from fibaction import serve
 from fibaction.schema.payload import JsonCodec
 from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
-from fibaction_transports.mcp import AgentPolicy, McpBridge
-from fibaction_transports.mcp.tools import consent
+from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
 from tests.transports.mcp.robot import (
     MODES,
     Drive,

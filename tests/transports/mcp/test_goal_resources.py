@@ -12,8 +12,7 @@ from mcp.shared.subscriptions import ResourcesListChanged, ResourceUpdated
 from mcp_types import TextResourceContents
 from mcp_types.jsonrpc import INVALID_PARAMS
 
-from fibaction_transports.mcp import goal_resources
-from fibaction_transports.mcp.tools import answers
+from fibaction_transports.mcp import answers, goal_resources
 from tests.transports.mcp.robot import (
     MODES,
     PATIENCE,

@@ -15,9 +15,9 @@ from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
 
 from fibaction import ActionError, ConnectionLost, GoalID, GoalStatus, Outcome, UnknownGoal, serve
 from fibaction.words.goals import UNKNOWN_OUTCOME
+from fibaction_transports._agents.agent_goals import AgentGoal
 from fibaction_transports.mcp import AgentPolicy, McpBridge
-from fibaction_transports.mcp.tools.agent_goals import AgentGoal
-from fibaction_transports.mcp.tools.goal_tasks import EXTENSION, detailed
+from fibaction_transports.mcp.goal_tasks import EXTENSION, detailed
 from tests.support.ports import free_port
 from tests.transports.mcp.robot import (
     PATIENCE,
@@ -207,10 +207,10 @@ class Lost:
     status = GoalStatus.EXECUTING
 
 
-def lost(error: ActionError) -> AgentGoal:
+def lost(error: ActionError) -> AgentGoal[Any]:
     goal: Any = Lost()
     action: Any = None
-    made = AgentGoal(action, goal, own=True, on_change=lambda _: None)
+    made = AgentGoal(action, goal, own=True)
     made.error = error
     return made
 
@@ -235,7 +235,7 @@ async def test_a_goal_that_its_server_has_forgotten_has_failed() -> None:
 async def test_a_cancel_that_cannot_be_asked_for_is_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def cancel(_: AgentGoal) -> None:
+    async def cancel(_: AgentGoal[Any]) -> None:
         raise ConnectionLost("it is away")
 
     async with tasking() as (robot, client):

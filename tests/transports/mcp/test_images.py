@@ -14,9 +14,8 @@ from mcp_types import ImageContent
 
 from fibaction import Action, ActionServer, GoalHandle, serve
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.mcp import McpBridge
-from fibaction_transports.mcp.tools import images
-from fibaction_transports.mcp.tools.images import Images
+from fibaction_transports.mcp import McpBridge, answers
+from fibaction_transports.mcp.answers import Images
 from tests.transports.mcp.robot import PATIENCE, UNASKED
 
 PNG = b"\x89PNG\r\n\x1a\n and so on"
@@ -72,15 +71,15 @@ def test_an_image_is_known_by_the_content_type_of_its_field() -> None:
 def test_images_that_are_too_many_or_too_large_stay_as_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(images, "LARGEST_IMAGE", len(PNG))
-    monkeypatch.setattr(images, "MOST_IMAGES", 1)
+    monkeypatch.setattr(answers, "LARGEST_IMAGE", len(PNG))
+    monkeypatch.setattr(answers, "MOST_IMAGES", 1)
     message, found = taken([PNG + b"!", PNG, PNG])
     assert len(found) == 1
     assert (message[0], message[2]) == (PNG + b"!", PNG)
 
 
 def test_images_are_looked_for_to_a_depth(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "DEEPEST", 2)
+    monkeypatch.setattr(answers, "DEEPEST", 2)
     message, found = taken([[PNG], [[PNG]]])
     assert len(found) == 1
     assert message[1] == [[PNG]]

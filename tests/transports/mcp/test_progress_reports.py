@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fibaction_transports.mcp.tools.answers import ProgressReports
+from fibaction_transports.mcp.answers import ProgressReports
 
 pytestmark = pytest.mark.anyio
 

@@ -24,16 +24,14 @@ from fibaction import (
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection, Endpoint, GoalRequest, Transport
-from fibaction.client.goal import ClientGoal
 from fibaction.observe import followed_servers
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Parent
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents import robot_actions
+from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import AgentPolicy, McpBridge
-from fibaction_transports.mcp.tools import agent_goals
-from fibaction_transports.mcp.tools.answers import goal_answer
-from fibaction_transports.mcp.tools.goal_overview import overview
+from fibaction_transports.mcp.answers import goal_answer, overview
 from tests.cli.served import Served, counter
 from tests.transports.mcp.robot import (
     DRIVE,
@@ -355,7 +353,7 @@ async def test_a_goal_that_was_lost_is_found_again_when_it_is_asked_about(
         await robot.waits.wait()
         goals = made.bridge._tools._calls._goals._goals
         (goal,) = goals.values()
-        goal._goal.feedback.stream.fail(ConnectionLost("the line was cut"))
+        goal.stream.fail(ConnectionLost("the line was cut"))
         await goal.ended.wait()
         found = await made.data("goal_status", goal_id=sent["goal_id"])
         assert found["status"] == "EXECUTING"
@@ -365,13 +363,13 @@ async def test_a_goal_that_was_lost_is_found_again_when_it_is_asked_about(
 
         sent = await made.data("send_goal", tool="arm-drive", goal={"meters": 100})
         goal = goals[GoalID.parse(sent["goal_id"])]
-        goal._goal.feedback.stream.fail(ConnectionLost("the line was cut"))
+        goal.stream.fail(ConnectionLost("the line was cut"))
         await goal.ended.wait()
 
         async def no_goals(_: Any) -> dict[Any, Any]:
             return {}
 
-        monkeypatch.setattr(agent_goals, "goals_of", no_goals)
+        monkeypatch.setattr(AgentGoals, "listed", no_goals)
         text = await made.error("goal_status", goal_id=sent["goal_id"])
         assert text.startswith(
             "The goal cannot be followed any more, and may continue: the line was cut. Call"
@@ -390,14 +388,14 @@ async def test_a_goal_that_ends_badly_for_the_bridge_says_so(
 
         with monkeypatch.context() as patch:
             (action, _) = made.bridge._tools._actions.by_label.values()
-            patch.setattr(action.client, "attach", lost)
+            patch.setattr(action.endpoint, "feedback", lost)
             text = await made.error("goal_status", goal_id=str(other.goal_id))
             assert text == "The goal cannot be followed: the line was cut"
-            patch.setattr(action.client, "goals", lost)
+            patch.setattr(action.endpoint, "status", lost)
             told = await made.data("goal_status")
             assert told["actions"][0]["problem"] == "its server does not tell its goals"
         with monkeypatch.context() as patch:
-            patch.setattr(ClientGoal, "cancel", lost)
+            patch.setattr(AgentGoal, "cancel", lost)
             text = await made.error("cancel_goal", goal_id=str(other.goal_id))
             assert text == "The goal was not canceled, and may continue: the line was cut"
         await other.cancel()
@@ -409,7 +407,7 @@ async def test_a_cancel_of_a_call_while_the_server_is_away_is_logged(
     async with robot_and_talk("auto", UNASKED) as (robot, made):
         tried = anyio.Event()
 
-        async def lost(_: Any) -> Any:
+        async def lost(*_: Any) -> Any:
             tried.set()
             raise ConnectionLost("the line was cut")
 
@@ -417,13 +415,14 @@ async def test_a_cancel_of_a_call_while_the_server_is_away_is_logged(
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(lambda: made.call("arm-drive", meters=100))
                 await robot.waits.wait()
-                patch.setattr(ClientGoal, "cancel", lost)
+                (action, _) = made.bridge._tools._actions.by_label.values()
+                patch.setattr(action.endpoint, "cancel_goals", lost)
                 tasks.cancel_scope.cancel()
             await tried.wait()
         assert not robot.stopped.is_set()
         await robot.drive.cancel_goals()
     (record,) = caplog.records
-    assert record.getMessage().endswith("was not canceled, and continues: the line was cut")
+    assert record.getMessage().endswith("was left, but could not be canceled: the line was cut")
 
 
 async def test_an_unknown_outcome_is_an_error() -> None:

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from fibaction_transports._agents.action_names import LONGEST, action_name
+from fibaction_transports._agents.robot_actions import LONGEST, action_name
 
 VALID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 

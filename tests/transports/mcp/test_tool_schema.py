@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from fibaction import Action
-from fibaction_transports.mcp.tools.tool_schema import tool_input, tool_output
+from fibaction_transports.mcp.tool_list import tool_input, tool_output
 
 
 class Leaf(msgspec.Struct):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -11,8 +9,8 @@ import pytest
 from mcp_types import ToolAnnotations
 
 from fibaction import GoalStatus, serve
-from fibaction_transports.mcp import AgentPolicy, McpBridge
-from fibaction_transports.mcp.tools import agent_goals, answers
+from fibaction_transports._agents import agent_goals
+from fibaction_transports.mcp import AgentPolicy, McpBridge, answers
 from tests.transports.mcp.robot import (
     MODES,
     PATIENCE,
@@ -268,7 +266,7 @@ async def test_more_goals_than_the_bridge_follows_are_not_sent(
     monkeypatch.setattr(agent_goals, "MOST_ACTIVE", 1)
     async with robot_and_talk("auto", UNASKED) as (robot, made):
         sent = await made.data("send_goal", tool="arm-drive", goal={"meters": 100})
-        assert "1 goals of this bridge are active" in await made.error("arm-drive", meters=1)
+        assert "1 goals are active" in await made.error("arm-drive", meters=1)
         await robot.waits.wait()
         await made.data("cancel_goal", goal_id=sent["goal_id"])
         assert (await made.data("arm-drive", meters=1))["status"] == "SUCCEEDED"
@@ -296,24 +294,3 @@ async def test_a_result_that_is_too_long_for_a_model_is_cut(
 
 async def test_what_json_cannot_express_is_said() -> None:
     assert "cannot be written as JSON" in answers.json_text({"a": object()})
-
-
-async def test_feedback_with_a_total_is_progress_with_a_total_and_never_goes_back() -> None:
-    told: list[tuple[float, float | None]] = []
-
-    class Session:
-        async def report_progress(self, done: float, total: float | None, message: str) -> None:
-            told.append((done, total))
-
-    class Goal:
-        async def wait(self, seconds: float, report: Any) -> None:
-            steps = [(1, 4), (1, 4), (3.5, 4), (2, 4), (math.inf, 4), (True, 4), (6, None), (-1, 4)]
-            for number, (done, total) in enumerate(steps, 1):
-                await report(number, {"done": done, "total": total})
-            await report(9, "text")
-
-    context: Any = SimpleNamespace(session=Session())
-    goal: Any = Goal()
-    async with robot_and_talk("auto", UNASKED) as (_, made):
-        await made.bridge._tools._calls._wait(context, goal, 1)
-    assert told == [(1, 4), (3.5, 4), (5, None), (6, None), (7, None), (9, None)]

@@ -1,1 +1,1 @@
-"""The parts that transports for agents share: the policy, the actions, and their HTTP server."""
+"""The parts that transports for agents share: policy, actions, goals, and the HTTP server."""

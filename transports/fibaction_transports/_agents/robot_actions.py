@@ -1,12 +1,16 @@
 """`RobotActions`: the actions of some servers, by the names that agents have for them.
 
-A name stays for as long as its action is there. What cannot be used here, for example
+Language models take letters, digits, `_` and `-`, and at most 64 of them. So `arm/pick` is
+`arm-pick`, and on a server that is called `left` it is `left-arm-pick`. A name stays for as long as
+its action is there. What cannot be used here, for example
 because its ROS type is not installed, is left out, and the log says so once.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping
+from hashlib import blake2b
 from typing import Generic, TypeVar
 
 from fibaction.border.abc import Connection, Notifier
@@ -15,11 +19,12 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import TransportError
-from fibaction_transports._agents.action_names import action_name
 from fibaction_transports._agents.agent_policy import AgentPolicy
 
 MOST_ACTIONS = 200
 """Actions of one server that agents get; far fewer are too many for most models."""
+LONGEST = 64
+"""Characters of a name."""
 
 logger = clean_logger("fibaction.agents")
 
@@ -143,3 +148,16 @@ class RobotActions(Generic[ActionT]):
         if (server, info.name) not in self._left_out and len(self._left_out) < MOST_ACTIONS:
             self._left_out.add((server, info.name))
             logger.warning("action %s is left out: %s", info.name, reason)
+
+
+def action_name(server: str, action: str, taken: Collection[str]) -> str:
+    """Return the name of an action, which is none of those that are taken.
+
+    A name that is too long or taken ends with digits that depend on the server and the action only.
+    """
+    parts = [server, *action.lstrip("~").split("/")]
+    name = re.sub(r"[^A-Za-z0-9_-]", "_", "-".join(part for part in parts if part))
+    if name and len(name) <= LONGEST and name not in taken:
+        return name
+    digest = blake2b(f"{server}\n{action}".encode(errors="replace"), digest_size=4).hexdigest()
+    return f"{name[: LONGEST - len(digest) - 1]}_{digest}"

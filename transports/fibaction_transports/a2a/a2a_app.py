@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from contextvars import ContextVar
+from typing import NamedTuple
+
 from a2a.server.request_handlers.request_handler import RequestHandler
 from a2a.server.routes import create_agent_card_routes, create_jsonrpc_routes
 from a2a.types import AgentCard
@@ -11,10 +14,31 @@ from starlette.exceptions import HTTPException
 
 from fibaction_transports._agents.http_guard import App, Receive, Scope, Send
 from fibaction_transports.a2a.agent_card import CardMaker
-from fibaction_transports.a2a.asked_request import asked_request, note_request
 
 PATH = "/"
 CARD_PATH = AGENT_CARD_WELL_KNOWN_PATH
+
+
+class AskedRequest(NamedTuple):
+    """The request that is being answered."""
+
+    url: str
+    """The URL of this server, as its client calls it."""
+    is_known: bool
+    """True if the client has a token."""
+
+
+_ASKED: ContextVar[AskedRequest] = ContextVar("_ASKED")
+
+
+def asked_request() -> AskedRequest:
+    """Return the request that the calling task answers."""
+    return _ASKED.get()
+
+
+def note_request(url: str, *, is_known: bool) -> None:
+    """Note the request that the calling task answers from now on."""
+    _ASKED.set(AskedRequest(url, is_known))
 
 
 class A2aApp:

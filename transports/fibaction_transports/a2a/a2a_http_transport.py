@@ -6,14 +6,12 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import ClassVar
 
-from fibaction.border.event_loop import Background
 from fibaction.border.gateway import Gateway, ServerGroup
+from fibaction_transports._agents.agent_goals import AgentGoals
 from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
 from fibaction_transports.a2a.a2a_app import CARD_PATH, PATH, A2aApp
-from fibaction_transports.a2a.agent_card import CardMaker
+from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
 from fibaction_transports.a2a.goal_requests import GoalRequests
-from fibaction_transports.a2a.tasks.skills import Skill, Skills
-from fibaction_transports.a2a.tasks.task_table import TaskTable
 
 
 class A2aHttpTransport(AgentHttpTransport):
@@ -38,12 +36,11 @@ class A2aHttpTransport(AgentHttpTransport):
         """See `GatewayTransport.serve_group`. The names are the IDs of the skills."""
         skills = Skills(group, self.policy, Skill)
         cards = CardMaker(skills, self.policy)
-        async with Background() as tasks:
-            tasks.start_soon(skills.follow)
-            requests = GoalRequests(skills, TaskTable(tasks, skills), cards, self.policy)
-            app = A2aApp(requests, cards, self.server_settings.limits.frame)
-            async with self.serve_app(app, PATH, CARD_PATH) as url:
-                yield _A2aGateway(url, skills)
+        goals = AgentGoals(skills)
+        requests = GoalRequests(skills, goals, cards, self.policy)
+        app = A2aApp(requests, cards, self.server_settings.limits.frame)
+        async with goals.followed(), self.serve_app(app, PATH, CARD_PATH) as url:
+            yield _A2aGateway(url, skills)
 
 
 class _A2aGateway(Gateway):

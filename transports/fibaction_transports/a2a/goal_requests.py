@@ -13,7 +13,7 @@ about one goal, and the task that it gets is a view of that goal:
     CancelTask              cancels the goal
 
 The ID of a task is the ID of its goal, so other doors and a second client know it as well. There is
-no store of tasks: see `followed_task` for what is remembered.
+no store of tasks: see `agent_goals` for what is remembered.
 """
 
 from __future__ import annotations
@@ -51,23 +51,22 @@ from a2a.utils.errors import (
 )
 from a2a.utils.proto_utils import validate_proto_required_fields
 
-from fibaction.words.errors import ActionError, GoalRejected
-from fibaction.words.goals import CancelCode, GoalID
+from fibaction.words.errors import ActionError, GoalRejected, LimitReached, UnknownGoal
+from fibaction.words.goals import GoalID
+from fibaction_transports._agents.agent_goals import START, AgentGoal, AgentGoals, Position
 from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
-from fibaction_transports.a2a.agent_card import CardMaker
-from fibaction_transports.a2a.asked_request import asked_request
-from fibaction_transports.a2a.tasks.feedback_position import START, FeedbackPosition, position_of
-from fibaction_transports.a2a.tasks.followed_task import FollowedTask
-from fibaction_transports.a2a.tasks.goal_messages import goal_id_of, goal_of, skill_of
-from fibaction_transports.a2a.tasks.questions import Question, Questions, answer_in
-from fibaction_transports.a2a.tasks.skills import Skill, Skills
-from fibaction_transports.a2a.tasks.task_list import page_of
-from fibaction_transports.a2a.tasks.task_table import TaskTable
-from fibaction_transports.a2a.tasks.task_views import (
+from fibaction_transports.a2a.a2a_app import asked_request
+from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
+from fibaction_transports.a2a.goal_messages import goal_id_of, goal_of, skill_of
+from fibaction_transports.a2a.questions import Question, Questions, answer_in
+from fibaction_transports.a2a.task_views import (
+    AFTER_RESULT,
     artifact_event,
     ended_event,
     listed_task,
+    page_of,
+    position_of,
     status_of,
     task_of,
     update_event,
@@ -83,7 +82,7 @@ class GoalRequests(RequestHandler):
     """The requests to one server."""
 
     def __init__(
-        self, skills: Skills, goals: TaskTable, cards: CardMaker, policy: AgentPolicy
+        self, skills: Skills, goals: AgentGoals[Skill], cards: CardMaker, policy: AgentPolicy
     ) -> None:
         self._skills = skills
         self._goals = goals
@@ -125,7 +124,7 @@ class GoalRequests(RequestHandler):
         if (question := self._questions.find(goal_id)) is not None:
             yield _asking(question)
             return
-        goal = await self._goals.find(goal_id)
+        goal = await self._find(goal_id)
         if after is None and goal.status.is_terminal:
             raise UnsupportedOperationError(
                 "the task has ended: GetTask tells its result; to read its updates, send the header"
@@ -140,16 +139,17 @@ class GoalRequests(RequestHandler):
         goal_id = _goal_id(params.id)
         if (question := self._questions.find(goal_id)) is not None:
             return _asking(question)
-        return task_of(await self._goals.find(goal_id))
+        return task_of(await self._find(goal_id))
 
     async def on_list_tasks(
         self, params: ListTasksRequest, context: ServerCallContext
     ) -> ListTasksResponse:
         """Return a page of the goals of all clients."""
         tasks = [
-            listed_task(skill, info, self._goals.context_of(info.goal_id))
+            listed_task(skill, info, known.context_id if known else str(info.goal_id))
             for skill, infos in (await self._goals.listed()).items()
             for info in infos
+            for known in (self._goals.get(info.goal_id),)
         ]
         return page_of(tasks, params)
 
@@ -162,15 +162,14 @@ class GoalRequests(RequestHandler):
             return _task(
                 question, TaskState.TASK_STATE_CANCELED, "it was canceled before it was sent"
             )
-        goal = await self._goals.find(goal_id)
+        goal = await self._find(goal_id)
         self._check_cancel(goal)
         try:
-            answer = await goal.skill.endpoint.cancel_goals(goal_id)
+            rejected = await goal.cancel()
         except ActionError as exc:
             raise InternalError(f"the goal may go on: {exc}") from exc
-        if answer.return_code is CancelCode.REJECTED:
-            reason = answer.reason or "it gives no reason"
-            raise TaskNotCancelableError(f"the server rejects the cancel: {reason}")
+        if rejected:
+            raise TaskNotCancelableError(f"the server rejects the cancel: {rejected}")
         with anyio.move_on_after(CANCEL_WAIT):
             await goal.ended.wait()
         return task_of(goal)
@@ -197,7 +196,7 @@ class GoalRequests(RequestHandler):
 
     # Their parts
 
-    async def _send(self, params: SendMessageRequest) -> FollowedTask | Task:
+    async def _send(self, params: SendMessageRequest) -> AgentGoal[Skill] | Task:
         """Send the goal of a message, and return it; or the task, if there is no goal yet, or none
         any more.
         """
@@ -218,12 +217,12 @@ class GoalRequests(RequestHandler):
         text = f"Send this goal to the action {skill.title}?\n\n{text}"
         return _asking(self._questions.ask(goal_id, skill, goal, message.context_id, text))
 
-    async def _answer(self, params: SendMessageRequest) -> FollowedTask | Task:
+    async def _answer(self, params: SendMessageRequest) -> AgentGoal[Skill] | Task:
         """Take the answer to a question."""
         goal_id = _goal_id(params.message.task_id)
         question = self._questions.find(goal_id)
         if question is None:
-            goal = await self._goals.find(goal_id)
+            goal = await self._find(goal_id)
             state = "has ended" if goal.status.is_terminal else "takes no messages while it runs"
             raise UnsupportedOperationError(
                 f"the task {state}: send a message without a task ID for another goal"
@@ -239,7 +238,7 @@ class GoalRequests(RequestHandler):
 
     async def _send_goal(
         self, skill: Skill, goal_id: GoalID, goal: Any, context_id: str
-    ) -> FollowedTask | Task:
+    ) -> AgentGoal[Skill] | Task:
         payload = msgspec.msgpack.encode(goal)
         try:
             return await self._goals.send(skill, goal_id, payload, context_id)
@@ -248,16 +247,35 @@ class GoalRequests(RequestHandler):
             task = Task(id=str(goal_id), context_id=context_id or str(goal_id), status=status)
             task.metadata.update({"code": exc.code.name})
             return task
+        except LimitReached as exc:
+            raise InternalError(f"the goal was not sent: {exc}") from exc
         except ActionError as exc:
             raise InternalError(f"the goal may not have been sent: {exc}") from exc
 
-    def _check_cancel(self, goal: FollowedTask) -> None:
+    async def _find(self, goal_id: GoalID) -> AgentGoal[Skill]:
+        """Return the goal of a task.
+
+        Raises:
+            TaskNotFoundError: No server knows it.
+            InternalError: It cannot be followed now, or not all servers can be asked.
+        """
+        try:
+            return await self._goals.find(goal_id)
+        except UnknownGoal as exc:
+            raise TaskNotFoundError(
+                f"there is no task {goal_id}: it was never accepted, its server has forgotten it,"
+                f" or its action is not allowed here"
+            ) from exc
+        except ActionError as exc:
+            raise InternalError(f"the task cannot be followed now: {exc}") from exc
+
+    def _check_cancel(self, goal: AgentGoal[Skill]) -> None:
         """Check whether an agent may cancel a goal.
 
         Raises:
             TaskNotCancelableError: It may not, or the goal has ended.
         """
-        skill = goal.skill
+        skill = goal.action
         if goal.status.is_terminal:
             raise TaskNotCancelableError("the task has ended")
         if self._policy.read_only:
@@ -290,7 +308,7 @@ def _task(question: Question, state: TaskState, text: str) -> Task:
 
 
 async def _updates(
-    goal: FollowedTask, after: FeedbackPosition, *, statuses: bool = False
+    goal: AgentGoal[Skill], after: Position, *, statuses: bool = False
 ) -> AsyncGenerator[Update, None]:
     """Iterate over the updates of a task, the task itself first, up to its end.
 
@@ -309,6 +327,6 @@ async def _updates(
             f"the task cannot be followed now, and may go on: {goal.error}; subscribe to it again"
         )
     artifact = artifact_event(goal)
-    if artifact is not None and not after.has_result:
+    if artifact is not None and after != AFTER_RESULT:
         yield artifact
     yield ended_event(goal)

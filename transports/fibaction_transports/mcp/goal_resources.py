@@ -15,6 +15,7 @@ from mcp.shared.exceptions import MCPError
 from mcp_types import (
     ListResourcesResult,
     ListResourceTemplatesResult,
+    ReadResourceRequestParams,
     ReadResourceResult,
     Resource,
     ResourceTemplate,
@@ -22,12 +23,12 @@ from mcp_types import (
 )
 from mcp_types.jsonrpc import INVALID_PARAMS
 
+from fibaction.border.abc import Notifier
 from fibaction.words.goals import GoalID
+from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
+from fibaction_transports.mcp.answers import ToolError, find_goal, goal_answer, json_text
 from fibaction_transports.mcp.list_changes import ListChanges
-from fibaction_transports.mcp.tools.agent_goals import AgentGoals, goals_of
-from fibaction_transports.mcp.tools.answers import goal_answer, json_text
-from fibaction_transports.mcp.tools.tool_actions import ToolActions
-from fibaction_transports.mcp.tools.tool_error import ToolError
+from fibaction_transports.mcp.tool_list import ToolAction
 
 SCHEME = "goal://"
 MOST_LISTED = 100
@@ -40,13 +41,12 @@ JSON = "application/json"
 class GoalResources:
     """The resources of one bridge."""
 
-    def __init__(self, actions: ToolActions, goals: AgentGoals) -> None:
-        self._actions = actions
+    def __init__(self, goals: AgentGoals[ToolAction]) -> None:
         self._goals = goals
 
-    async def running(self) -> ListResourcesResult:
+    async def running(self, *_: object) -> ListResourcesResult:
         """List the goals that run."""
-        found = await goals_of(list(self._actions.by_label.values()))
+        found = await self._goals.listed()
         running = [
             (info.stamp, action, info)
             for action, infos in found.items()
@@ -66,7 +66,7 @@ class GoalResources:
         ]
         return ListResourcesResult(resources=resources)
 
-    def templates(self) -> ListResourceTemplatesResult:
+    async def templates(self, *_: object) -> ListResourceTemplatesResult:
         """Tell how the address of a goal is made."""
         template = ResourceTemplate(
             uri_template=f"{SCHEME}{{goal_id}}",
@@ -77,31 +77,53 @@ class GoalResources:
         )
         return ListResourceTemplatesResult(resource_templates=[template])
 
-    async def read(self, uri: str) -> ReadResourceResult:
+    async def read(self, _: object, params: ReadResourceRequestParams) -> ReadResourceResult:
         """Tell about a goal.
 
         Raises:
             MCPError: There is no such goal.
         """
+        uri = params.uri
         try:
             if not uri.startswith(SCHEME):
                 raise ValueError(f"the address of a goal is {SCHEME}ID")
-            goal_id = GoalID.parse(uri.removeprefix(SCHEME))
-            goal = await self._goals.find(goal_id, list(self._actions.by_label.values()))
+            goal = await find_goal(self._goals, uri.removeprefix(SCHEME))
         except (ValueError, ToolError) as exc:
             raise MCPError(INVALID_PARAMS, f"there is no such resource: {exc}") from exc
         text = json_text(goal_answer(goal).structured_content)
         told = TextResourceContents(uri=uri, mime_type=JSON, text=text)
         return ReadResourceResult(contents=[told])
 
-    async def tell_changes(self, changes: ListChanges) -> None:
+
+class GoalChanges:
+    """The changes of goals of which clients are still to be told."""
+
+    def __init__(self, told: ListChanges) -> None:
+        self._told = told
+        self._running: set[GoalID] = set()
+        self._changed: dict[GoalID, None] = {}
+        self._is_other_list = False
+        self._news = Notifier()
+
+    def note(self, goal: AgentGoal[ToolAction]) -> None:
+        """Note that a goal has changed."""
+        goal_id = goal.goal_id
+        is_running, was_running = not goal.ended.is_set(), goal_id in self._running
+        self._changed[goal_id] = None
+        if is_running != was_running:
+            self._is_other_list = True
+            (self._running.add if is_running else self._running.remove)(goal_id)
+        self._news.notify()
+
+    async def tell(self) -> None:
         """Tell the clients that watch when goals change, until canceled."""
         while True:
-            while not self._goals.has_changes:
-                await self._goals.news.wait()
-            changed, is_other_list = self._goals.take_changes()
+            while not self._changed:
+                await self._news.wait()
+            changed, is_other_list = self._changed, self._is_other_list
+            self._changed, self._is_other_list = {}, False
             for goal_id in changed:
-                await changes.publish(ResourceUpdated(uri=f"{SCHEME}{goal_id}"))
+                await self._told.publish(ResourceUpdated(uri=f"{SCHEME}{goal_id}"))
             if is_other_list:
-                await changes.publish(ResourcesListChanged())
+                await self._told.publish(ResourcesListChanged())
             await anyio.sleep(PERIOD)

@@ -1,23 +1,32 @@
-"""`mcp+stdio://`: MCP over stdin and stdout of this process, which its client has started."""
+"""`mcp+stdio://`: MCP over stdin and stdout of this process, which its client has started.
+
+The reader of the SDK waits for a line in a thread, and cannot be canceled meanwhile: a signal would
+end the program only when the client sends something. So the reader here can be canceled.
+"""
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 from urllib.parse import SplitResult
 
 import anyio
+from anyio import AsyncFile, to_thread
 from anyio.abc import TaskStatus
 from mcp.server import Server
+from mcp.server.stdio import stdio_server
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
 from fibaction_transports._agents.agent_keywords import PolicyKeywords
 from fibaction_transports.mcp.mcp_transport import McpTransport
-from fibaction_transports.mcp.stdio_streams import stdio_streams
 
 STDIO_URL = "mcp+stdio://"
+HALF_CHARACTER = "\\ud"
+"""The begin of an escape in JSON text that may be half of a character."""
 
 
 class McpStdioTransport(McpTransport):
@@ -74,3 +83,44 @@ class McpStdioTransport(McpTransport):
             task_status.started()
             await server.run(messages, answers, server.create_initialization_options())
         self._ended.set()
+
+
+class _Lines:
+    """The lines of stdin. After a cancellation, a thread may still wait for one."""
+
+    def __init__(self) -> None:
+        self._read = sys.stdin.buffer.readline
+
+    def __aiter__(self) -> _Lines:
+        return self
+
+    async def __anext__(self) -> str:
+        line: bytes = await to_thread.run_sync(self._read, abandon_on_cancel=True)
+        if not line:
+            raise StopAsyncIteration
+        text = line.decode(errors="replace")
+        return _with_whole_characters(text) if HALF_CHARACTER in text.lower() else text
+
+
+def _with_whole_characters(line: str) -> str:
+    """Return a message without escapes of lone surrogates: the SDK would drop it, and the client
+    would wait for its answer.
+    """
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        return line
+    return json.dumps(message, ensure_ascii=False).encode(errors="replace").decode()
+
+
+@asynccontextmanager
+async def stdio_streams() -> AsyncGenerator[tuple[Any, Any], None]:
+    """Give the streams of messages and of answers.
+
+    Meanwhile, what else is written to stdout goes to stderr, so that it does not disturb.
+
+    Raises:
+        RuntimeError: Something else serves over stdout already.
+    """
+    async with stdio_server(stdin=cast("AsyncFile[str]", _Lines())) as streams:
+        yield streams

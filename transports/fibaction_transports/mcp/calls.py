@@ -6,33 +6,41 @@ from functools import partial
 from typing import Any
 
 import anyio
+import msgspec
 from mcp.server.context import ServerRequestContext
 from mcp_types import CallToolRequestParams, CallToolResult, InputRequiredResult
 
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.schema.turns import in_turn
-from fibaction.words.errors import ActionError
-from fibaction.words.goals import CancelCode, GoalID
+from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
+from fibaction.words.goals import GoalID
+from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
-from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals, goals_of
-from fibaction_transports.mcp.tools.answers import (
+from fibaction_transports.mcp.answers import (
     ProgressReports,
+    ToolError,
     data_answer,
     error_answer,
+    find_goal,
     goal_answer,
+    message_in,
+    overview,
 )
-from fibaction_transports.mcp.tools.consent import Consents
-from fibaction_transports.mcp.tools.goal_overview import overview
-from fibaction_transports.mcp.tools.goal_tasks import created, wants_task
-from fibaction_transports.mcp.tools.tool_actions import ToolAction, ToolActions
-from fibaction_transports.mcp.tools.tool_error import ToolError
-from fibaction_transports.mcp.tools.tool_list import tool_list
-from fibaction_transports.mcp.tools.tool_names import CANCEL, SEND, STATUS
-from fibaction_transports.mcp.tools.tool_schema import GOAL
+from fibaction_transports.mcp.consent import Consents
+from fibaction_transports.mcp.goal_tasks import created, wants_task
+from fibaction_transports.mcp.tool_list import (
+    CANCEL,
+    GOAL,
+    SEND,
+    STATUS,
+    ToolAction,
+    ToolActions,
+    tool_list,
+)
 
-CANCEL_WAIT = 5.0
-"""Seconds that `cancel_goal` waits for the end of the goal, if it is not told otherwise."""
+PROGRESS_PERIOD = 0.2
+"""Seconds between two reports of progress, at least."""
 
 Answer = CallToolResult | InputRequiredResult | dict[str, Any]
 """The answer of a tool; a task of the extension is a mapping."""
@@ -41,7 +49,9 @@ Answer = CallToolResult | InputRequiredResult | dict[str, Any]
 class ToolCalls:
     """The calls of the tools of one bridge."""
 
-    def __init__(self, actions: ToolActions, goals: AgentGoals, policy: AgentPolicy) -> None:
+    def __init__(
+        self, actions: ToolActions, goals: AgentGoals[ToolAction], policy: AgentPolicy
+    ) -> None:
         self._actions = actions
         self._goals = goals
         self._policy = policy
@@ -51,7 +61,7 @@ class ToolCalls:
 
     async def call(
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
-    ) -> Answer:
+    ) -> Any:  # an answer, a question or a task: the SDK has no type for the latter
         """Call a tool; an error is an answer, too."""
         own = {SEND: self._send, STATUS: self._status, CANCEL: self._cancel}
         try:
@@ -71,7 +81,7 @@ class ToolCalls:
         message = await _message(action, params.arguments or {})
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
-        goal = await self._goals.send(action, message)
+        goal = await self._send_goal(action, message)
         if wants_task(context):
             return created(goal)
         try:
@@ -90,7 +100,7 @@ class ToolCalls:
         message = await _message(action, given[GOAL])
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
-        return goal_answer(await self._goals.send(action, message))
+        return goal_answer(await self._send_goal(action, message))
 
     async def _status(
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
@@ -98,9 +108,10 @@ class ToolCalls:
         """Tell about one goal, or about everything."""
         given = await self._input(params)
         if "goal_id" not in given:
+            listed = await self._goals.listed()
             actions = list(self._actions.by_label.values())
-            return data_answer(overview(self._actions.problems, actions, await goals_of(actions)))
-        goal = await self._goal(given["goal_id"])
+            return data_answer(overview(self._actions.problems, actions, listed))
+        goal = await find_goal(self._goals, given["goal_id"])
         await self._wait(context, goal, given["wait"])
         return goal_answer(goal)
 
@@ -109,7 +120,7 @@ class ToolCalls:
     ) -> Answer:
         """Cancel a goal; ask the user first if it is another client's."""
         given = await self._input(params)
-        goal = await self._goal(given["goal_id"])
+        goal = await find_goal(self._goals, given["goal_id"])
         action = goal.action
         if not goal.own and self._policy.asks(action.server, action.info.name):
             question = (
@@ -147,10 +158,30 @@ class ToolCalls:
         return await self._consents.ask(context, params, question)
 
     async def _wait(
-        self, context: ServerRequestContext[Any, Any], goal: AgentGoal, seconds: float
+        self,
+        context: ServerRequestContext[Any, Any],
+        goal: AgentGoal[ToolAction],
+        seconds: float,
     ) -> None:
+        """Wait for the end for so long, and report the feedback meanwhile, the newest one only."""
         reports = ProgressReports(context.session.report_progress)
-        await goal.wait(seconds, reports.report)
+        reported = 0
+
+        async def report() -> None:
+            nonlocal reported
+            if goal.newest is not None and goal.count != reported:
+                reported = goal.count
+                await reports.report(reported, message_in(goal.newest.payload))
+
+        with anyio.move_on_after(seconds):
+            while not goal.ended.is_set():
+                if goal.count == reported:
+                    await goal.news.wait()
+                    continue
+                await report()
+                with anyio.move_on_after(PROGRESS_PERIOD):
+                    await goal.ended.wait()
+            await report()
 
     def _action(self, tool: str) -> ToolAction:
         """Return the action of a tool.
@@ -169,17 +200,28 @@ class ToolCalls:
                 text += f" The server {server} cannot be reached: {problem}.".replace("  ", " ")
         raise ToolError(text)
 
-    async def _goal(self, text: str) -> AgentGoal:
-        """Return a goal of the actions that are allowed.
+    async def _send_goal(self, action: ToolAction, message: Any) -> AgentGoal[ToolAction]:
+        """Send a goal.
 
         Raises:
-            ToolError: There is none of that ID.
+            ToolError: It was not accepted, or may not have been.
         """
         try:
-            goal_id = GoalID.parse(text)
-        except ValueError as exc:
-            raise ToolError(f"{exc}.") from exc
-        return await self._goals.find(goal_id, list(self._actions.by_label.values()))
+            payload = msgspec.msgpack.encode(message)
+            return await self._goals.send(action, GoalID.random(), payload)
+        except GoalRejected as exc:
+            reason = exc.reason or "the server gave no reason"
+            advice = ". You may try again later." if exc.code.is_temporary else ""
+            raise ToolError(
+                f"The goal was rejected, and nothing was done: {reason}{advice}"
+            ) from exc
+        except ConnectionLost as exc:
+            raise ToolError(
+                f"The connection was lost, and the goal may have been accepted: {exc}. Call"
+                f" {STATUS} without a goal_id before you send it again."
+            ) from exc
+        except ActionError as exc:
+            raise ToolError(f"The goal was not sent: {exc}") from exc
 
     async def _input(self, params: CallToolRequestParams) -> dict[str, Any]:
         """Return the input of one of the bridge's own tools, with its defaults.
@@ -213,16 +255,15 @@ async def _message(action: ToolAction, arguments: dict[str, Any]) -> Any:
         raise ToolError(f"The goal was not sent: {exc}.") from exc
 
 
-async def _cancel(goal: AgentGoal) -> None:
+async def _cancel(goal: AgentGoal[ToolAction]) -> None:
     """Ask the server to cancel a goal.
 
     Raises:
         ToolError: The goal continues.
     """
     try:
-        answer = await goal.cancel()
+        rejected = await goal.cancel()
     except ActionError as exc:
         raise ToolError(f"The goal was not canceled, and may continue: {exc}") from exc
-    if answer.return_code is CancelCode.REJECTED:
-        reason = answer.reason or "it gives no reason"
-        raise ToolError(f"The server rejects the cancel, and the goal continues: {reason}")
+    if rejected:
+        raise ToolError(f"The server rejects the cancel, and the goal continues: {rejected}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -12,9 +13,8 @@ from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate, Notifier
 from fibaction.words.errors import ActionError, ConnectionLost
 from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.a2a.tasks import followed_task
-from fibaction_transports.a2a.tasks.feedback_position import FeedbackPosition
-from fibaction_transports.a2a.tasks.followed_task import FollowedTask
+from fibaction_transports._agents import agent_goals
+from fibaction_transports._agents.agent_goals import START, AgentGoal, Position
 
 pytestmark = pytest.mark.asyncio
 PATIENCE = 20.0
@@ -74,35 +74,33 @@ def feedback(first: int, last: int, attempt: int = 1) -> list[FeedbackItem]:
 END: Outcome[bytes] = Outcome(GoalStatus.SUCCEEDED, b"\x01")
 
 
-def followed() -> tuple[Scripted, FollowedTask]:
+def followed(most_kept: int = 100) -> tuple[Scripted, AgentGoal[Any]]:
     stream = Scripted()
-    return stream, FollowedTask(cast("Any", None), stream, "", own=True)
+    return stream, AgentGoal(cast("Any", None), stream, own=True, most_kept=most_kept)
 
 
-async def numbers(goal: FollowedTask, after: FeedbackPosition | None = None) -> list[Any]:
-    updates = goal.updates() if after is None else goal.updates(after)
+async def numbers(goal: AgentGoal[Any], after: Position = START) -> list[Any]:
     return [
         entry.update.number if isinstance(entry.update, FeedbackItem) else entry.update.name
-        async for entry in updates
+        async for entry in goal.updates(after)
     ]
 
 
 async def test_the_last_updates_are_kept_in_number_and_in_bytes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(followed_task, "MOST_KEPT", 5)
-    stream, goal = followed()
+    stream, goal = followed(5)
     stream.give(*feedback(1, 9), END)
     await goal.follow()
     assert await numbers(goal) == [5, 6, 7, 8, 9]
     assert goal.outcome is END
     assert not stream.reads
-    monkeypatch.setattr(followed_task, "MOST_BYTES", 8)
+    monkeypatch.setattr(agent_goals, "MOST_BYTES", 8)
     stream, goal = followed()
     stream.give(*feedback(1, 9), END)
     await goal.follow()
     assert await numbers(goal) == [8, 9]
-    monkeypatch.setattr(followed_task, "MOST_BYTES", 1)
+    monkeypatch.setattr(agent_goals, "MOST_BYTES", 1)
     stream, goal = followed()
     stream.give(*feedback(1, 9), END)
     await goal.follow()
@@ -113,9 +111,9 @@ async def test_a_position_is_in_an_attempt() -> None:
     stream, goal = followed()
     stream.give(*feedback(1, 3), *feedback(1, 2, attempt=2), END)
     await goal.follow()
-    assert await numbers(goal, FeedbackPosition(number=2)) == [3, 1, 2]
-    assert await numbers(goal, FeedbackPosition(attempt=2, number=1)) == [2]
-    assert await numbers(goal, FeedbackPosition(has_result=True)) == []
+    assert await numbers(goal, (1, 2)) == [3, 1, 2]
+    assert await numbers(goal, (2, 1)) == [2]
+    assert await numbers(goal, (math.inf, 0)) == []
 
 
 async def test_of_the_statuses_only_new_ones_are_told_to_who_comes_back() -> None:
@@ -140,8 +138,7 @@ async def test_a_goal_that_cannot_be_followed_any_more_has_an_error() -> None:
 async def test_the_goal_waits_for_an_agent_that_reads_slowly(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(followed_task, "MOST_KEPT", 4)
-    stream, goal = followed()
+    stream, goal = followed(4)
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
             stream.give(*feedback(1, 1))
@@ -158,7 +155,7 @@ async def test_the_goal_waits_for_an_agent_that_reads_slowly(
 async def test_the_goal_waits_for_an_agent_that_is_bytes_behind(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(followed_task, "MOST_BYTES", 16)
+    monkeypatch.setattr(agent_goals, "MOST_BYTES", 16)
     stream, goal = followed()
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
@@ -176,8 +173,7 @@ async def test_the_goal_waits_for_an_agent_that_is_bytes_behind(
 async def test_the_place_of_an_agent_that_has_gone_is_kept_until_one_comes_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(followed_task, "MOST_KEPT", 4)
-    stream, goal = followed()
+    stream, goal = followed(4)
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
             stream.give(*feedback(1, 1))
@@ -188,15 +184,14 @@ async def test_the_place_of_an_agent_that_has_gone_is_kept_until_one_comes_back(
             stream.give(*feedback(2, 9), END)
             await anyio.wait_all_tasks_blocked()
             assert stream.taken == 4
-            assert await numbers(goal, FeedbackPosition(number=1)) == [2, 3, 4, 5, 6, 7, 8, 9]
+            assert await numbers(goal, (1, 1)) == [2, 3, 4, 5, 6, 7, 8, 9]
 
 
 async def test_an_agent_that_does_not_come_back_is_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(followed_task, "MOST_KEPT", 4)
-    monkeypatch.setattr(followed_task, "LONGEST_WAIT", 0.01)
-    stream, goal = followed()
+    monkeypatch.setattr(agent_goals, "LONGEST_WAIT", 0.01)
+    stream, goal = followed(4)
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
             stream.give(*feedback(1, 1))

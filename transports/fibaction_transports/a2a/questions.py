@@ -14,8 +14,8 @@ import anyio
 from a2a.types import Message
 
 from fibaction.words.goals import GoalID
-from fibaction_transports.a2a.tasks.a2a_values import plain_of
-from fibaction_transports.a2a.tasks.skills import Skill
+from fibaction_transports.a2a.a2a_values import plain_of
+from fibaction_transports.a2a.agent_card import Skill
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""

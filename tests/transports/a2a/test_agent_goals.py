@@ -14,8 +14,8 @@ from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.border.gateway import group_of
 from fibaction.words.errors import ConnectionLost, LimitReached
 from fibaction.words.goals import CancelAnswer, GoalID
+from fibaction_transports._agents import agent_goals
 from fibaction_transports.a2a import A2aHttpTransport
-from fibaction_transports.a2a.tasks import task_table
 from tests.transports.a2a.agent_talk import (
     DRIVE,
     PATIENCE,
@@ -114,8 +114,8 @@ async def test_a_goal_that_is_lost_is_followed_again() -> None:
 
 
 async def test_only_so_many_goals_are_followed_and_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(task_table, "MOST_ACTIVE", 1)
-    monkeypatch.setattr(task_table, "MOST_ENDED", 1)
+    monkeypatch.setattr(agent_goals, "MOST_ACTIVE", 1)
+    monkeypatch.setattr(agent_goals, "MOST_ENDED", 1)
     async with failing() as (robot, endpoint, talk):
         running = await talk.send({"meters": 100}, at_once=True)
         with pytest.raises(InternalError, match="1 goals are active here already"):

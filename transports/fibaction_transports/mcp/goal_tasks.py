@@ -36,14 +36,17 @@ from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
 from fibaction.words.errors import ActionError, UnknownGoal
-from fibaction.words.goals import CancelCode, GoalID
 from fibaction.words.statuses import GoalStatus
+from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports.mcp.tools.agent_goals import AgentGoal, AgentGoals
-from fibaction_transports.mcp.tools.answers import feedback_text, goal_answer
-from fibaction_transports.mcp.tools.tool_actions import ToolActions
-from fibaction_transports.mcp.tools.tool_error import ToolError
-from fibaction_transports.mcp.tools.tool_names import CANCEL
+from fibaction_transports.mcp.answers import (
+    ToolError,
+    feedback_text,
+    find_goal,
+    goal_answer,
+    message_in,
+)
+from fibaction_transports.mcp.tool_list import CANCEL, ToolAction
 
 EXTENSION = "io.modelcontextprotocol/tasks"
 """The identifier of the extension."""
@@ -70,8 +73,7 @@ def wants_task(context: Context) -> bool:
 class GoalTasks:
     """The tasks of one bridge."""
 
-    def __init__(self, actions: ToolActions, goals: AgentGoals, policy: AgentPolicy) -> None:
-        self._actions = actions
+    def __init__(self, goals: AgentGoals[ToolAction], policy: AgentPolicy) -> None:
         self._goals = goals
         self._policy = policy
 
@@ -111,36 +113,30 @@ class GoalTasks:
                 f" the tool {CANCEL} asks the user",
             )
         try:
-            answer = await goal.cancel()
+            rejected = await goal.cancel()
         except ActionError as exc:
             raise MCPError(INTERNAL_ERROR, f"the goal may continue: {exc}") from exc
-        if answer.return_code is CancelCode.REJECTED:
-            reason = answer.reason or "it gives no reason"
-            raise MCPError(INTERNAL_ERROR, f"the server rejects the cancel: {reason}")
+        if rejected:
+            raise MCPError(INTERNAL_ERROR, f"the server rejects the cancel: {rejected}")
         return {}
 
-    async def _find(self, context: Context, task_id: str) -> AgentGoal:
+    async def _find(self, context: Context, task_id: str) -> AgentGoal[ToolAction]:
         if context.protocol_version not in MODERN_PROTOCOL_VERSIONS:
             raise MCPError(METHOD_NOT_FOUND, "tasks need the protocol 2026-07-28 or later")
         try:
-            goal_id = GoalID.parse(task_id)
-            return await self._goals.find(goal_id, list(self._actions.by_label.values()))
-        except ValueError as exc:
-            raise MCPError(INVALID_PARAMS, f"there is no task of this ID: {exc}") from exc
+            return await find_goal(self._goals, task_id)
         except ToolError as exc:
-            if self._actions.are_all_reached:
+            if isinstance(exc.__cause__, ValueError | UnknownGoal):
                 raise MCPError(INVALID_PARAMS, f"there is no task of this ID: {exc}") from exc
-            raise MCPError(
-                INTERNAL_ERROR, "a server of the actions cannot be reached now: ask again"
-            ) from exc
+            raise MCPError(INTERNAL_ERROR, str(exc.__cause__)) from exc
 
 
-def created(goal: AgentGoal) -> dict[str, Any]:
+def created(goal: AgentGoal[ToolAction]) -> dict[str, Any]:
     """Return the answer to a call that has become a task."""
     return {"resultType": "task", **_members(goal, "working")}
 
 
-def detailed(goal: AgentGoal) -> dict[str, Any]:
+def detailed(goal: AgentGoal[ToolAction]) -> dict[str, Any]:
     """Return a task with its answer, once it has ended."""
     outcome = goal.outcome
     if lost := _loss_of(goal):
@@ -157,7 +153,7 @@ def detailed(goal: AgentGoal) -> dict[str, Any]:
     return {**members, "result": result}
 
 
-def _loss_of(goal: AgentGoal) -> str:
+def _loss_of(goal: AgentGoal[ToolAction]) -> str:
     """Return why no result of a goal will come any more; empty if one may come, or is there."""
     if isinstance(goal.error, UnknownGoal):
         return str(goal.error)
@@ -165,7 +161,7 @@ def _loss_of(goal: AgentGoal) -> str:
     return outcome.reason if outcome and outcome.status is GoalStatus.UNKNOWN else ""
 
 
-def _members(goal: AgentGoal, status: str) -> dict[str, Any]:
+def _members(goal: AgentGoal[ToolAction], status: str) -> dict[str, Any]:
     members = {
         "taskId": str(goal.goal_id),
         "status": status,
@@ -178,13 +174,13 @@ def _members(goal: AgentGoal, status: str) -> dict[str, Any]:
     return members | {"statusMessage": message} if message else members
 
 
-def _message(goal: AgentGoal) -> str:
+def _message(goal: AgentGoal[ToolAction]) -> str:
     """Return what people read about the state of a goal; empty if there is nothing to say."""
     if goal.outcome is not None:
         return goal.outcome.reason
     if goal.error is not None:
         return f"The goal cannot be followed now: {goal.error}"
-    return feedback_text(goal.feedback) if goal.number else ""
+    return "" if goal.newest is None else feedback_text(message_in(goal.newest.payload))
 
 
 def _time_text(seconds: float) -> str:

@@ -6,12 +6,21 @@ executing, canceling            working
 succeeded, canceled, aborted    completed, canceled, failed; the result is the artifact `result`
 rejected                        rejected
 forgotten by its server         failed
+
+Each update has its position as text in its metadata, `event_id`: `17` for feedback, or `2.17` in
+the second attempt at the goal, as the events of the REST interface have it; `result` for the
+artifact. An agent sends the last one that it has seen in the header `Last-Event-ID`.
 """
 
 from __future__ import annotations
 
+import math
+import re
+
 from a2a.types import (
     Artifact,
+    ListTasksRequest,
+    ListTasksResponse,
     Message,
     Part,
     Role,
@@ -21,15 +30,23 @@ from a2a.types import (
     TaskStatus,
     TaskStatusUpdateEvent,
 )
+from a2a.utils.errors import InvalidParamsError
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from fibaction.border.abc import FeedbackItem
 from fibaction.words.goals import GoalInfo
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.a2a.tasks.a2a_values import data_part, struct_of
-from fibaction_transports.a2a.tasks.feedback_position import RESULT
-from fibaction_transports.a2a.tasks.followed_task import FollowedTask, KeptUpdate, position
-from fibaction_transports.a2a.tasks.skills import Skill
+from fibaction_transports._agents.agent_goals import AgentGoal, KeptUpdate, Position
+from fibaction_transports.a2a.a2a_values import data_part, struct_of
+from fibaction_transports.a2a.agent_card import Skill
+
+DEFAULT_PAGE = 50
+LARGEST_PAGE = 100
+RESULT = "result"
+"""The ID of the artifact, and the position after it."""
+
+AFTER_RESULT: Position = (math.inf, 0)
+_POSITION = re.compile(r"(?:([1-9]\d{0,8})\.)?(\d{1,18})", re.ASCII)
 
 STATES = {
     GoalStatus.UNKNOWN: TaskState.TASK_STATE_FAILED,
@@ -42,12 +59,28 @@ STATES = {
 }
 
 
-def task_of(goal: FollowedTask, *, is_whole: bool = True) -> Task:
+def position_of(text: str) -> Position:
+    """Return the position in a header `Last-Event-ID`.
+
+    Raises:
+        InvalidParamsError: It is not one.
+    """
+    if text == RESULT:
+        return AFTER_RESULT
+    found = _POSITION.fullmatch(text)
+    if found is None:
+        raise InvalidParamsError(
+            f"the header Last-Event-ID is the event_id of an update, such as 17, not {text!r}"
+        )
+    return int(found[1] or 1), int(found[2])
+
+
+def task_of(goal: AgentGoal[Skill], *, is_whole: bool = True) -> Task:
     """Return a task as it is now; unless it is whole, without what its updates tell."""
     status = status_of(STATES[goal.status], goal.updated_at)
     task = Task(id=str(goal.goal_id), context_id=goal.context_id, status=status)
     task.metadata.CopyFrom(
-        struct_of({"skill": goal.skill.label, "accepted_at": goal.stamp // 1_000_000})
+        struct_of({"skill": goal.action.label, "accepted_at": goal.stamp // 1_000_000})
     )
     if not is_whole:
         return task
@@ -96,7 +129,7 @@ def agent_message(part: Part, message_id: str = "status") -> Message:
     return Message(message_id=message_id, role=Role.ROLE_AGENT, parts=[part])
 
 
-def update_event(goal: FollowedTask, entry: KeptUpdate) -> TaskStatusUpdateEvent:
+def update_event(goal: AgentGoal[Skill], entry: KeptUpdate) -> TaskStatusUpdateEvent:
     """Return the update that tells what is kept."""
     if isinstance(entry.update, FeedbackItem):
         return feedback_event(goal, entry.update, entry.time)
@@ -104,11 +137,13 @@ def update_event(goal: FollowedTask, entry: KeptUpdate) -> TaskStatusUpdateEvent
     return _event(goal, status_of(STATES[entry.update], entry.time, text))
 
 
-def feedback_event(goal: FollowedTask, item: FeedbackItem, seconds: float) -> TaskStatusUpdateEvent:
+def feedback_event(
+    goal: AgentGoal[Skill], item: FeedbackItem, seconds: float
+) -> TaskStatusUpdateEvent:
     """Return the update of a feedback: its data, its number, and where to continue after it."""
-    where = str(position(item))
+    where = str(item.number) if item.attempt == 1 else f"{item.attempt}.{item.number}"
     status = status_of(TaskState.TASK_STATE_WORKING, seconds)
-    part = data_part(goal.skill.feedback, item.payload)
+    part = data_part(goal.action.feedback, item.payload)
     status.message.CopyFrom(agent_message(part, f"feedback-{where}"))
     event = _event(goal, status)
     event.metadata.CopyFrom(
@@ -117,18 +152,18 @@ def feedback_event(goal: FollowedTask, item: FeedbackItem, seconds: float) -> Ta
     return event
 
 
-def artifact_of(goal: FollowedTask) -> Artifact | None:
+def artifact_of(goal: AgentGoal[Skill]) -> Artifact | None:
     """Return the result of a goal that has ended; None if it has none."""
     outcome = goal.outcome
     if outcome is None or outcome.result is None:
         return None
-    part = data_part(goal.skill.result, outcome.result)
+    part = data_part(goal.action.result, outcome.result)
     is_partial = outcome.status is not GoalStatus.SUCCEEDED
     name = "partial result" if is_partial else "result"
     return Artifact(artifact_id=RESULT, name=name, parts=[part])
 
 
-def artifact_event(goal: FollowedTask) -> TaskArtifactUpdateEvent | None:
+def artifact_event(goal: AgentGoal[Skill]) -> TaskArtifactUpdateEvent | None:
     """Return the update of the result; None if there is none."""
     if (artifact := artifact_of(goal)) is None:
         return None
@@ -141,14 +176,14 @@ def artifact_event(goal: FollowedTask) -> TaskArtifactUpdateEvent | None:
     )
 
 
-def ended_event(goal: FollowedTask) -> TaskStatusUpdateEvent:
+def ended_event(goal: AgentGoal[Skill]) -> TaskStatusUpdateEvent:
     """Return the last update of a goal that has ended, with the reason."""
     assert goal.outcome is not None
     outcome = goal.outcome
     return _event(goal, status_of(STATES[outcome.status], goal.updated_at, outcome.reason))
 
 
-def _event(goal: FollowedTask, status: TaskStatus) -> TaskStatusUpdateEvent:
+def _event(goal: AgentGoal[Skill], status: TaskStatus) -> TaskStatusUpdateEvent:
     return TaskStatusUpdateEvent(
         task_id=str(goal.goal_id), context_id=goal.context_id, status=status
     )
@@ -158,3 +193,43 @@ def _timestamp(seconds: float) -> Timestamp:
     timestamp = Timestamp()
     timestamp.FromMilliseconds(int(seconds * 1000))
     return timestamp
+
+
+# Pages of the list of tasks
+
+
+def page_of(tasks: list[Task], request: ListTasksRequest) -> ListTasksResponse:
+    """Return the page of a list that a request asks for: the newest tasks first.
+
+    Raises:
+        InvalidParamsError: The size or the token of the page is invalid.
+    """
+    size = request.page_size if request.HasField("page_size") else DEFAULT_PAGE
+    if not 0 < size <= LARGEST_PAGE:
+        raise InvalidParamsError(f"pageSize is between 1 and {LARGEST_PAGE}, not {size}")
+    wanted = [task for task in tasks if _is_wanted(task, request)]
+    wanted.sort(key=_key, reverse=True)
+    rest = wanted
+    if token := request.page_token:
+        time, _, task_id = token.partition("-")
+        if not time.isdecimal() or len(time) > 20:
+            raise InvalidParamsError("pageToken is the nextPageToken of the page before")
+        rest = [task for task in wanted if _key(task) < (int(time), task_id)]
+    page = rest[:size]
+    more = f"{_key(page[-1])[0]}-{page[-1].id}" if len(rest) > size else ""
+    return ListTasksResponse(
+        tasks=page, next_page_token=more, page_size=size, total_size=len(wanted)
+    )
+
+
+def _is_wanted(task: Task, request: ListTasksRequest) -> bool:
+    if request.context_id and request.context_id != task.context_id:
+        return False
+    if request.status not in (TaskState.TASK_STATE_UNSPECIFIED, task.status.state):
+        return False
+    after = request.status_timestamp_after.ToMilliseconds()
+    return not after or task.status.timestamp.ToMilliseconds() >= after
+
+
+def _key(task: Task) -> tuple[int, str]:
+    return task.status.timestamp.ToMilliseconds(), task.id

@@ -13,8 +13,8 @@ from fibaction.border.peer_text import excerpt
 from fibaction.schema.payload import PayloadError
 from fibaction.schema.turns import in_turn
 from fibaction.words.goals import NO_GOAL, GoalID
-from fibaction_transports.a2a.tasks.a2a_values import LARGEST, has_inexact, plain_of
-from fibaction_transports.a2a.tasks.skills import Skill, Skills
+from fibaction_transports.a2a.a2a_values import LARGEST, has_inexact, plain_of
+from fibaction_transports.a2a.agent_card import Skill, Skills
 
 SKILL = "skill"
 """The key in the metadata of a message, or of its request, for the ID of the skill."""

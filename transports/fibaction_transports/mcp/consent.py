@@ -39,7 +39,7 @@ from mcp_types import (
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
-from fibaction_transports.mcp.tools.tool_error import ToolError
+from fibaction_transports.mcp.answers import ToolError
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""
