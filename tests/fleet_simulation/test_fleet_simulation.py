@@ -11,11 +11,10 @@ import pytest
 
 from fibaction.border.goal_store import StoredGoal, Then
 from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.lease import Membership, Term
 from fibaction_transports.nats.worker.limits import key_turns
 from fibaction_transports.nats.worker.limits.key_entry import next_entry
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
-from fibaction_transports.nats.worker.term import Term
 from tests.fleet_simulation import __main__ as program
 from tests.fleet_simulation.world import simulate
 from tests.support.memory_broker import MemoryBrokers

@@ -30,7 +30,7 @@ from fibaction import (
 )
 from fibaction.wire.settings import ClientSettings
 from fibaction_transports.nats.client.connection import open_fleet
-from fibaction_transports.nats.lines.line import ClientLines  # noqa: F401  # patched when it is loaded
+from fibaction_transports.nats.lines import ClientLines  # noqa: F401  # patched when it is loaded
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import goal_entry
 from fibaction_transports.nats.settings import FleetSettings

@@ -27,7 +27,7 @@ from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, LeaseEntry, encode
 from fibaction_transports.nats.settings import FleetSettings
-from fibaction_transports.nats.worker.term import RENEWALS
+from fibaction_transports.nats.worker.lease import RENEWALS
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.fleet.servers import Servers, servers
 from tests.support.nats_server import PROGRAM

@@ -22,8 +22,7 @@ from fibaction_transports.nats.records import (
     encode,
     goal_entry,
 )
-from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.takeover import Takeover

@@ -28,8 +28,7 @@ from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker import record_writes
-from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time

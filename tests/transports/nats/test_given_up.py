@@ -10,7 +10,7 @@ from anyio import sleep
 from fibaction import ConnectionLost, GoalStatus, StoreError
 from fibaction.border.goal_store import StoredGoal
 from fibaction_transports.nats.client.given_up import GivenUpGoals
-from fibaction_transports.nats.worker.outcomes import SECOND
+from fibaction_transports.nats.worker.record_writes import SECOND
 from tests.support.memory_broker import MemoryBrokers
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.members import LEASE, NAMES, entry, goal, keep, member

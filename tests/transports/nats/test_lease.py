@@ -16,8 +16,7 @@ from fibaction.words.errors import TransportError
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
-from fibaction_transports.nats.worker.lease import MemberPart, Membership
-from fibaction_transports.nats.worker.term import Term
+from fibaction_transports.nats.worker.lease import MemberPart, Membership, Term
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers
 from tests.support.virtual_time import in_virtual_time
 

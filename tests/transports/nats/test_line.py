@@ -16,8 +16,7 @@ from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction_transports.nats.broker.broker import Message
 from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker
-from fibaction_transports.nats.lines.line import ClientLines, WorkerLines
-from fibaction_transports.nats.lines.piece_line import WINDOW, PieceLine
+from fibaction_transports.nats.lines import WINDOW, ClientLines, PieceLine, WorkerLines
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci

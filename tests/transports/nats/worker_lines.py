@@ -11,7 +11,7 @@ from fibaction.wire.client.connection import open_connection
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.nats.broker.nats_broker import open_broker
-from fibaction_transports.nats.lines.line import ClientLines, WorkerLines
+from fibaction_transports.nats.lines import ClientLines, WorkerLines
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 

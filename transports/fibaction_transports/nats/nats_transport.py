@@ -164,7 +164,7 @@ class NatsTransport(ConfiguredTransport):
 
         async with open_broker(self.settings) as broker:
             if self.settings.worker:
-                from fibaction_transports.nats.lines.line import ClientLines
+                from fibaction_transports.nats.lines import ClientLines
 
                 max_frame = self.client_settings.max_frame
                 lines = ClientLines(broker, self._names, max_frame=max_frame)

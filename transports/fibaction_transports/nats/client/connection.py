@@ -121,7 +121,7 @@ async def open_fleet(
     broker: Broker, names: FleetNames, settings: FleetSettings
 ) -> AsyncGenerator[FleetConnection, None]:
     """Open a connection to a fleet for as long as the block lasts."""
-    from fibaction_transports.nats.lines.line import ClientLines
+    from fibaction_transports.nats.lines import ClientLines
 
     lines = ClientLines(broker, names, max_frame=settings.client.max_frame)
     await lines.open()

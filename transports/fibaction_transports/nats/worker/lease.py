@@ -45,8 +45,11 @@ from fibaction_transports.nats.records import (
     encode,
     lease_entry,
 )
-from fibaction_transports.nats.worker.term import MARGIN, RENEWALS, Term
 
+MARGIN = 1 / 5
+"""The part of a lease that a worker leaves unused, so that it has stopped when the lease ends."""
+RENEWALS = 3
+"""The number of renewals in the time of one lease."""
 RESEND_PART = 1 / 6
 """The part of a lease after which a renewal that is not answered is sent again."""
 CHANGE_INTERVAL = 1.0
@@ -57,6 +60,35 @@ LEFT_TTL = 5.0
 """Seconds that the end of a lease is remembered."""
 
 logger = clean_logger("fibaction.nats")
+
+
+class Term:
+    """The time in which a lease is valid for certain, without I/O."""
+
+    def __init__(self, lease: float) -> None:
+        self.lease = lease
+        self.valid_until = -math.inf
+        """Time until which the lease is valid for certain."""
+        self.renew_at = -math.inf
+        """Time of the next renewal."""
+        self._sent: float | None = None  # the first write whose answer has not come
+
+    def sent(self, now: float) -> None:
+        """Note that a renewal is sent now."""
+        if self._sent is None:
+            self._sent = now
+
+    def stored(self) -> None:
+        """Note that the lease is stored, by the earliest of the writes that were sent."""
+        assert self._sent is not None
+        self.valid_until = self._sent + self.lease * (1 - MARGIN)
+        self.renew_at = self._sent + self.lease / RENEWALS
+        self._sent = None
+
+    def end(self) -> None:
+        """Forget the lease."""
+        self.valid_until = self.renew_at = -math.inf
+        self._sent = None
 
 
 class MemberPart:

@@ -27,7 +27,7 @@ from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import BrokerAway
-from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.journal import WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE
 from fibaction_transports.nats.worker.takeover import Takeover
 

@@ -16,7 +16,7 @@ from fibaction.words.errors import ProtocolError
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerSubscription, Message
 from fibaction_transports.nats.names import OFFER_GROUP
 from fibaction_transports.nats.records import LeaseEntry, RoomOffer, encode, question
-from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.journal import WorkerJournals
 from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, MemberPart
 
 MOST = 16

@@ -11,22 +11,21 @@ the nonce of the write it is stored; with the sequence from before it is written
 the goal is taken (`HeldGoal.sequence_for`).
 
 If there is no room for a write, a new goal is rejected, and a write about an accepted one waits
-(`Shortage`).
+(`Shortage`). The records of goals that have ended are counted, and the oldest ones are deleted
+(`KeptOutcomes`).
 
-Sans-I/O.
+Sans-I/O, but for that.
 """
 
 from __future__ import annotations
 
 import secrets
+import time
 from collections import deque
 from collections.abc import Callable
 from copy import copy
-from typing import Protocol
+from typing import Final, NamedTuple
 
-from anyio.abc import TaskGroup
-
-from fibaction.border.abc import Notifier
 from fibaction.border.goal_store import (
     GoalTaken,
     RecordTooLarge,
@@ -38,29 +37,20 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ProtocolError, StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerRecord
-from fibaction_transports.nats.history.history_writes import HistoryWrites
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
-from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE, Membership
+from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
 
 ROOM_TO_GROW = {"accept": 512, "take": 448, "begin": 384, "cancel": 320}
 """Bytes that are added to a record of this kind. Each later record of the goal has fewer, so that a
 full stream has room for it in place of the one before: for an end with a short result, too."""
+SECOND: Final = 1_000_000_000
+DELETED_TTL = 60.0
+"""Seconds that a deleted record is remembered."""
 IS_STORED = -1
 """Stands for a sequence: the write is stored already."""
 
 logger = clean_logger("fibaction.nats")
-
-
-class JournalParts(Protocol):
-    """The parts of a worker that its journals share."""
-
-    broker: Broker
-    names: FleetNames
-    membership: Membership
-    tasks: TaskGroup
-    room: Notifier
-    history: HistoryWrites
 
 
 class Write:
@@ -232,3 +222,57 @@ class Shortage:
             self._goals.remove(goal_id)
             if not self._goals:
                 logger.warning("the brokers of fleet %r have room again", self._fleet)
+
+
+class KeptOutcome(NamedTuple):
+    """The record of a goal that has ended."""
+
+    ended_at: int
+    keep_until: int
+    subject: str
+    sequence: int
+
+    @classmethod
+    def of(cls, goal: StoredGoal, subject: str, sequence: int) -> KeptOutcome:
+        """Return the record of this goal."""
+        return cls(goal.ended_at, goal.keep_until, subject, sequence)
+
+
+class KeptOutcomes:
+    """The outcomes of one action at one worker, and the goals of the fleet that were given up."""
+
+    def __init__(self, broker: Broker, max_results: int) -> None:
+        """Keep so many of each at most."""
+        self._broker = broker
+        self._max_results = max_results
+        self._ended: deque[KeptOutcome] = deque()
+        self._given_up: deque[KeptOutcome] = deque()
+
+    def add(self, subject: str, held: HeldGoal) -> None:
+        """Note the record of a goal that has ended, and delete the oldest if there are too many."""
+        kept = self._given_up if held.stored.is_given_up else self._ended
+        kept.append(KeptOutcome.of(held.stored, subject, held.sequence))
+        self._trim(kept)
+
+    def found(self, given_up: list[KeptOutcome]) -> None:
+        """Note all goals that were given up, as their records say, and delete the oldest."""
+        self._given_up = deque(sorted(given_up))
+        self._trim(self._given_up)
+
+    def _trim(self, kept: deque[KeptOutcome]) -> None:
+        now = time.time_ns()
+        while kept and (0 < kept[0].keep_until <= now or len(kept) > self._max_results):
+            oldest = kept.popleft()
+            if not 0 < oldest.keep_until <= now:
+                self._broker.put(
+                    oldest.subject,
+                    b"",
+                    expected=oldest.sequence,
+                    ttl=DELETED_TTL,
+                    then=lambda _answer: None,
+                )
+
+    def forget(self) -> None:
+        """Forget all of them: their stream was lost."""
+        self._ended.clear()
+        self._given_up.clear()

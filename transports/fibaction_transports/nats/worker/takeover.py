@@ -50,11 +50,10 @@ from fibaction_transports.nats.records import (
     encode,
     is_claim,
 )
-from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, MemberPart
 from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry, entry_of
-from fibaction_transports.nats.worker.outcomes import KeptOutcome
+from fibaction_transports.nats.worker.record_writes import KeptOutcome
 from fibaction_transports.nats.worker.unreadable_goals import NotesForOthers, UnreadableGoals
 from fibaction_transports.nats.workers import FleetWorkers
 

@@ -47,8 +47,7 @@ from fibaction_transports.nats.broker.broker import (
     Note,
     OnMessage,
 )
-from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
 from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry
 from fibaction_transports.nats.workers import FleetWorkers

@@ -22,12 +22,11 @@ from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ConnectionLost, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
-from fibaction_transports.nats.lines.line import WorkerLines
+from fibaction_transports.nats.lines import WorkerLines
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, ServedAction
 from fibaction_transports.nats.settings import FleetSettings
-from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.journals import WorkerJournals
+from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.limits.fleet_limits import FleetLimits
 from fibaction_transports.nats.worker.lost_streams import LostStreams

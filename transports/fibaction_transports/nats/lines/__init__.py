@@ -1,1 +1,0 @@
-"""Lines of the wire protocol over messages of a broker."""
