@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 from msgspec.structs import replace
 
@@ -54,18 +54,6 @@ UNREAD = 10_000
 """Changes that wait for one follower, at most."""
 MOST_GOALS = 100_000
 """Goals that one watch knows, at most: a server could tell of ever more."""
-
-
-class StatusSource(Protocol):
-    """The source of the statuses of its followers."""
-
-    @property
-    def dropped(self) -> int:
-        """The changes that were left out before they came here."""
-        ...
-
-    def leave(self, statuses: RemoteStatuses) -> None:
-        """Remove a follower."""
 
 
 class StatusWatch(Call):
@@ -214,7 +202,7 @@ def info_of(message: GoalChanged) -> GoalInfo:
 class RemoteStatuses(StatusStream):
     """One follower of the statuses of all goals of a server."""
 
-    def __init__(self, watch: StatusSource, goals: Iterable[GoalInfo], unlisted: int) -> None:
+    def __init__(self, watch: StatusWatch, goals: Iterable[GoalInfo], unlisted: int) -> None:
         """Begin with these goals; so many more are to come."""
         self._watch = watch
         self._items = deque(goals)
@@ -287,7 +275,7 @@ class RemoteStatuses(StatusStream):
         self._items.append(info)
         self._news.notify()
 
-    def go_on_with(self, watch: StatusSource) -> None:
+    def go_on_with(self, watch: StatusWatch) -> None:
         """Get the statuses from another watch from now on."""
         self._dropped_before = self.dropped - self._dropped_here
         self._watch, self._dropped_at_start = watch, watch.dropped

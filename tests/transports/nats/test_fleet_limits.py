@@ -535,7 +535,7 @@ async def test_a_record_that_cannot_be_read_is_replaced_after_the_time_of_a_leas
         shared.put(SUBJECT, b"\xc1", 0, 9e9)
         a.want()
         await a.runs()
-        assert "the places of a key cannot be read" in caplog.text
+        assert "the record of places of a key of the fleet cannot be read" in caplog.text
 
 
 # Lost streams

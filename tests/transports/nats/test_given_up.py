@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import pytest
 from anyio import sleep
 
 from fibaction import ConnectionLost, GoalStatus, StoreError
 from fibaction.border.goal_store import StoredGoal
-from fibaction_transports.nats.client.given_up import GivenUpGoals
+from fibaction_transports.nats.client.connection import given_up_goals, rerun_goal
 from fibaction_transports.nats.worker.record_writes import SECOND
 from tests.support.memory_broker import MemoryBrokers
 from tests.support.virtual_time import in_virtual_time
@@ -32,7 +33,7 @@ async def test_they_are_listed_in_the_order_of_their_ends() -> None:
         keep(shared, goal(4))
         keep(shared, given_up(5, goal=b""))
         shared.put(NAMES.goal("count", goal(6).goal_id), b"", 0, 60)
-        found = await GivenUpGoals(shared.member(), NAMES).list()
+        found = await given_up_goals(shared.member(), NAMES)
         assert found == {"count": [given_up(1), given_up(2), given_up(3)]}
 
 
@@ -40,8 +41,8 @@ async def test_one_runs_again_once_as_a_new_goal_from_its_checkpoint() -> None:
     async with MemoryBrokers() as shared, member(shared, "a") as a:
         until = time.time_ns() + 100 * SECOND
         keep(shared, given_up(keep_until=until))
-        goals = GivenUpGoals(shared.member(), NAMES)
-        new = await goals.rerun("count", given_up().goal_id)
+        rerun = partial(rerun_goal, shared.member(), NAMES)
+        new = await rerun("count", given_up().goal_id)
         (claimed,) = await a.claims(1, within=1)
         assert claimed.goal_id == new != given_up().goal_id
         assert (claimed.goal, claimed.checkpoint) == (b"goal", b"half")
@@ -50,36 +51,36 @@ async def test_one_runs_again_once_as_a_new_goal_from_its_checkpoint() -> None:
         assert (old.status, old.reason, old.keep_until) == (GoalStatus.ABORTED, "given up", until)
         assert not old.is_given_up
         with pytest.raises(StoreError, match="was not given up, or is not kept any more"):
-            await goals.rerun("count", given_up().goal_id)
+            await rerun("count", given_up().goal_id)
 
 
 async def test_what_was_not_given_up_does_not_run_again() -> None:
     async with MemoryBrokers() as shared:
-        goals = GivenUpGoals(shared.member(), NAMES)
+        rerun = partial(rerun_goal, shared.member(), NAMES)
         with pytest.raises(StoreError, match="was not given up, or is not kept any more"):
-            await goals.rerun("count", goal().goal_id)
+            await rerun("count", goal().goal_id)
         keep(shared, given_up())
         keep(shared, given_up().as_new(1))
         with pytest.raises(StoreError, match="runs again already, as goal "):
-            await goals.rerun("count", given_up().goal_id)
+            await rerun("count", given_up().goal_id)
         shared.is_full = True
         keep_again = given_up(2)
         shared.is_full = False
         keep(shared, keep_again)
         shared.is_full = True
         with pytest.raises(StoreError, match="cannot be run again: "):
-            await goals.rerun("count", keep_again.goal_id)
+            await rerun("count", keep_again.goal_id)
 
 
 async def test_brokers_that_are_away_are_an_error() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
         broker.is_away = True
-        goals = GivenUpGoals(broker, NAMES)
+        rerun = partial(rerun_goal, broker, NAMES)
         with pytest.raises(ConnectionLost, match="the goals of the fleet cannot be listed: "):
-            await goals.list()
+            await given_up_goals(broker, NAMES)
         with pytest.raises(ConnectionLost, match="the record of goal 0101"):
-            await goals.rerun("count", given_up().goal_id)
+            await rerun("count", given_up().goal_id)
 
 
 async def test_a_fleet_keeps_so_many_of_them_also_over_restarts_of_its_workers() -> None:
@@ -88,11 +89,11 @@ async def test_a_fleet_keeps_so_many_of_them_also_over_restarts_of_its_workers()
             keep(shared, given_up(number))
         async with member(shared, "a") as a:  # it keeps nine
             await sleep(1)
-            kept = [one.stamp for one in (await GivenUpGoals(a.broker, NAMES).list())["count"]]
+            kept = [one.stamp for one in (await given_up_goals(a.broker, NAMES))["count"]]
             assert kept == list(range(3, 12))
             a.accept(goal(20), goal(21))
             a.journal.end(given_up(20), lambda _error: None)
             a.journal.end(given_up(21, goal=b""), lambda _error: None)
             await sleep(LEASE)
-            kept = [one.stamp for one in (await GivenUpGoals(a.broker, NAMES).list())["count"]]
+            kept = [one.stamp for one in (await given_up_goals(a.broker, NAMES))["count"]]
             assert kept == [*range(4, 12), 20]

@@ -12,7 +12,8 @@ Sans-I/O.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -20,6 +21,8 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError
 from fibaction.words.statuses import GoalStatus
+
+T = TypeVar("T")
 
 INCARNATION_SIZE = 8
 """Bytes of an incarnation: random, so that no two workers ever have the same."""
@@ -97,48 +100,26 @@ def _made(wanted: Any, value: bytes) -> Any:
 encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 """Returns a value of this module as bytes."""
 
-_goal_decoder = msgspec.msgpack.Decoder(GoalEntry, dec_hook=_made)
-_past_decoder = msgspec.msgpack.Decoder(StoredGoal, dec_hook=_made)
-_lease_decoder = msgspec.msgpack.Decoder(LeaseEntry)
-_question_decoder = msgspec.msgpack.Decoder(RoomQuestion)
-_offer_decoder = msgspec.msgpack.Decoder(RoomOffer)
+
+def reader(kind: type[T], what: str) -> Callable[[bytes], T]:
+    """Return a function that reads a value from bytes, and raises `ProtocolError` if it cannot."""
+    decoder = msgspec.msgpack.Decoder(kind, dec_hook=_made)
+
+    def read(data: bytes) -> T:
+        try:
+            return decoder.decode(data)
+        except (msgspec.MsgspecError, ValueError) as exc:
+            raise ProtocolError(f"{what} of the fleet cannot be read: {exc}") from exc
+
+    return read
 
 
-def _decoded(decoder: msgspec.msgpack.Decoder[Any], data: bytes, name: str) -> Any:
-    try:
-        return decoder.decode(data)
-    except (msgspec.MsgspecError, ValueError) as exc:
-        raise ProtocolError(f"{name} of the fleet cannot be read: {exc}") from exc
-
-
-def goal_entry(data: bytes) -> GoalEntry:
-    """Return the record of a goal.
-
-    Raises:
-        ProtocolError: The bytes are not one.
-    """
-    entry: GoalEntry = _decoded(_goal_decoder, data, "the record of a goal")
-    return entry
-
-
-def past_goal(data: bytes) -> StoredGoal:
-    """Return the goal in a record of the history, or in the head of one.
-
-    Raises:
-        ProtocolError: The bytes are not one.
-    """
-    goal: StoredGoal = _decoded(_past_decoder, data, "a record of the history")
-    return goal
-
-
-def lease_entry(data: bytes) -> LeaseEntry:
-    """Return the record of a worker.
-
-    Raises:
-        ProtocolError: The bytes are not one.
-    """
-    entry: LeaseEntry = _decoded(_lease_decoder, data, "the lease of a worker")
-    return entry
+goal_entry = reader(GoalEntry, "the record of a goal")
+past_goal = reader(StoredGoal, "a record of the history")
+"""Returns the goal in a record of the history, or in the head of one."""
+lease_entry = reader(LeaseEntry, "the lease of a worker")
+question = reader(RoomQuestion, "a question")
+offer = reader(RoomOffer, "an offer")
 
 
 def is_claim(data: bytes) -> bool:
@@ -147,23 +128,3 @@ def is_claim(data: bytes) -> bool:
         return bool(lease_entry(data).cleared_by)
     except ProtocolError:
         return False
-
-
-def question(data: bytes) -> RoomQuestion:
-    """Return the question of a client.
-
-    Raises:
-        ProtocolError: The bytes are not one.
-    """
-    asked: RoomQuestion = _decoded(_question_decoder, data, "a question")
-    return asked
-
-
-def offer(data: bytes) -> RoomOffer:
-    """Return the offer of a worker.
-
-    Raises:
-        ProtocolError: The bytes are not one.
-    """
-    offered: RoomOffer = _decoded(_offer_decoder, data, "an offer")
-    return offered

@@ -25,7 +25,8 @@ time, before the next look.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Awaitable, Callable
+from typing import NamedTuple, TypeVar
 
 import anyio
 from anyio import current_time
@@ -36,13 +37,21 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import Follow, Following, SendGoal
 from fibaction.wire.settings import ClientSettings
-from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError, UnknownGoal
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    ProtocolError,
+    ServerNotFound,
+    UnknownGoal,
+)
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
 from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, goal_entry
 from fibaction_transports.nats.workers import FleetWorkers
+
+T = TypeVar("T")
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0
 """Seconds between two looks at a record: short at first, for a takeover that is under way."""
@@ -187,6 +196,39 @@ class CallRoutes:
             return await self._broker.is_new(self._names.goals, self._workers.longest_lease)
         except BrokerAway:
             return True
+
+
+class RetryTime:
+    """The time that a call has, from its first failure, to find a worker."""
+
+    def __init__(self, routes: CallRoutes) -> None:
+        self._routes = routes
+        self._ends: float | None = None
+        self._pause = FIRST_PAUSE
+
+    async def wait(self, error: ActionError) -> None:
+        """Wait before the next try; raise the error if the time is over."""
+        if self._ends is None:
+            self._ends = current_time() + self._routes.patience
+        left = self._ends - current_time()
+        if left <= 0:
+            raise error
+        await self._routes.changes(min(self._pause, left))
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+
+    async def retry(
+        self, ask: Callable[[], Awaitable[T]], is_over: Callable[[], bool] = lambda: False
+    ) -> T:
+        """Return the answer to a request, which is made again after an error of a connection,
+        unless `is_over` then.
+        """
+        while True:
+            try:
+                return await ask()
+            except (ConnectionLost, ServerNotFound) as exc:
+                if is_over():
+                    raise
+                await self.wait(exc)
 
 
 def finish(goal: RemoteGoal, stored: StoredGoal) -> None:

@@ -33,6 +33,7 @@ merged. Each call tries for `reconnect_timeout` seconds from its first failure (
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 import anyio
@@ -56,19 +57,37 @@ from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
 from fibaction.words.meta import size_of
 from fibaction_transports.nats.client.call_routes import (
+    CallRoutes,
     FoundGoal,
+    RetryTime,
     ended_goal,
     gone,
 )
-from fibaction_transports.nats.client.free_workers import Place
-from fibaction_transports.nats.client.parts import FleetParts, Placement, RetryTime
-from fibaction_transports.nats.history.fleet_history import first_of
+from fibaction_transports.nats.client.free_workers import Place, Placement, RoomFinder
+from fibaction_transports.nats.client.statuses import AllStatuses
+from fibaction_transports.nats.client.worker_connections import WorkerConnections
+from fibaction_transports.nats.history.fleet_history import FleetHistory, first_of
+from fibaction_transports.nats.workers import FleetWorkers
 
 T = TypeVar("T")
 _Request: TypeAlias = Callable[[int, int], Follow]
 
 RECORD_OVERHEAD = 4096
 """Bytes of a record in addition to the goal, at most."""
+
+
+@dataclass(frozen=True)
+class FleetParts:
+    """The parts of a connection to a fleet, which all its endpoints share."""
+
+    workers: FleetWorkers
+    connections: WorkerConnections
+    routes: CallRoutes
+    places: RoomFinder
+    statuses: AllStatuses
+    history: Callable[[str], FleetHistory]
+    """The function that returns the history of the action of a name."""
+    max_record: int
 
 
 class FleetEndpoint(Endpoint):
@@ -92,7 +111,8 @@ class FleetEndpoint(Endpoint):
             raise InvalidMessage(
                 f"the goal has {size} bytes, and {limit} are the limit of the brokers"
             )
-        placement = Placement(self._parts, self._info.name)
+        placement = Placement(self._parts.workers, self._info.name)
+        patience = RetryTime(self._parts.routes)
         places = self._parts.places
         while True:
             place = Place("")
@@ -117,16 +137,16 @@ class FleetEndpoint(Endpoint):
             if isinstance(error, GoalRejected) and placement.reader:
                 continue
             if not isinstance(error, ConnectionLost) and placement.worker and not placement.owner:
-                await placement.patience.wait(error)  # another worker may have room
+                await patience.wait(error)  # another worker may have room
                 continue
             # Its answer may be lost, or another client may have sent the same goal before.
-            found = await self._found(request.goal_id, placement.patience)
+            found = await self._found(request.goal_id, patience)
             if found is None and not placement.worker:
                 raise error
             if found is not None and found.goal.ended_at and not found.is_alive:
                 return self._ended_sent(found, request)
             if not placement.goes_to(found):
-                await placement.patience.wait(error)
+                await patience.wait(error)
 
     async def _send(self, worker: str, request: GoalRequest) -> RemoteGoal:
         name = self._info.name
@@ -172,26 +192,22 @@ class FleetEndpoint(Endpoint):
 
     async def _feedback_now(self, goal_id: GoalID, request: _Request) -> RemoteGoal:
         """Follow a goal that a worker has, or that has a record."""
-        patience = RetryTime(self._parts.routes)
-        while True:
-            found = await self._found(goal_id, patience)
-            if found is None:
-                return await self._feedback_without_record(goal_id, request)
-            error: ActionError = gone(found)
-            if found.is_alive:
-                try:
-                    followed = await self._follow(found.goal.worker, goal_id, request)
-                    if found.goal.ended_at:
-                        followed.told_info = found.goal.info
-                    return followed
-                except (UnknownGoal, ConnectionLost, ServerNotFound) as exc:
-                    error = exc
+
+        async def follow(found: FoundGoal) -> RemoteGoal:
+            followed = await self._follow(found.goal.worker, goal_id, request)
             if found.goal.ended_at:
-                if isinstance(error, UnknownGoal) and not found.goal.is_given_up:
-                    raise error  # its owner has forgotten it, and the record goes soon
-                if not (isinstance(error, ConnectionLost) and found.is_alive):
-                    return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
-            await patience.wait(error)
+                followed.told_info = found.goal.info
+            return followed
+
+        def ended(found: FoundGoal, error: ActionError) -> RemoteGoal | None:
+            if isinstance(error, UnknownGoal) and not found.goal.is_given_up:
+                raise error  # its owner has forgotten it, and the record goes soon
+            if isinstance(error, ConnectionLost) and found.is_alive:
+                return None
+            return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
+
+        followed = await self._at_owner(goal_id, follow, ended)
+        return followed or await self._feedback_without_record(goal_id, request)
 
     async def _feedback_without_record(self, goal_id: GoalID, request: _Request) -> RemoteGoal:
         error: ActionError = UnknownGoal(goal_id)
@@ -217,21 +233,14 @@ class FleetEndpoint(Endpoint):
         return await self._cancel_at_all(goal_id, stamp)
 
     async def _cancel_one(self, goal_id: GoalID) -> CancelAnswer:
-        patience = RetryTime(self._parts.routes)
-        while True:
-            found = await self._found(goal_id, patience)
-            if found is None:
-                return await self._cancel_at_all(goal_id, None)
-            if found.is_alive:
-                try:
-                    return await self._cancel_at(found.goal.worker, goal_id, None)
-                except (ConnectionLost, ServerNotFound) as exc:
-                    error: ActionError = exc
-            elif found.goal.ended_at:
-                return CancelAnswer(CancelCode.GOAL_TERMINATED)
-            else:
-                error = gone(found)
-            await patience.wait(error)
+        async def cancel(found: FoundGoal) -> CancelAnswer:
+            return await self._cancel_at(found.goal.worker, goal_id, None)
+
+        def ended(found: FoundGoal, _error: ActionError) -> CancelAnswer | None:
+            return None if found.is_alive else CancelAnswer(CancelCode.GOAL_TERMINATED)
+
+        answer = await self._at_owner(goal_id, cancel, ended)
+        return answer or await self._cancel_at_all(goal_id, None)
 
     async def _cancel_at_all(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
         async def ask(worker: str) -> CancelAnswer:
@@ -287,11 +296,31 @@ class FleetEndpoint(Endpoint):
 
     async def _found(self, goal_id: GoalID, patience: RetryTime) -> FoundGoal | None:
         """Return the goal by its record; wait for the brokers, if they are away."""
-        while True:
-            try:
-                return await self._parts.routes.find(self._info.name, goal_id)
-            except ConnectionLost as exc:
-                await patience.wait(exc)
+        return await patience.retry(lambda: self._parts.routes.find(self._info.name, goal_id))
+
+    async def _at_owner(
+        self,
+        goal_id: GoalID,
+        ask: Callable[[FoundGoal], Awaitable[T]],
+        ended: Callable[[FoundGoal, ActionError], T | None],
+    ) -> T | None:
+        """Return the answer of the owner of a goal; ask again, as the goal may have another owner
+        by then, as long as none answers. None if the goal has no record.
+
+        `ended` gets the error about a goal that has ended, and may return the answer.
+        """
+        patience = RetryTime(self._parts.routes)
+        while (found := await self._found(goal_id, patience)) is not None:
+            error: ActionError = gone(found)
+            if found.is_alive:
+                try:
+                    return await ask(found)
+                except (UnknownGoal, ConnectionLost, ServerNotFound) as exc:
+                    error = exc
+            if found.goal.ended_at and (answer := ended(found, error)) is not None:
+                return answer
+            await patience.wait(error)
+        return None
 
     async def _follow(self, worker: str, goal_id: GoalID, request: _Request) -> RemoteGoal:
         is_kept = self._parts.workers.is_kept(worker, self._info.name)
@@ -319,28 +348,20 @@ class FleetEndpoint(Endpoint):
         """
         answers: list[T] = []
         errors: list[ActionError] = []
+        living = self._parts.workers
 
         async def ask_one(worker: str) -> None:
+            def is_over() -> bool:
+                return living.get(worker) is None or not living.is_kept(worker, self._info.name)
+
             patience = RetryTime(self._parts.routes)
-            while True:
-                try:
-                    answers.append(await ask(worker))
-                    return
-                except (ConnectionLost, ServerNotFound) as exc:
-                    error: ActionError = exc
-                except ActionError as exc:
+            try:
+                answers.append(await patience.retry(lambda: ask(worker), is_over))
+            except (ConnectionLost, ServerNotFound) as exc:
+                if living.get(worker) is not None:
                     errors.append(exc)
-                    return
-                if self._parts.workers.get(worker) is None:
-                    return
-                if not self._parts.workers.is_kept(worker, self._info.name):
-                    errors.append(error)
-                    return
-                try:
-                    await patience.wait(error)
-                except ActionError as exc:
-                    errors.append(exc)
-                    return
+            except ActionError as exc:
+                errors.append(exc)
 
         async with anyio.create_task_group() as tasks:
             for worker in workers:

@@ -1,4 +1,5 @@
-"""`RoomFinder`: finds workers that have room for the new goals of a client.
+"""`RoomFinder`: finds workers that have room for the new goals of a client. `Placement`: the
+workers that one goal was sent to.
 
 A client that has new goals asks all workers of the action at once (`RoomQuestion`), and one of
 those that have room answers with the number of goals that it takes (`RoomOffer`): by chance, one of
@@ -22,13 +23,14 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.border.peer_text import excerpt
+from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.words.errors import (
     ActionError,
@@ -39,9 +41,12 @@ from fibaction.words.errors import (
     copy_of,
 )
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, NoResponders
+from fibaction_transports.nats.client.call_routes import FoundGoal
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import RoomQuestion, encode, offer
+from fibaction_transports.nats.records import LeaseEntry, RoomQuestion, encode, offer
 from fibaction_transports.nats.workers import FleetWorkers
+
+E = TypeVar("E", bound=ActionError)
 
 FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0
 """Seconds that a question waits for an answer, at first and later."""
@@ -231,3 +236,85 @@ class RoomFinder:
             f"busy: all {len(serving)} workers of action {excerpt(action)!r} are busy",
             code=RejectionCode.BUSY,
         )
+
+
+class Placement:
+    """One goal that is to be sent, and the workers that it was sent to."""
+
+    def __init__(self, workers: FleetWorkers, action: str) -> None:
+        self._workers = workers
+        self._action = action
+        self._refused: set[str] = set()
+        self._types: list[dict[str, Any]] = []  # those of goals that do not fit this one
+        self._rejections: list[GoalRejected] = []  # since then
+        self._lost: list[str] = []  # the workers that did not answer
+        self.owner = ""
+        """The worker that has the goal by its record; empty if it may go to any."""
+        self.worker = ""
+        """The worker that it was sent to last; empty if there was no place for it."""
+
+    @property
+    def reader(self) -> str:
+        """The worker to go to after one that cannot read the goal, because its action has other
+        types; empty if there is none.
+        """
+        if not self._types:
+            return ""
+        serving = self._workers.serving(self._action)
+        readers = [
+            lease
+            for lease in serving
+            if lease.worker not in self._refused and self._type_at(lease) not in self._types
+        ]
+        readers.sort(key=lambda lease: (self._lost.count(lease.worker), not lease.has_room))
+        return readers[0].worker if readers else ""
+
+    def answer(self, error: ActionError) -> ActionError | None:
+        """Return the answer by an error of a worker; None if another worker is to be asked."""
+        if not self.worker:
+            return None
+        if isinstance(error, GoalRejected):
+            return self._answer_by(error)
+        if not self._workers.is_kept(self.worker, self._action):
+            return error  # no record tells whether a gateway has the goal
+        if isinstance(error, ConnectionLost):
+            self._lost.append(self.worker)
+        if self.owner or isinstance(error, ConnectionLost):
+            return None
+        return self._next_or(error)
+
+    def _answer_by(self, rejected: GoalRejected) -> GoalRejected | None:
+        """Return the answer by a rejection: that of a worker that can read the goal, if any can."""
+        is_unreadable = rejected.code is RejectionCode.UNREADABLE
+        if self.owner or not (rejected.code.is_temporary or is_unreadable):
+            return rejected
+        lease = self._workers.get(self.worker)
+        if is_unreadable and lease is not None:
+            self._types.append(self._type_at(lease))
+        if not self._types:
+            return self._next_or(rejected)
+        self._refused.add(self.worker)
+        self._rejections.append(rejected)
+        if self.reader:
+            return None
+        return next((one for one in self._rejections if one.code.is_temporary), self._rejections[0])
+
+    def _next_or(self, error: E) -> E | None:
+        """Return None to ask another worker; the error if all of them were asked."""
+        self._refused.add(self.worker)
+        serving = self._workers.serving(self._action)
+        return error if self._refused.issuperset(lease.worker for lease in serving) else None
+
+    def _type_at(self, lease: LeaseEntry) -> dict[str, Any]:
+        """Return the type of goals at a worker, as a JSON Schema."""
+        served = (one.info for one in lease.actions if one.info.name == self._action)
+        return next(served, ActionInfo(self._action)).goal
+
+    def goes_to(self, found: FoundGoal | None) -> bool:
+        """Go to the owner of the goal next, or to any worker if it has none; return whether that
+        can be at once.
+        """
+        before = self.owner
+        self.owner = found.goal.worker if found is not None and found.is_alive else ""
+        self.worker = ""
+        return bool(self.owner) and self.owner != before

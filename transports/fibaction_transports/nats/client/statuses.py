@@ -5,7 +5,7 @@ Theory of operation
 
 All followers of an action in this process share one watch of the records, since a broker has to
 serve each watch. The first follower opens it, and the last one that leaves closes it. Each follower
-is a `RemoteStatuses` of `fibaction.wire`, with a queue of its own.
+is a `StatusSubscription`, with a queue of its own.
 
 A follower that comes later must know all that has happened before it came, and the watch may be
 late. So the records are listed once more for it, and what is newer than what the watch has told is
@@ -29,6 +29,7 @@ from msgspec.structs import replace
 
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
+from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.wire.client.remote_statuses import RemoteStatuses
 from fibaction.wire.messages import AskPlaces
 from fibaction.wire.messages import Places as PlacesAnswer
@@ -71,7 +72,7 @@ class AllStatuses:
         self.tasks = tasks
         self._watched: dict[str, FleetStatuses] = {}
 
-    async def follow(self, action: str) -> RemoteStatuses:
+    async def follow(self, action: str) -> StatusSubscription:
         """Follow the statuses of all goals of an action.
 
         Raises:
@@ -96,7 +97,7 @@ class FleetStatuses:
     def __init__(self, shared: AllStatuses, action: str) -> None:
         self._shared = shared
         self._action = action
-        self._followers: dict[RemoteStatuses, None] = {}
+        self._followers: dict[StatusSubscription, None] = {}
         self._expected = 0  # followers that are being made
         self._goals: dict[GoalID, GoalInfo] = {}
         self._owners: dict[GoalID, tuple[str, bytes]] = {}  # worker and incarnation
@@ -110,12 +111,7 @@ class FleetStatuses:
         self.is_closed = False
         """True after the last follower has left."""
 
-    @property
-    def dropped(self) -> int:
-        """The changes that were left out: none, as they are filled in."""
-        return 0
-
-    async def follow(self) -> RemoteStatuses:
+    async def follow(self) -> StatusSubscription:
         """Return a new follower, which begins with all goals that are known now.
 
         Raises:
@@ -135,14 +131,14 @@ class FleetStatuses:
             if not (self._goals or self._shared.workers.serving(self._action)):
                 raise self._shared.workers.not_served(self._action)
             await self._learn_places()
-            statuses = RemoteStatuses(self, self._in_order(), 0)
+            statuses = StatusSubscription(self._in_order(), self.leave)
             self._followers[statuses] = None
             return statuses
         finally:
             self._expected -= 1
             self._close_if_unused()
 
-    def leave(self, statuses: RemoteStatuses) -> None:
+    def leave(self, statuses: StatusSubscription) -> None:
         """Remove a follower; the last one closes the watch."""
         self._followers.pop(statuses, None)
         self._close_if_unused()

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from fibaction.words.errors import ProtocolError
+from fibaction_transports.nats.records import reader
 
 
 class KeyShare(msgspec.Struct, array_like=True, frozen=True):
@@ -73,19 +73,7 @@ class Demand(NamedTuple):
     asked: int
 
 
-_decoder = msgspec.msgpack.Decoder(KeyEntry)
-
-
-def key_entry(data: bytes) -> KeyEntry:
-    """Return the record of a key.
-
-    Raises:
-        ProtocolError: The bytes are not one.
-    """
-    try:
-        return _decoder.decode(data)
-    except msgspec.MsgspecError as exc:
-        raise ProtocolError(f"the places of a key cannot be read: {exc}") from exc
+key_entry = reader(KeyEntry, "the record of places of a key")
 
 
 def next_entry(
