@@ -51,13 +51,6 @@ FRAMES = {
 
 OUTER, INNER = FRAMES
 BENDS: dict[tuple[frozenset[Phase], Event], list[tuple[float, float]]] = {
-    (frozenset({Phase.DECIDING}), Event.RESTORE): [(174, 80), (400, 80), (400, 170)],
-    (frozenset({Phase.DECIDING}), Event.RESTORE_ENDED): [
-        (96, 60),
-        (96, 24),
-        (1090, 24),
-        (1090, 380),
-    ],
     (frozenset({Phase.ACCEPTANCE_IN_WRITING}), Event.LOSE): [
         (140, 210),
         (140, 250),

@@ -77,7 +77,7 @@ def test_with_a_store_an_end_is_written_before_it_is_told() -> None:
     lines = printed()
     start = lines.index(next(line for line in lines if line.startswith(f"{STORE}: ")))
     functions = [line.split()[0] for line in lines[start + 1 :] if line]
-    way = ["GoalWrites._write_end", "SqliteJournal.end", "GoalNews._tell_end"]
+    way = ["GoalKeeper._write_end", "SqliteJournal.end", "GoalLogs._tell_end"]
     assert [name for name in functions if name in way] == way
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Generic, NoReturn
 
 from fibaction._runtime.notify import Notifier
@@ -17,40 +16,29 @@ if TYPE_CHECKING:
     from fibaction.words.goals import GoalID, Sender
 
 
-class Succession(ABC, Generic[GoalT]):
-    """The goals of a server that can be taken over by the executors of others."""
+class Succession(Generic[GoalT]):
+    """The goals of a server that can be taken over by the executors of others: none, as it has no
+    schedule.
+    """
 
-    @abstractmethod
     def successor(self, goal_id: GoalID) -> GoalHandle[GoalT] | None:
         """Return the goal that this one may take over; None if there is none."""
+        return None
 
-    @abstractmethod
     def news_of(self, goal_id: GoalID) -> Notifier:
         """Return the notifier of a new successor, and of the end of the goal."""
+        return Notifier()
 
-    @abstractmethod
     def take_over(self, goal_id: GoalID) -> GoalHandle[GoalT]:
         """Let the executor of a goal continue as its successor, and return that.
 
         Raises:
             RuntimeError: There is none.
         """
-
-
-class NoSuccession(Succession[Any]):
-    """The succession without a schedule: no goal ever has a successor."""
-
-    def successor(self, goal_id: GoalID) -> None:
-        return None
-
-    def news_of(self, goal_id: GoalID) -> Notifier:
-        return Notifier()
-
-    def take_over(self, goal_id: GoalID) -> NoReturn:
         raise RuntimeError(f"goal {goal_id} has no successor: the server has no schedule")
 
 
-NO_SUCCESSION = NoSuccession()
+NO_SUCCESSION: Succession[Any] = Succession()
 
 
 class GoalHandle(Generic[GoalT]):

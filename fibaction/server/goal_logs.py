@@ -1,4 +1,4 @@
-"""`GoalLogs`: the streams to follow goals and statuses, and the end of what has expired.
+"""`GoalLogs`: what followers of goals and statuses are told, and the end of what has expired.
 
 Theory of operation
 -------------------
@@ -10,6 +10,9 @@ status, and then asks for its feedback. Without a log, an ended goal is followed
 feedback, by a new one; so it has one log at a time, which loses the result if results take too many
 bytes. The payload of a goal is in its log, too, for those who have not sent it.
 
+What is told at a step of a goal's life is told here: the effects `TELL_...`. With the end, the
+record gets its outcome, and the registry remembers it.
+
 One task, `forget_expired`, frees what has expired. It sleeps until the next expiry, and while
 nothing can expire, until a goal ends.
 """
@@ -17,8 +20,10 @@ nothing can expire, until a goal ends.
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 from weakref import ref
 
 import anyio
@@ -27,12 +32,16 @@ from anyio.lowlevel import cancel_shielded_checkpoint
 from fibaction._runtime.notify import Notifier
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
+from fibaction.server.life import Effect, Life
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.watchers import Watchers
-from fibaction.words.errors import ActionError, GoalKept, UnknownGoal, copy_of
+from fibaction.words.errors import GoalKept, UnknownGoal, copy_of
 from fibaction.words.goals import GoalID, GoalInfo, Sender
 from fibaction.words.statuses import GoalStatus
+
+if TYPE_CHECKING:
+    from fibaction.server.execution.runs import AnyRun
 
 EXPIRY_STEP = 0.1
 """The least seconds between two clean-ups of expired goals. It only limits how often memory is
@@ -54,6 +63,7 @@ class GoalLogs:
         self,
         registry: GoalRegistry,
         watchers: Watchers,
+        life: Life,
         now: Callable[[], float],
         *,
         window: int,
@@ -78,6 +88,16 @@ class GoalLogs:
         self._statuses = StatusBroadcast()
         self.ended = Notifier()
         """The notifier of the ends of goals."""
+        life.carry_out(
+            {
+                Effect.RUN_AHEAD: self._run_ahead,
+                Effect.TELL_EXECUTING: self._tell_executing,
+                Effect.TELL_TAKE_OVER: self._tell_take_over,
+                Effect.TELL_CANCELING: lambda run: self._tell(run, run.goal.status),
+                Effect.TELL_END: self._tell_end,
+                Effect.TELL_GONE: self._tell_gone,
+            }
+        )
 
     # The life of a log
 
@@ -92,11 +112,68 @@ class GoalLogs:
             goal.changed = self._statuses.publish(goal.info)
         return log
 
-    def tell_status(self, log: FeedbackLog[GoalRecord]) -> None:
-        """Notify the followers of the goal, and of the statuses, of the goal's new status."""
+    def _tell(self, run: AnyRun, status: GoalStatus) -> None:
+        """Tell a status, which is kept by now, to the followers of the goal and of the statuses."""
+        goal, log = run.goal, run.log
+        goal.told_status = status
         log.tell_status()
         if self._statuses.is_followed:
-            log.goal.changed = self._statuses.publish(log.goal.info)
+            goal.changed = self._statuses.publish(goal.info)
+
+    def _tell_executing(self, run: AnyRun) -> None:
+        if run.goal.status is GoalStatus.ACCEPTED:  # else an earlier attempt has begun
+            self._registry.execute(run.goal)
+            run.goal.began_at = time.time_ns()
+            self._tell(run, run.goal.status)
+
+    def _run_ahead(self, run: AnyRun) -> None:
+        # The executor runs already. Nothing of this attempt may be told before it is kept: the next
+        # attempt would have the same number.
+        self._registry.execute(run.goal)
+        run.goal.began_at = time.time_ns()
+        run.log.is_hidden = True
+
+    def _tell_take_over(self, run: AnyRun) -> None:
+        self._tell(run, GoalStatus.EXECUTING)  # a cancel of it may not be kept yet
+        run.log.reveal()
+
+    def _tell_end(self, run: AnyRun) -> None:
+        """Make the outcome the goal's, for as long as results are kept, and tell it. Keep the log
+        of the goal for its followers only.
+        """
+        goal, log = run.goal, run.log
+        assert run.outcome is not None
+        if goal.told_status is not goal.status:
+            self._tell(run, goal.status)
+        now = self.now()
+        self._registry.finish(goal, run.outcome, now=now, stamp=time.time_ns())
+        goal.log = None
+        if self._statuses.is_followed or self._are_told_elsewhere:
+            self._recent.append((now + RECENT_TIME, log))
+        else:
+            log.payload = None
+        assert goal.held is not None
+        goal.held.log = ref(log)
+        self._tell(run, goal.status)
+        log.finish()
+        self.expire(now)
+        self.ended.notify()
+
+    def _tell_gone(self, run: AnyRun) -> None:
+        """End the streams of a goal that does not end here, and forget it: if it is kept, it is to
+        be asked for again later; if it is elsewhere, it is unknown to followers of statuses.
+        """
+        goal, error = run.goal, run.error
+        assert error is not None
+        self._registry.release(goal)
+        goal.log = None
+        run.log.fail(error)
+        if isinstance(error, GoalKept):
+            self.kept = error
+        else:
+            self._tell_unknown(goal.goal_id)
+        self._watchers.left(goal, str(error))
+        self.ended.notify()
 
     def tell_found(self, goal: GoalRecord) -> None:
         """Notify the followers of the statuses of a goal that has ended elsewhere, and that expires
@@ -106,45 +183,9 @@ class GoalLogs:
             goal.changed = self._statuses.publish(goal.info)
         self.ended.notify()
 
-    def keep(self, log: FeedbackLog[GoalRecord], error: GoalKept) -> None:
-        """End the streams of a goal that is kept, and that is to be asked for again later."""
-        self.kept = error
-        log.goal.log = None
-        log.fail(error)
-        self._tell_left(log, error)
-        self.ended.notify()
-
-    def lose(self, log: FeedbackLog[GoalRecord], error: ActionError) -> None:
-        """End the streams of a goal that is elsewhere; to followers of statuses it is unknown."""
-        log.goal.log = None
-        log.fail(error)
-        self._tell_unknown(log.goal.goal_id)
-        self._tell_left(log, error)
-        self.ended.notify()
-
-    def _tell_left(self, log: FeedbackLog[GoalRecord], error: ActionError) -> None:
-        self._watchers.left(log.goal, str(error))
-
     def _tell_unknown(self, goal_id: GoalID) -> None:
         if self._statuses.is_followed:
             self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
-
-    def end(self, log: FeedbackLog[GoalRecord], now: float) -> None:
-        """Notify the followers of the goal, and of the statuses, of the goal's end. Keep its log
-        for its followers only.
-        """
-        log.goal.log = None
-        are_followed = self._statuses.is_followed or self._are_told_elsewhere
-        if are_followed:
-            self._recent.append((now + RECENT_TIME, log))
-        else:
-            log.payload = None
-        assert log.goal.held is not None
-        log.goal.held.log = ref(log)
-        self.tell_status(log)
-        log.finish()
-        self.expire(now)
-        self.ended.notify()
 
     def close(self) -> None:
         """End the streams of statuses."""

@@ -6,14 +6,15 @@ Theory of operation
 The record of a goal is in one `Phase` at a time. What happens to the goal is an `Event`, and
 `LIFE` says for each phase which events may happen, which phase comes next, and which `Effect`s are
 to be carried out, in their order. An event that may happen but changes nothing has a row, too; any
-other one is a bug, and raises `InvalidStep`. This module carries nothing out: it does not wait,
-write, or depend on executors, clients or stores.
+other one is a bug, and raises `InvalidStep`. `Life` is the interpreter of the table, the only one:
+each part of a server gives it functions for effects. The table does not wait, write, or depend on
+executors, clients or stores.
 
 A goal that was sent is *deciding*. If it is accepted, the acceptance is written, then the goal is
 *waiting* for its turn. When that comes, the begin of the attempt is written (if it comes at once,
 with the acceptance), the executor is *called*, and from its first step the goal is *running*. The
-end is fixed before it is written:
-from then on it never changes, and a cancel comes too late. When it is kept, the goal has *ended*.
+end is fixed before it is written: from then on it never changes, and a cancel comes too late. When
+it is kept, the goal has *ended*. A goal that comes from a store begins as *waiting*, or *ended*.
 
 All that clients are told is kept first. So each thing that is told has two events: one that fixes
 and writes it, and one, `..._KEPT`, that tells it. On a server without a store, all is kept as soon
@@ -37,10 +38,10 @@ The status itself has a table of its own: see `fibaction.words.statuses`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from fibaction.words.action_error import ActionError
 from fibaction.words.statuses import GoalStatus
@@ -78,65 +79,71 @@ class Event(IntEnum):
 
     ACCEPT = 0
     ACCEPTANCE_KEPT = 1
-    RESTORE = 2
-    """An earlier process, or another server, has accepted the goal."""
-    RESTORE_ENDED = 3
-    BEGIN = 4
+    BEGIN = 2
     """The goal has its turn."""
-    BEGIN_KEPT = 5
-    EXECUTE = 6
+    BEGIN_KEPT = 3
+    EXECUTE = 4
     """The executor takes its first step."""
-    TAKE_OVER = 7
+    TAKE_OVER = 5
     """The executor of another goal continues as this one."""
-    TAKE_OVER_KEPT = 8
-    CANCEL = 9
+    TAKE_OVER_KEPT = 6
+    CANCEL = 7
     """A client's cancel was accepted."""
-    CANCEL_GENTLY = 10
+    CANCEL_GENTLY = 8
     """The same, on a server whose executors look for themselves whether they are to stop."""
-    CANCEL_KEPT = 11
-    STOP = 12
+    CANCEL_KEPT = 9
+    STOP = 10
     """The server ends the goal for a reason of its own."""
-    END = 13
+    END = 11
     """The outcome is fixed."""
-    END_KEPT = 14
-    TOO_LARGE = 15
+    END_KEPT = 12
+    TOO_LARGE = 13
     """The store cannot keep what is being written."""
-    RELEASE = 16
+    RELEASE = 14
     """The goal is to be run again later."""
-    RELEASE_KEPT = 17
-    LET_GO = 18
+    RELEASE_KEPT = 15
+    LET_GO = 16
     """The store has failed, or the server has stopped before it has answered."""
-    LOSE = 19
+    LOSE = 17
     """Another server turns out to have the goal."""
 
 
 class Effect(IntEnum):
     """An act that follows an event."""
 
-    WRITE_BEGIN = 0
-    WRITE_TAKE_OVER = 1
-    WRITE_CANCEL = 2
-    WRITE_END = 3
-    WRITE_RELEASE = 4
-    CALL = 5
+    WRITE_ACCEPTANCE = 0
+    TELL_ACCEPTED = 1
+    """Answer the call that has sent the goal, and let the goal wait for its turn."""
+    TELL_TOO_LARGE = 2
+    """Reject the goal, since the store cannot keep it."""
+    WITHDRAW = 3
+    """Forget the goal, and tell the call that another server has it."""
+    WRITE_BEGIN = 4
+    WRITE_TAKE_OVER = 5
+    WRITE_CANCEL = 6
+    WRITE_END = 7
+    WRITE_RELEASE = 8
+    CALL = 9
     """Let the executor begin."""
-    INTERRUPT = 6
+    INTERRUPT = 10
     """Raise a cancellation in the executor."""
-    END_UNBEGUN = 7
+    REMOVE = 11
+    """Take the goal from those that are active."""
+    END_UNBEGUN = 12
     """End the goal as canceled, in place of an executor. It has no place in the schedule."""
-    END_AND_LEAVE = 8
+    END_AND_LEAVE = 13
     """The same for a goal that has a place, and gives it back."""
-    TELL_EXECUTING = 9
-    TELL_TAKE_OVER = 10
-    TELL_CANCELING = 11
-    TELL_END = 12
-    TELL_GONE = 13
+    TELL_EXECUTING = 14
+    TELL_TAKE_OVER = 15
+    TELL_CANCELING = 16
+    TELL_END = 17
+    TELL_GONE = 18
     """End the streams of the goal with an error, and forget it."""
-    LEAVE = 14
+    LEAVE = 19
     """Give back the goal's place in the schedule."""
-    PART = 15
+    PART = 20
     """Stop the executor of a lost goal; without one, give back the place."""
-    RUN_AHEAD = 16
+    RUN_AHEAD = 21
     """Execute the goal, and hide all that its executor yields until the begin is told."""
 
 
@@ -180,10 +187,7 @@ def _to(target: Phase, phases: tuple[Phase, ...], event: Event, *effects: Effect
 
 
 class LifeTable(dict[tuple[Phase, Event], T]):
-    """A table by phase and event, such as `LIFE` with the effects as functions.
-
-    A pair without a row raises `InvalidStep`.
-    """
+    """A table by phase and event. A pair without a row raises `InvalidStep`."""
 
     def __missing__(self, step: tuple[Phase, Event]) -> T:
         raise InvalidStep(*step)
@@ -191,13 +195,26 @@ class LifeTable(dict[tuple[Phase, Event], T]):
 
 LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
     LifeTable(
-        # Acceptance: `Admission` and `Recovery` carry out what follows.
-        _to(Phase.ACCEPTANCE_IN_WRITING, (Phase.DECIDING,), Event.ACCEPT)
-        | _to(Phase.WAITING, (Phase.ACCEPTANCE_IN_WRITING,), Event.ACCEPTANCE_KEPT)
-        | _to(Phase.REJECTED, (Phase.ACCEPTANCE_IN_WRITING,), Event.TOO_LARGE)
-        | _to(Phase.LOST, (Phase.ACCEPTANCE_IN_WRITING,), Event.LOSE)
-        | _to(Phase.WAITING, (Phase.DECIDING,), Event.RESTORE)
-        | _to(Phase.ENDED, (Phase.DECIDING,), Event.RESTORE_ENDED)
+        # Acceptance.
+        _to(
+            Phase.ACCEPTANCE_IN_WRITING,
+            (Phase.DECIDING,),
+            Event.ACCEPT,
+            Effect.WRITE_ACCEPTANCE,
+        )
+        | _to(
+            Phase.WAITING,
+            (Phase.ACCEPTANCE_IN_WRITING,),
+            Event.ACCEPTANCE_KEPT,
+            Effect.TELL_ACCEPTED,
+        )
+        | _to(
+            Phase.REJECTED,
+            (Phase.ACCEPTANCE_IN_WRITING,),
+            Event.TOO_LARGE,
+            Effect.TELL_TOO_LARGE,
+        )
+        | _to(Phase.LOST, (Phase.ACCEPTANCE_IN_WRITING,), Event.LOSE, Effect.WITHDRAW)
         # Begin: a goal may have ended before its turn comes, or while that is written.
         | _to(Phase.BEGIN_IN_WRITING, (Phase.WAITING,), Event.BEGIN, Effect.WRITE_BEGIN)
         | _same(_OVER, Event.BEGIN)
@@ -235,7 +252,7 @@ LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
             Effect.LEAVE,
         )
         | _to(Phase.END_IN_WRITING, (Phase.END_IN_WRITING,), Event.TOO_LARGE, Effect.WRITE_END)
-        | _to(Phase.ENDED, (Phase.END_IN_WRITING,), Event.END_KEPT, Effect.TELL_END)
+        | _to(Phase.ENDED, (Phase.END_IN_WRITING,), Event.END_KEPT, Effect.REMOVE, Effect.TELL_END)
         # Without an end here.
         | _to(Phase.RELEASE_IN_WRITING, _OPEN, Event.RELEASE, Effect.WRITE_RELEASE)
         | _to(
@@ -245,9 +262,22 @@ LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
             Effect.WRITE_RELEASE,
             Effect.LEAVE,
         )
-        | _to(Phase.RELEASED, (Phase.RELEASE_IN_WRITING,), Event.RELEASE_KEPT, Effect.TELL_GONE)
-        | _to(Phase.RELEASED, (*_OPEN, *_IN_WRITING), Event.LET_GO, Effect.TELL_GONE)
-        | _to(Phase.LOST, (*_OPEN, *_IN_WRITING), Event.LOSE, Effect.TELL_GONE, Effect.PART)
+        | _to(
+            Phase.RELEASED,
+            (Phase.RELEASE_IN_WRITING,),
+            Event.RELEASE_KEPT,
+            Effect.REMOVE,
+            Effect.TELL_GONE,
+        )
+        | _to(Phase.RELEASED, (*_OPEN, *_IN_WRITING), Event.LET_GO, Effect.REMOVE, Effect.TELL_GONE)
+        | _to(
+            Phase.LOST,
+            (*_OPEN, *_IN_WRITING),
+            Event.LOSE,
+            Effect.REMOVE,
+            Effect.TELL_GONE,
+            Effect.PART,
+        )
         # A write about a goal may be refused when it is not here any more.
         | _to(Phase.LOST, (Phase.ENDED, Phase.RELEASED, Phase.LOST, Phase.REJECTED), Event.LOSE)
     )
@@ -256,6 +286,7 @@ LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
 
 KEPT: Final[Mapping[Effect, Event]] = MappingProxyType(
     {
+        Effect.WRITE_ACCEPTANCE: Event.ACCEPTANCE_KEPT,
         Effect.WRITE_BEGIN: Event.BEGIN_KEPT,
         Effect.WRITE_TAKE_OVER: Event.TAKE_OVER_KEPT,
         Effect.WRITE_CANCEL: Event.CANCEL_KEPT,
@@ -286,6 +317,59 @@ def without_writes(life: Mapping[tuple[Phase, Event], Step]) -> Mapping[tuple[Ph
 
 LIFE_IN_MEMORY: Final[Mapping[tuple[Phase, Event], Step]] = without_writes(LIFE)
 """Every step on a server without a store."""
+
+
+class GoalInPhase(Protocol):
+    """The record of a goal, as far as its life is concerned."""
+
+    phase: Phase
+
+
+class Living(Protocol):
+    """A goal that takes steps: first as an offer, then as a run."""
+
+    @property
+    def goal(self) -> GoalInPhase:
+        """The record of the goal."""
+
+
+Acts: TypeAlias = dict[Effect, Callable[[Any], None]]
+"""The functions that carry out effects, each for an offer or a run."""
+
+
+class Life(dict[tuple[Phase, Event], tuple[Phase, tuple[Callable[[Any], None], ...]]]):
+    """The interpreter of a table for the goals of one server: its rows with functions as effects.
+
+    A row is made when it is needed first, so the parts that carry out the effects may follow.
+    """
+
+    def __init__(self, table: Mapping[tuple[Phase, Event], Step]) -> None:
+        super().__init__()
+        self._table = table
+        self._acts: Acts = {}
+
+    def carry_out(self, acts: Acts) -> None:
+        """Carry out effects by these functions."""
+        self._acts |= acts
+
+    def step(self, living: Living, event: Event) -> None:
+        """Let a goal make the step that follows from an event.
+
+        Raises:
+            InvalidStep: The event cannot happen in the phase of the goal.
+        """
+        goal = living.goal
+        goal.phase, acts = self[goal.phase, event]
+        for act in acts:
+            act(living)
+
+    def __missing__(
+        self, at: tuple[Phase, Event]
+    ) -> tuple[Phase, tuple[Callable[[Any], None], ...]]:
+        step = self._table[at]
+        row = self[at] = step.phase, tuple(self._acts[effect] for effect in step.effects)
+        return row
+
 
 _STARTED = frozenset({GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING})
 _ENDS = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})

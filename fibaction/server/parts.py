@@ -6,53 +6,65 @@ Theory of operation
 `Admission` decides on goals and `Cancels` on cancels. `Runs` has the active goals and runs their
 executors, when the `Dispatcher` gives them their turn. `GoalRegistry` knows every goal, and
 `GoalLogs` tells followers about them. The `Keeper` writes to the store; `Recovery` takes over what
-the store has, `Losses` lets go of what other servers have by now, and `Room` tells the store how
-much there is place for.
+the store has, and `Capacity` tells the store how many more goals the server can take.
 
 They are made here, and only here, when the server starts. Partners are given to the constructors.
-Two of them call each other back: the keeper gets `KeeperEvents` when it is opened, and the
-dispatcher gets the goals. What a server does not have is a part that does nothing: `NoStoreKeeper`,
-`NoScheduleDispatcher`, `NoWatchers`.
+Each part carries out effects of the goals' `Life`. Two of them call each other back: the keeper
+gets `KeeperEvents` when it is opened, and the dispatcher gets the goals. What a server does not
+have is a part that does nothing: a bare `Keeper`, `Dispatcher` or `Watchers`.
 
-The start is `open`, then `recover`, then the room is told. The end is `close`, after which nothing
-new is taken; `stop`, which ends or releases the goals; and the end of the tasks and of the store,
-which the exit stack of `open` has.
+The start is `open`, then `recover`, then the capacity is told. The end is `close`, after which
+nothing new is taken; `stop`, which ends or releases the goals; and the end of the tasks and of the
+store, which the exit stack of `open` has.
 """
 
 from __future__ import annotations
 
 from contextlib import AsyncExitStack
-from typing import Generic
+from typing import Any, Generic
 
-from anyio import move_on_after
+from anyio import move_on_after, sleep
+from anyio.abc import TaskGroup
 
 from fibaction._runtime.asyncio_task import loop_clock
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
 from fibaction._runtime.own_thread import HomeLoop
+from fibaction._runtime.slices import Slices
 from fibaction._runtime.tasks import Background
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
-from fibaction.server.admission.room_report import Room
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.goal_keeper import STORE_IS_LATE
 from fibaction.server.durability.keeper import Keeper, KeeperEvents
 from fibaction.server.durability.past_goals import PastGoals
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.executor import Runner
+from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.lost_goals import Losses
+from fibaction.server.life import Life
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.settings import ActionServerSettings
-from fibaction.server.shutdown import Shutdown
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import copy_of
+from fibaction.words.goals import GoalID
 
 SERVER_STOPPED = "server stopped"
 STORE_PATIENCE = 5.0
 """Seconds that a server which stops waits for its store, at least: a disk may be busy."""
+
+MOST_NAMED = 10
+"""Goals that are named in the log when they are killed; the others are counted."""
+
+LOOK_AGAIN = 0.1
+"""Seconds after which a server that holds too many bytes looks again."""
+
+logger = clean_logger("fibaction.server")
 
 
 class Parts(Generic[GoalT, FeedbackT, ResultT]):
@@ -73,6 +85,8 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.keeper = keeper
         self.dispatcher = dispatcher
         self._callbacks = callbacks
+        life = Life(keeper.table)
+        life.carry_out(keeper.acts(life))
         registry = GoalRegistry(
             result_timeout=settings.result_timeout,
             max_results=settings.max_results,
@@ -82,6 +96,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.logs = logs = GoalLogs(
             registry,
             watchers,
+            life,
             loop_clock(),
             window=settings.feedback_window,
             latest=settings.feedback == "latest",
@@ -90,10 +105,10 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.past = PastGoals(action.name, keeper, logs, registry.budget)
         self._watch = Watch(action.name, settings.watchdog)
         self.runs = runs = Runs(
-            action, runner, registry, logs, keeper, dispatcher, self._watch, settings
+            action, runner, registry, logs, keeper, dispatcher, self._watch, life, settings
         )
         self.admission = Admission(
-            action, registry, runs, logs, keeper, dispatcher, watchers, callbacks
+            action, registry, runs, logs, keeper, dispatcher, watchers, callbacks, life
         )
         self.cancels = Cancels(
             registry,
@@ -106,8 +121,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.recovery = Recovery(
             action, registry, runs, logs, dispatcher, watchers, self.admission, settings
         )
-        self._losses = Losses(self.admission, runs, self.recovery)
-        self.room = Room(registry, keeper, dispatcher)
+        self.capacity = Capacity(registry, keeper, dispatcher)
 
     async def open(self, stack: AsyncExitStack) -> None:
         """Open the store, and start the tasks. The stack ends both.
@@ -122,19 +136,19 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         tasks.start_soon(self.logs.forget_expired, name=f"expiry of {self._name}")
         events = KeeperEvents(
             claim=self.recovery.claim,
-            lose=self._losses.lose,
+            lose=self._lose,
             obstacle=self.recovery.readable.obstacle,
             ends_unreadable=self._settings.unreadable == "abort",
-            refuse=self._losses.lose_record,
+            refuse=self._lose_record,
             fail=self._give_up,
-            look_at_room=self.room.update,
+            look_at_room=self.capacity.update,
         )
         await stack.enter_async_context(self.keeper.open(tasks, events))
         await self.recovery.check()
         keeper = self.keeper
         await self.dispatcher.open(tasks, self.runs, keeper.look_at_room, keeper.key_places)
         self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail from here on
-        self.keeper.start(tasks, self.recovery.open, self.room.watch)
+        self.keeper.start(tasks, self.recovery.open, self.capacity.watch)
 
     async def recover(self) -> None:
         """Take over what the store has.
@@ -152,7 +166,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         seconds.
         """
         self.admission.drain()
-        self.room.close()
+        self.capacity.close()
         with move_on_after(timeout):
             await self.keeper.settled()  # what is accepted by then is active
             while self.runs.are_left:
@@ -160,7 +174,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
 
     def close(self) -> None:
         """Take nothing new from now on."""
-        self.room.close()
+        self.capacity.close()
         self.recovery.close()
         self.admission.close()
         self._callbacks.stop()
@@ -173,13 +187,12 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         patience = max(timeout, STORE_PATIENCE)
         if self._settings.at_stop == "keep":
             self.runs.keep_for(SERVER_STOPPED)
-        shutdown = Shutdown(self.runs, self.logs.ended, self._name, SERVER_STOPPED, timeout)
         try:
             try:
                 # What is accepted by then is among the goals to stop.
                 await self.keeper.settled_within(patience)
             finally:  # asyncio can cancel the task itself
-                await shutdown.run()
+                await self._end_goals(timeout)
             await self.keeper.settled_within(patience)
         finally:
             self.keeper.close()
@@ -187,8 +200,115 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             self.admission.wake()
             self.logs.close()
 
+    async def _end_goals(self, timeout: float) -> None:
+        """Interrupt all executors, wait until they have ended, and kill those that have not."""
+        try:
+            slices = Slices()
+            for goal_id in self.runs.active():
+                self.runs.interrupt(goal_id, SERVER_STOPPED)
+                await slices.pause()
+            with move_on_after(timeout, shield=True):
+                while self.runs.are_left:
+                    await self.logs.ended.wait()
+        finally:
+            try:
+                await self._kill_goals(timeout)
+            finally:
+                self.runs.lost.kill_all()
+                self.runs.close()
+
+    async def _kill_goals(self, timeout: float) -> None:
+        goals = self.runs.active()
+        for goal_id in goals[:MOST_NAMED]:
+            warn_of_kill(goal_id, self._name, timeout)
+        if len(goals) > MOST_NAMED:
+            more = len(goals) - MOST_NAMED
+            logger.warning(
+                "%d more goals of action %r did not stop in time either", more, self._name
+            )
+        slices = Slices()
+        try:
+            for goal_id in goals:
+                self.runs.kill(goal_id, SERVER_STOPPED, for_good=True)
+                await slices.pause()
+        finally:
+            for goal_id in self.runs.active():  # asyncio itself canceled the task in a pause
+                self.runs.kill(goal_id, SERVER_STOPPED, for_good=True)
+
+    # What the store tells by itself
+
+    def _lose(self, goal_id: GoalID) -> None:
+        """Let go of a goal that another server has taken over; of an unknown one, nothing."""
+        self.recovery.forget(goal_id)
+        goal = self.admission.writing(goal_id) or self.runs.record_of(goal_id)
+        if goal is not None:
+            self._lose_record(goal)
+
+    def _lose_record(self, goal: GoalRecord) -> None:
+        """Let go of a goal of which a write was refused, because another server has it."""
+        if not self.admission.lose(goal):
+            self.runs.lose(goal)
+
     def _give_up(self) -> None:
         """Let go of what cannot be kept any more: the store has failed."""
         self.close()
         self.runs.abandon_ends()
         self.admission.wake()
+
+
+class Capacity:
+    """The number of goals that a server can take in addition, as its store is told.
+
+    A store that several servers share hands goals over by it. It is computed from counters at each
+    write of the server, at each answer, and when a goal leaves the schedule, and told when one of
+    the two numbers becomes zero, or more than zero. Bytes are given back by readers, of which
+    nothing is told, so a server that has too many looks again after a while.
+    """
+
+    def __init__(self, registry: GoalRegistry, keeper: Keeper, dispatcher: Dispatcher[Any]) -> None:
+        self._registry = registry
+        self._keeper = keeper
+        self._dispatcher = dispatcher
+        self._is_open = False
+        self._told = False, False
+        self._shortage = Notifier()
+
+    def open(self) -> None:
+        """Tell the store from now on what the server can take: it runs."""
+        self._is_open = True
+        self.update()
+
+    def close(self) -> None:
+        """Tell the store that the server takes no more goals: it drains, or stops."""
+        self._is_open = False
+        self.update()
+
+    def update(self) -> None:
+        """Tell the store if one of the numbers has become zero, or more than zero."""
+        running, waiting = self.now()
+        has_room = running > 0, waiting > 0
+        if has_room != self._told:
+            self._told = has_room
+            self._keeper.set_room(running, waiting)
+
+    def now(self) -> tuple[float, float]:
+        """Return how many more goals can run now, and how many more can wait."""
+        if not self._is_open:
+            return 0, 0
+        if self._registry.has_too_many_bytes:
+            self._shortage.notify()
+            return 0, 0
+        if self._registry.goals_left <= 0:
+            return 0, 0
+        return self._dispatcher.room()
+
+    def watch(self, tasks: TaskGroup) -> None:
+        """Look again after a shortage of bytes, in a task of this group."""
+        tasks.start_soon(self._run, name="room for goals")
+
+    async def _run(self) -> None:
+        while True:
+            while not (self._is_open and self._registry.has_too_many_bytes):
+                await self._shortage.wait()
+            await sleep(LOOK_AGAIN)
+            self.update()

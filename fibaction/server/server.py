@@ -34,8 +34,7 @@ from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, STORE_FAILED, GoalKeeper
-from fibaction.server.durability.keeper import ADD_A_STORE, Keeper, NoStoreKeeper
-from fibaction.server.durability.stored_ends import StoredEnds
+from fibaction.server.durability.keeper import ADD_A_STORE, Keeper
 from fibaction.server.execution.executor import Executor
 from fibaction.server.functions.executor_check import (
     check_is_executor,
@@ -49,7 +48,7 @@ from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.fleet_dispatcher import dispatcher_of
 from fibaction.server.settings import ActionServerKeywords, ActionServerSettings, check_is_store
 from fibaction.server.watcher_group import WatcherGroup
-from fibaction.server.watchers import NoWatchers, Watchers
+from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
 from fibaction.words.goal_query import PastPage
@@ -105,7 +104,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher: Dispatcher[GoalT] = dispatcher_of(
             action.name, self._settings.schedule, self._settings.shutdown_timeout
         )
-        self._watchers: Watchers = NoWatchers()
+        self._watchers: Watchers = Watchers()
         self._parts: Parts[GoalT, FeedbackT, ResultT]
         self._goals: Sized = ()
         self._started = Notifier()
@@ -186,7 +185,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             stack.enter_context(keeper.block)
             self._stack = stack.pop_all()
         self._phase = "running"
-        parts.room.open()
+        parts.capacity.open()
         self._started.notify()
         return self
 
@@ -201,7 +200,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             return GoalKeeper(
                 self.store,
                 self.action.name,
-                StoredEnds(settings.result_timeout, settings.given_up_timeout),
+                result_timeout=settings.result_timeout,
+                given_up_timeout=settings.given_up_timeout,
                 max_results=settings.max_results,
             )
         if settings.at_stop == "keep":
@@ -212,7 +212,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 self.action.name,
                 ADD_A_STORE,
             )
-        return NoStoreKeeper(self.action.name)
+        return Keeper(self.action.name)
 
     async def __aexit__(
         self,

@@ -1,11 +1,10 @@
-"""`Watchers`: what a server tells its watchers, whether it has any or not.
+"""`Watchers`: what a server tells its watchers; this one is for a server without any.
 
-`WatcherGroup` calls them. A server without watchers has `NoWatchers`.
+`WatcherGroup` calls those that there are.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 from fibaction.feeds.feedback_log import FeedbackLog
@@ -21,78 +20,41 @@ if TYPE_CHECKING:
     from fibaction.words.meta import Meta
 
 
-class Watchers(ABC):
-    """The watchers of one server, as one."""
+class Watchers:
+    """The watchers of one server, as one: it has none."""
 
-    members: tuple[Watcher, ...]
+    members: tuple[Watcher, ...] = ()
     """The watchers."""
 
-    @abstractmethod
     def opened(self, info: ActionInfo) -> None:
         """Tell that the server starts."""
 
-    @abstractmethod
     def offered(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> Context | None:
         """Tell that a goal was offered, and return the context for its executor; None for that of
         the call that accepts it.
         """
+        return None
 
-    @abstractmethod
     def taken_over(
         self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
     ) -> Context | None:
         """Tell that a goal comes from the store, and return the context, as `offered` does."""
+        return None
 
-    @abstractmethod
     def rejected(self, goal_id: GoalID, reason: str) -> None:
         """Tell that a goal was rejected."""
 
-    @abstractmethod
     def accepted(
         self, goal: GoalRecord, window: int, latest: bool, budget: ByteBudget, payload: bytes
     ) -> FeedbackLog[GoalRecord]:
         """Tell that a goal was accepted, and return its log, which tells what follows."""
-
-    @abstractmethod
-    def canceled(self, goal_id: GoalID | None, answer: CancelAnswer) -> None:
-        """Tell the answer to a cancel."""
-
-    @abstractmethod
-    def left(self, goal: GoalRecord, reason: str) -> None:
-        """Tell that a goal is the server's no longer."""
-
-    @abstractmethod
-    def closed(self, info: ActionInfo) -> None:
-        """Tell that the server has stopped."""
-
-
-class NoWatchers(Watchers):
-    """The watchers of a server that has none."""
-
-    members = ()
-
-    def opened(self, info: ActionInfo) -> None:
-        """Do nothing, as below."""
-
-    def offered(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> None:
-        return None
-
-    def taken_over(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> None:
-        return None
-
-    def rejected(self, goal_id: GoalID, reason: str) -> None:
-        """Do nothing."""
-
-    def accepted(
-        self, goal: GoalRecord, window: int, latest: bool, budget: ByteBudget, payload: bytes
-    ) -> FeedbackLog[GoalRecord]:
         return FeedbackLog(goal, window, latest, budget, payload)
 
     def canceled(self, goal_id: GoalID | None, answer: CancelAnswer) -> None:
-        """Do nothing."""
+        """Tell the answer to a cancel."""
 
     def left(self, goal: GoalRecord, reason: str) -> None:
-        """Do nothing."""
+        """Tell that a goal is the server's no longer."""
 
     def closed(self, info: ActionInfo) -> None:
-        """Do nothing."""
+        """Tell that the server has stopped."""

@@ -17,7 +17,7 @@ from fibaction import (
     GoalStatus,
     SqliteStore,
 )
-from fibaction.server.durability import stored_ends
+from fibaction.server.durability import goal_keeper
 from tests.cli.conftest import Run
 from tests.stores.made import a_goal, after_end
 
@@ -139,7 +139,7 @@ async def forget(path: Path) -> None:
 def test_the_history_of_a_store_is_listed_without_a_server(
     here: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stored_ends, "OUTCOME_GRACE", 0.0)
+    monkeypatch.setattr(goal_keeper, "OUTCOME_GRACE", 0.0)
     past = ("goals", "--past", "--store", str(tmp_path / "goals.db"))
     anyio.run(forget, tmp_path / "goals.db")
 

@@ -24,9 +24,9 @@ from fibaction import (
     Schedule,
 )
 from fibaction.border.abc import FeedbackItem, GoalStream
-from fibaction.server.durability.keeper import NoStoreKeeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.scheduling import goal_dispatcher
-from fibaction.server.scheduling.dispatcher import NoScheduleDispatcher
+from fibaction.server.scheduling.dispatcher import Dispatcher
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.virtual_time import in_virtual_time
@@ -901,8 +901,8 @@ async def test_without_a_schedule_a_goal_begins_when_it_is_accepted_unless_the_s
     begun: list[GoalID] = []
     goals: Any = SimpleNamespace(begin=begun.append)
     tasks: Any = None  # it needs none
-    dispatcher = NoScheduleDispatcher()
-    await dispatcher.open(tasks, goals, lambda: None, NoStoreKeeper("work").key_places)
+    dispatcher: Dispatcher[int] = Dispatcher()
+    await dispatcher.open(tasks, goals, lambda: None, Keeper("work").key_places)
     one, other = GoalID.random(), GoalID.random()
     dispatcher.accepted(one)
     dispatcher.close()

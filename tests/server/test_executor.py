@@ -19,7 +19,7 @@ from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.border.abc import FeedbackItem
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.keeper import NoStoreKeeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.executor import Execution, Executor
 from fibaction.server.execution.interruption import CancelOnce, Steps
 from fibaction.server.execution.turns import EXECUTOR_SLICE
@@ -65,7 +65,7 @@ class Bench:
         self.log = FeedbackLog(self.goal, window=window)
         self.stream = self.log.follow(own=True)
         handle = GoalHandle(
-            self.goal, Goal(order), Checkpoints("fibonacci", None, NoStoreKeeper("fibonacci"))
+            self.goal, Goal(order), Checkpoints("fibonacci", None, Keeper("fibonacci"))
         )
         if self.form == "function":
             executor = as_function(cast("Any", executor))
@@ -451,7 +451,7 @@ def test_a_field_of_the_goal_is_looked_for_in_the_request(
 ) -> None:
     record = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
     handle: GoalHandle[Any] = GoalHandle(
-        record, request_, Checkpoints("fibonacci", None, NoStoreKeeper("fibonacci"))
+        record, request_, Checkpoints("fibonacci", None, Keeper("fibonacci"))
     )
     with pytest.raises(AttributeError) as caught:
         getattr(handle, name)

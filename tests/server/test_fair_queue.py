@@ -1,4 +1,4 @@
-"""`fibaction.server.execution.fair_queue`: keys take turns."""
+"""`FairQueue` of `fibaction.server.execution.turns`: keys take turns."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction.server.execution.fair_queue import FairQueue
+from fibaction.server.execution.turns import FairQueue
 
 
 def test_items_of_one_key_keep_their_order() -> None:

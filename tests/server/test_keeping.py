@@ -30,8 +30,8 @@ from fibaction import (
 )
 from fibaction.border.abc import FeedbackItem
 from fibaction.border.goal_store import StoredGoal
+from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.server.durability.recovery import ASKED_AT_ONCE
-from fibaction.server.durability.stored_ends import SECOND
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.slices import let_slices_last

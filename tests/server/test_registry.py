@@ -22,7 +22,7 @@ from hypothesis.stateful import (
 from fibaction.border.abc import GoalRequest
 from fibaction.border.goal_store import StoredGoal
 from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.server.life import Event, InvalidStep, Phase
+from fibaction.server.life import Phase
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
@@ -98,7 +98,7 @@ def finish(
 def test_a_new_goal_has_not_ended_and_nothing_stops_it() -> None:
     goal = accepted(GoalRegistry(), A)
     assert (goal.ended_at, goal.stop_reason, goal.outcome, goal.feedback_count) == (0, "", None, 0)
-    assert (goal.phase, goal.stored, goal.changed) == (Phase.WAITING, None, 0)
+    assert (goal.stored, goal.changed) == (None, 0)
 
 
 def infos(registry: GoalRegistry) -> list[GoalInfo]:
@@ -120,18 +120,6 @@ def rejection_of(registry: GoalRegistry, goal_id: GoalID, payload: bytes, *, now
         registry.admit(goal_id, payload, now=now)
     assert caught.value.goal_id == goal_id
     return caught.value.reason
-
-
-# The phase
-
-
-def test_an_event_that_follows_the_end_of_the_servers_part_is_noted() -> None:
-    goal = accepted(GoalRegistry(), A)
-    goal.phase = Phase.ENDED
-    goal.happen(Event.LOSE)
-    assert goal.phase is Phase.LOST
-    with pytest.raises(InvalidStep, match="END cannot happen to a goal in the phase LOST"):
-        goal.happen(Event.END)
 
 
 # Accepting
@@ -1352,9 +1340,9 @@ def test_an_offer_that_is_left_is_remembered_until_its_client_may_be_back(
     is_accepted: bool,
 ) -> None:
     offer = Offer[int](GoalRequest(goal_id(1), b"1"), None)
-    offer.record = GoalRecord(goal_id(1), b"", 1, UNKNOWN_SENDER)
+    offer.goal = GoalRecord(goal_id(1), b"", 1, UNKNOWN_SENDER)
     stream = create_autospec(FeedbackCursor, instance=True)
     offer.stream = stream if is_accepted else None
     offer.leave(5.0)
-    assert (offer.is_left, offer.record.remember_until) == (True, 5.0 + LEAST_TIME)
+    assert (offer.is_left, offer.goal.remember_until) == (True, 5.0 + LEAST_TIME)
     assert stream.close.call_count == is_accepted

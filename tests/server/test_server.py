@@ -37,7 +37,7 @@ from fibaction import (
 )
 from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusStream
-from fibaction.server import goal_logs, shutdown
+from fibaction.server import goal_logs, parts
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.turns import Turns
@@ -1126,7 +1126,7 @@ async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
                     server._parts.runs._finish(run, Ending(EndKind.RESULT, result([])))
                     run.execution.kill()
 
-    monkeypatch.setattr(shutdown, "Slices", Ends)
+    monkeypatch.setattr(parts, "Slices", Ends)
     async with ActionServer(FIBONACCI, Stubborn(), shutdown_timeout=0) as server:
         streams = await start_many(server, 3)
         await server.stop()

@@ -105,8 +105,7 @@ def a_canceled_goal_is_left_waiting(real: Any) -> Any:
 
     def cancel(self: AnyRuns, goal: GoalRecord, *, interrupt: bool) -> None:
         if goal.phase is Phase.WAITING:
-            goal.told_status = goal.status
-            self._logs.tell_status(self._runs[goal.goal_id].log)
+            self._logs._tell(self._runs[goal.goal_id], goal.status)
         else:
             real(self, goal, interrupt=interrupt)
 

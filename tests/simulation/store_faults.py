@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from typing import Any
+from unittest.mock import patch
 
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GoalKeeper
-from fibaction.server.durability.keeper import NoStoreKeeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.durability.lost_attempts import LostAttempts
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution import runs
-from fibaction.server.execution.runs import Runs
+from fibaction.server.execution.runs import AnyRun, Runs
+from fibaction.server.life import Event
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.words.goals import GoalID, Outcome
@@ -31,40 +33,46 @@ def _tell_nothing(*_: object) -> None:
     """Do nothing when a write is kept: it was told before."""
 
 
+def _tell_at_once(write: Any) -> Any:
+    """Return a write that tells what it says as soon as it is handed to the store."""
+    real = GoalKeeper._write
+
+    def at_once(self: GoalKeeper, *args: Any) -> None:
+        told: list[Any] = []
+
+        def _write(
+            keeper: GoalKeeper, method: Any, goal: Any, stored: Any, then: Any, *_: Any
+        ) -> int:
+            told.append(then)
+            return real(keeper, method, goal, stored, _tell_nothing, _tell_nothing)
+
+        with patch.object(GoalKeeper, "_write", _write):
+            write(self, *args)
+        for then in told:
+            then()
+
+    return at_once
+
+
 # Told before it is kept
 
 
-@mistake(GoalKeeper, "accept", 1, 18, 25)
+@mistake(GoalKeeper, "_write_acceptance", 1, 18, 25)
 def an_acceptance_is_told_before_it_is_kept(real: Any) -> Any:
     """Accept a goal as soon as its acceptance is handed to the store."""
-
-    def accept(self: GoalKeeper, *args: Any, then: Any, **keywords: Any) -> int:
-        real(self, *args, then=_tell_nothing, **keywords)
-        return 0
-
-    return accept
+    return _tell_at_once(real)
 
 
-@mistake(GoalKeeper, "end", 20, 18, 25)
+@mistake(GoalKeeper, "_write_end", 20, 18, 25)
 def an_end_is_told_before_it_is_kept(real: Any) -> Any:
     """Tell the outcome as soon as it is handed to the store."""
-
-    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], then: Any, _: Any) -> None:
-        real(self, goal, outcome, _tell_nothing, _tell_nothing)
-        then()
-
-    return end
+    return _tell_at_once(real)
 
 
-@mistake(GoalKeeper, "cancel", 20, 26, 28)
+@mistake(GoalKeeper, "_write_cancel", 20, 26, 28)
 def a_cancel_is_told_before_it_is_kept(real: Any) -> Any:
     """Tell followers CANCELING as soon as it is handed to the store."""
-
-    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
-        real(self, goal, _tell_nothing)
-        then()
-
-    return cancel
+    return _tell_at_once(real)
 
 
 @mistake(Cancels, "__init__", 28, 26, 18)
@@ -73,20 +81,15 @@ def a_cancel_is_answered_before_it_is_kept(real: Any) -> Any:
 
     def __init__(self: Cancels[Any, Any, Any], *args: Any, **keywords: Any) -> None:
         real(self, *args, **keywords)
-        self._keeper = NoStoreKeeper("")
+        self._keeper = Keeper("")
 
     return __init__
 
 
-@mistake(GoalKeeper, "begin", 28, 26, 25)
+@mistake(GoalKeeper, "_write_begin", 28, 26, 25)
 def an_executor_starts_before_its_attempt_is_kept(real: Any) -> Any:
     """Start an executor as soon as its begin is handed to the store."""
-
-    def begin(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
-        real(self, goal, _tell_nothing)
-        then()
-
-    return begin
+    return _tell_at_once(real)
 
 
 @mistake(GoalKeeper, "kept", 26, 18, 25)
@@ -113,24 +116,26 @@ def a_failed_write_is_taken_for_kept(_real: Any) -> Any:
 # Forgotten
 
 
-@mistake(GoalKeeper, "cancel", 20, 26, 18)
+@mistake(GoalKeeper, "_write_cancel", 20, 26, 18)
 def a_cancel_is_not_written(_real: Any) -> Any:
     """Accept a cancel, and keep it nowhere."""
 
-    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
-        then()
+    def _write_cancel(self: GoalKeeper, run: AnyRun) -> None:
+        self._life.step(run, Event.CANCEL_KEPT)
 
-    return cancel
+    return _write_cancel
 
 
-@mistake(GoalKeeper, "end", 33, 18, 25)
+@mistake(GoalKeeper, "_note_end", 33, 18, 25)
 def the_result_is_not_written(real: Any) -> Any:
     """Keep the end of a goal without its result."""
 
-    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], *then: Any) -> None:
-        real(self, goal, Outcome(outcome.status, None, outcome.reason), *then)
+    def _note_end(
+        self: GoalKeeper, stored: StoredGoal, goal: GoalRecord, outcome: Outcome[bytes]
+    ) -> None:
+        real(self, stored, goal, Outcome(outcome.status, None, outcome.reason))
 
-    return end
+    return _note_end
 
 
 @mistake(Recovery, "claim", 26, 40, 41)
@@ -274,11 +279,11 @@ def a_goal_that_is_kept_is_told_as_aborted(_real: Any) -> Any:
     return is_kept
 
 
-@mistake(GoalKeeper, "release", 192, 52)
+@mistake(GoalKeeper, "_write_release", 192, 52)
 def a_goal_that_is_kept_is_not_released(_real: Any) -> Any:
     """Leave goals that are kept at a planned restart as running."""
 
-    def release(self: GoalKeeper, goal: GoalRecord, _then: Any) -> None:
+    def _write_release(self: GoalKeeper, run: AnyRun) -> None:
         pass
 
-    return release
+    return _write_release

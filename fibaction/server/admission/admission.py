@@ -34,7 +34,7 @@ from typing import Any, Generic
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt, shortened
-from fibaction.border.goal_store import RecordTooLarge, StoreFull
+from fibaction.border.goal_store import StoreFull
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.schema.goal_check import GoalCheck
 from fibaction.server.admission.callbacks import SERVER_STOPPING
@@ -43,7 +43,7 @@ from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN
 from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import Event
+from fibaction.server.life import Effect, Event, Life
 from fibaction.server.registry.goal_record import GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
@@ -63,6 +63,9 @@ from fibaction.words.meta import NO_META
 DRAINING = "busy: the server drains"
 WITHDRAWN = "the call was canceled before the decision"
 
+# Looked up for each goal: a name of this module is found faster than a member of an enum.
+ACCEPT = Event.ACCEPT
+
 logger = clean_logger("fibaction.server")
 
 
@@ -79,6 +82,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         dispatcher: Dispatcher[GoalT],
         watchers: Watchers,
         callbacks: GoalCallbacks[GoalT],
+        life: Life,
     ) -> None:
         self._action = action
         self._registry = registry
@@ -93,6 +97,14 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._writing: dict[GoalID, Offer[GoalT]] = {}  # those that the store does not have yet
         self._is_draining = False
         self._is_closed = False
+        self._life = life
+        life.carry_out(
+            {
+                Effect.TELL_ACCEPTED: self._tell_accepted,
+                Effect.TELL_TOO_LARGE: self._tell_too_large,
+                Effect.WITHDRAW: self._withdraw_taken,
+            }
+        )
 
     def close(self) -> None:
         """Reject all goals from now on, and all that are still undecided."""
@@ -124,21 +136,21 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         offer.context = self._watchers.offered(
             goal_id, sent.goal, sent.sender, offer.meta or NO_META
         )
-        self._check_room(goal_id, sent.sender.owner)
         try:
+            self._check_room(sent.sender.owner)
             asking = self._decode(offer)
             if asking is None and self._callbacks.are_goals_decided:
                 asking = self._ask(offer)
-            return self._accept(offer) if asking is None else self._accept_later(offer, asking)
+            if asking is None:
+                self._accept(offer)
         except GoalRejected as exc:
             raise self._reject(goal_id, exc.reason, exc.code) from None
-        except Busy as exc:
-            raise self._reject(goal_id, str(exc), RejectionCode.BUSY) from None
         except BaseException:
-            self._withdraw_offer(goal_id)
+            self._withdraw(goal_id, WITHDRAWN)
             raise
+        return self._decide(offer, asking) if offer.stream is None else offer.stream
 
-    def _check_room(self, goal_id: GoalID, owner: bytes) -> None:
+    def _check_room(self, owner: bytes) -> None:
         """Reject a new goal if the server or the client is at a limit, or the server drains."""
         busy = DRAINING if self._is_draining else self._registry.busy
         if not busy and self._registry.budget.used > self._registry.budget.limit:
@@ -148,25 +160,25 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if not busy and self._registry.results.unread_size:
             busy = self._registry.results.busy_for(owner)
         if busy:
-            raise self._reject(goal_id, busy, RejectionCode.BUSY)
+            raise Busy(busy)
 
     async def _offer_again(self, offer: Offer[GoalT]) -> FeedbackCursor:
         await self.decided(offer.sent.goal_id)
         offered = self.offer(offer)
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
-    async def _accept_later(self, offer: Offer[GoalT], asking: Awaitable[None]) -> FeedbackCursor:
-        try:
-            await asking
-            accepted = self._accept(offer)
-        except GoalRejected as exc:
-            raise self._reject(offer.sent.goal_id, exc.reason, exc.code) from None
-        except Busy as exc:
-            raise self._reject(offer.sent.goal_id, str(exc), RejectionCode.BUSY) from None
-        except BaseException:
-            self._withdraw_offer(offer.sent.goal_id)
-            raise
-        return accepted if isinstance(accepted, FeedbackCursor) else await accepted
+    async def _decide(self, offer: Offer[GoalT], asking: Awaitable[None] | None) -> FeedbackCursor:
+        """Accept a goal after what has to be waited for, and wait until the acceptance is kept."""
+        if asking is not None:
+            try:
+                await asking
+                self._accept(offer)
+            except GoalRejected as exc:
+                raise self._reject(offer.sent.goal_id, exc.reason, exc.code) from None
+            except BaseException:
+                self._withdraw(offer.sent.goal_id, WITHDRAWN)
+                raise
+        return await self._kept(offer) if offer.stream is None else offer.stream
 
     def _decode(self, offer: Offer[GoalT]) -> Coroutine[Any, Any, None] | None:
         """Decode and check a goal; return a coroutine if the check takes time.
@@ -195,53 +207,45 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         sent = offer.sent
         return self._callbacks.ask_goal(offer.request, sent.sender, sent.goal_id, offer.context)
 
-    def _accept(self, offer: Offer[GoalT]) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
-        """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
+    def _accept(self, offer: Offer[GoalT]) -> None:
+        """Accept a goal: with a store, its acceptance is written, and it has no stream before."""
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING, code=RejectionCode.STOPPING)
         if self._is_draining:
             raise Busy(DRAINING)
         sent = offer.sent
         goal_id, sender = sent.goal_id, sent.sender
-        is_running = self._dispatcher.offer(goal_id, offer.request, sender, sent.deadline)
-        record = offer.record = self._registry.prepare(
+        offer.is_running = self._dispatcher.offer(goal_id, offer.request, sender, sent.deadline)
+        offer.goal = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )
         if offer.meta:
-            record.take_origin(offer.meta)
+            offer.goal.take_origin(offer.meta)
+        if offer.context is None:
+            offer.context = copy_context()  # that of this call
         self._writing[goal_id] = offer
-        write = self._keeper.accept(
-            offer, is_running=is_running, then=self._note_kept, too_large=self._note_too_large
-        )
-        if not write:
-            return self._begin(offer)
-        offer.context = offer.context or copy_context()  # that of this call
-        return self._await_acceptance(offer, write)
+        self._life.step(offer, ACCEPT)
 
-    def _begin(self, offer: Offer[GoalT]) -> FeedbackCursor:
-        """Begin the life of a goal whose acceptance is kept, and return its stream."""
+    def _tell_accepted(self, offer: Offer[GoalT]) -> None:
+        """Begin the life of a goal whose acceptance is kept."""
         sent = offer.sent
         goal_id = sent.goal_id
         del self._writing[goal_id]
-        self._registry.accept(offer.record)
-        log = self._runs.add(offer.record, offer.request, sent.goal, context=offer.context)
-        stream = log.follow(feedback=sent.feedback, own=True)
+        self._registry.accept(offer.goal)
+        log = self._runs.add(offer.goal, offer.request, sent.goal, context=offer.context)
+        offer.stream = log.follow(feedback=sent.feedback, own=True)
+        if offer.is_left:
+            offer.stream.close()
         if self._decisions:
             self._tell_decision(goal_id)
         self._dispatcher.accepted(goal_id)
-        return stream
 
     # Acceptance with a store
 
-    def _note_kept(self, offer: Offer[GoalT]) -> None:
-        offer.stream = self._begin(offer)
-        if offer.is_left:
-            offer.stream.close()
-
-    def _note_too_large(self, offer: Offer[GoalT], error: RecordTooLarge) -> None:
+    def _tell_too_large(self, offer: Offer[GoalT]) -> None:
         goal_id = offer.sent.goal_id
         del self._writing[goal_id]
-        offer.record.happen(Event.TOO_LARGE)
+        error = offer.too_large
         if isinstance(error, StoreFull):
             offer.error = self._reject(goal_id, f"busy: {error}", RejectionCode.BUSY)
         else:
@@ -249,11 +253,13 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             offer.error = self._reject(goal_id, reason, RejectionCode.INVALID)
         self._dispatcher.withdraw(goal_id)
 
-    async def _await_acceptance(self, offer: Offer[GoalT], write: int) -> FeedbackCursor:
+    async def _kept(self, offer: Offer[GoalT]) -> FeedbackCursor:
+        """Wait until the acceptance of a goal is kept, and return its stream."""
         try:
-            await self._keeper.kept(write)
+            await self._keeper.kept(offer.write)
         except StoreError:
-            raise self._keeper.stopped() from None
+            self._keeper.check()
+            raise
         except BaseException:
             offer.leave(self._logs.now())
             raise
@@ -269,25 +275,22 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def writing(self, goal_id: GoalID) -> GoalRecord | None:
         """Return the record of a goal whose acceptance is being written."""
         offer = self._writing.get(goal_id)
-        return None if offer is None else offer.record
+        return None if offer is None else offer.goal
 
-    def give_up(self, goal_id: GoalID) -> None:
-        """Let go of a goal that the store hands over here, if its acceptance is being written."""
-        goal = self.writing(goal_id)
-        if goal is not None:
-            self.lose(goal)
-
-    def lose(self, goal: GoalRecord) -> bool:
+    def lose(self, goal: GoalRecord | None) -> bool:
         """Let go of a goal that another server has; return whether it was being written here."""
-        logger.info("goal %s of action %r: another server has it", goal.goal_id, self._action.name)
-        if self.writing(goal.goal_id) is not goal:
+        offer = None if goal is None else self._writing.get(goal.goal_id)
+        if offer is None or offer.goal is not goal:
             return False
-        goal.happen(Event.LOSE)
-        del self._writing[goal.goal_id]
-        self._withdraw(goal.goal_id)
-        self._watchers.rejected(goal.goal_id, GOAL_IS_TAKEN)
-        self._dispatcher.withdraw(goal.goal_id)
+        self._life.step(offer, Event.LOSE)
         return True
+
+    def _withdraw_taken(self, offer: Offer[GoalT]) -> None:
+        goal_id = offer.sent.goal_id
+        logger.info("goal %s of action %r: another server has it", goal_id, self._action.name)
+        del self._writing[goal_id]
+        self._withdraw(goal_id, GOAL_IS_TAKEN)
+        self._dispatcher.withdraw(goal_id)
 
     def _reject(self, goal_id: GoalID, reason: str, code: RejectionCode) -> GoalRejected:
         """Reject a goal, and return the error to raise. A retry gets the same one, but for a goal
@@ -305,14 +308,11 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._watchers.rejected(goal_id, reason)
         return error
 
-    def _withdraw_offer(self, goal_id: GoalID) -> None:
-        self._withdraw(goal_id)
-        self._watchers.rejected(goal_id, WITHDRAWN)
-
-    def _withdraw(self, goal_id: GoalID) -> None:
-        """Forget a goal whose decision was canceled; a retry is decided again."""
+    def _withdraw(self, goal_id: GoalID, reason: str) -> None:
+        """Forget a goal that is not decided; a retry is decided again."""
         self._registry.withdraw(goal_id)
         self._tell_decision(goal_id)
+        self._watchers.rejected(goal_id, reason)
 
     def wake(self) -> None:
         """Wake all that wait for decisions: the store answers no more."""

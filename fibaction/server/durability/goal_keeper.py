@@ -4,10 +4,12 @@ Theory of operation
 -------------------
 
 The keeper makes the `StoredGoal` of a goal when it is accepted, brings it up to date at each step,
-and hands it to the journal of the store. Each write has a number. The store answers the writes in
+and hands it to the journal of the store: these are the effects `WRITE_...` of the goal's life. When
+a write is kept, the goal takes the step that follows (`KEPT`), and clients are told. Each write has
+a number. The store answers the writes in
 their order, from any code on the event loop; one task, `run`, then calls the functions that were
-given with the writes, so that they run as in any other task, and in slices. What is to be told only
-when it is kept, is told by such a function; `kept` and `settled` wait for writes.
+given with the writes, so that they run as in any other task, and in slices. `kept` and `settled`
+wait for writes.
 
 The first write that fails is the end: nothing was told about it, nothing is written any more, and
 the server stops (`KeeperEvents.fail`). What is too large for the store concerns its goal alone: a
@@ -18,7 +20,10 @@ A goal that belongs to another server by now is lost for this one alone: a write
 the answers that wait: those about a lost goal change nothing any more. The same goal may come back
 as another record, so a refusal is about a record, and not about an ID.
 
-Without a store, a server has a `NoStoreKeeper`.
+Of most goals that have ended, the store keeps the outcome. A goal that was given up is kept whole,
+with its last checkpoint, so that a person can look at it and run it again.
+
+Without a store, a server has just a `Keeper`.
 """
 
 from __future__ import annotations
@@ -30,7 +35,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from heapq import heappop, heappush
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from anyio import CancelScope, current_time, move_on_after
 from anyio.abc import TaskGroup
@@ -47,28 +52,32 @@ from fibaction.border.goal_store import (
     StoredGoal,
     Then,
 )
-from fibaction.server.durability.goal_writes import GoalWrites
-from fibaction.server.durability.keeper import (
-    ActiveT,
-    Acts,
-    Keeper,
-    KeeperEvents,
-    Kept,
-    Take,
-    TooLarge,
-)
-from fibaction.server.durability.stored_ends import LONGEST, SECOND, StoredEnds
-from fibaction.server.life import LIFE, Phase
-from fibaction.server.registry.goal_record import GoalRecord, Offer
-from fibaction.types.action import GoalT
+from fibaction.server.durability.keeper import Keeper, KeeperEvents
+from fibaction.server.life import LIFE, Acts, Effect, Event, Life, Phase
 from fibaction.words.errors import GoalKept, StoreError, copy_of
 from fibaction.words.goals import Outcome
 from fibaction.words.statuses import GoalStatus
+
+if TYPE_CHECKING:
+    from fibaction.server.execution.runs import AnyRun
+    from fibaction.server.registry.goal_record import AnyOffer, GoalRecord
 
 GOAL_IS_TAKEN = "another server has taken the goal over"
 STORE_FAILED = "the server has stopped, because its store has failed"
 GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
 STORE_IS_LATE = "the server has stopped before its store has answered"
+
+OUTCOME_GRACE = 60.0
+"""Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited
+for it while the server was away."""
+SECOND = 1_000_000_000
+LONGEST = 1e9
+"""Seconds above which a time is kept as unlimited: about 30 years."""
+
+Kept: TypeAlias = Callable[[], None]
+"""A function that is called when a write is durable."""
+TooLarge: TypeAlias = Callable[[RecordTooLarge], None]
+"""A function that is called when what was to be written is too large for the store."""
 
 logger = clean_logger("fibaction.server")
 
@@ -85,16 +94,26 @@ class _Answered(NamedTuple):
 class GoalKeeper(Keeper):
     """The writes of one server to its store."""
 
-    life = LIFE
+    table = LIFE
 
     def __init__(
-        self, store: GoalStore, action: str, ends: StoredEnds, *, max_results: int
+        self,
+        store: GoalStore,
+        action: str,
+        *,
+        result_timeout: float,
+        given_up_timeout: float,
+        max_results: int,
     ) -> None:
-        """Keep ends by a rule, and so many of them at most."""
+        """Keep outcomes for so many seconds, goals that were given up for as many others, and so
+        many of each at most.
+        """
+        super().__init__(action)
         self._store = store
-        self._action = action
-        self._ends = ends
+        self._outcome_time = result_timeout + OUTCOME_GRACE
+        self._given_up_time = given_up_timeout
         self._max_results = max_results
+        self._life: Life
         self._journal: GoalJournal
         self._written = 0
         self._answered = 0
@@ -151,15 +170,19 @@ class GoalKeeper(Keeper):
 
     # Writes
 
-    def accept(
-        self,
-        offer: Offer[GoalT],
-        *,
-        is_running: bool,
-        then: Callable[[Offer[GoalT]], None],
-        too_large: Callable[[Offer[GoalT], RecordTooLarge], None],
-    ) -> int:
-        goal, deadline = offer.record, 0
+    def acts(self, life: Life) -> Acts:
+        self._life = life
+        return {
+            Effect.WRITE_ACCEPTANCE: self._write_acceptance,
+            Effect.WRITE_BEGIN: partial(self._write_begin, Event.BEGIN_KEPT),
+            Effect.WRITE_TAKE_OVER: partial(self._write_begin, Event.TAKE_OVER_KEPT),
+            Effect.WRITE_CANCEL: self._write_cancel,
+            Effect.WRITE_END: self._write_end,
+            Effect.WRITE_RELEASE: self._write_release,
+        }
+
+    def _write_acceptance(self, offer: AnyOffer) -> None:
+        goal, deadline, is_running = offer.goal, 0, offer.is_running
         if goal.deadline - current_time() < LONGEST:
             deadline = time.time_ns() + int((goal.deadline - current_time()) * SECOND)
         goal.stored = StoredGoal(
@@ -174,24 +197,29 @@ class GoalKeeper(Keeper):
             meta=offer.meta,
             began_at=goal.stamp if is_running else 0,
         )
-        kept, failed = partial(then, offer), partial(too_large, offer)
-        return self._write(self._journal.accept, goal, goal.stored, kept, failed)
 
-    def acts(self, take: Take[ActiveT]) -> Acts[ActiveT]:
-        return GoalWrites(self, take).acts()
+        def too_large(error: RecordTooLarge) -> None:
+            offer.too_large = error
+            self._life.step(offer, Event.TOO_LARGE)
 
-    def begin(self, goal: GoalRecord, then: Kept) -> None:
-        """Keep that an attempt at the goal begins."""
-        stored = _stored(goal)
+        kept = partial(self._life.step, offer, Event.ACCEPTANCE_KEPT)
+        offer.write = self._write(self._journal.accept, goal, goal.stored, kept, too_large)
+
+    def _write_begin(self, kept: Event, run: AnyRun) -> None:
+        """Write that an attempt begins, unless the acceptance has said so."""
+        goal, stored = run.goal, _stored(run.goal)
+        if stored.is_running:
+            self._life.step(run, kept)
+            return
         stored.is_running, stored.attempt = True, goal.attempt
         stored.began_at = stored.began_at or time.time_ns()
-        self._write(self._journal.begin, goal, stored, then)
+        self._write(self._journal.begin, goal, stored, partial(self._life.step, run, kept))
 
-    def cancel(self, goal: GoalRecord, then: Kept) -> None:
-        """Keep that a cancel of the goal was accepted."""
-        stored = _stored(goal)
+    def _write_cancel(self, run: AnyRun) -> None:
+        stored = _stored(run.goal)
         stored.status = GoalStatus.CANCELING
-        self._write(self._journal.cancel, goal, stored, then)
+        kept = partial(self._life.step, run, Event.CANCEL_KEPT)
+        self._write(self._journal.cancel, run.goal, stored, kept)
 
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
         """Keep a checkpoint, and return the number of the write."""
@@ -215,28 +243,45 @@ class GoalKeeper(Keeper):
         if goal.phase is Phase.LOST:
             raise GoalTaken(GOAL_IS_TAKEN)
 
-    def end(
-        self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
-    ) -> None:
-        """Keep the end of the goal."""
+    def _write_end(self, run: AnyRun) -> None:
+        """Write the outcome; one that is too large is replaced by the reason."""
+        goal = run.goal
+        assert run.outcome is not None
         stored, goal.stored = _stored(goal), None
-        self._ends.write(stored, goal, outcome)
+        self._note_end(stored, goal, run.outcome)
 
         def keep_without(error: RecordTooLarge) -> None:
             goal.stored = stored
             if goal.is_given_up:  # there may be room without the goal itself
                 goal.is_given_up = False
-                self.end(goal, outcome, then, too_large)
+                self._write_end(run)
             else:
-                too_large(error)
+                reason = f"the result is not kept: {error}"
+                run.outcome = Outcome(GoalStatus.ABORTED, None, reason)
+                self._life.step(run, Event.TOO_LARGE)
 
-        self._write(self._journal.end, goal, stored, then, keep_without)
+        kept = partial(self._life.step, run, Event.END_KEPT)
+        self._write(self._journal.end, goal, stored, kept, keep_without)
 
-    def release(self, goal: GoalRecord, then: Kept) -> None:
-        """Keep that the goal is free, to be run again."""
-        stored = _stored(goal)
+    def _note_end(self, stored: StoredGoal, goal: GoalRecord, outcome: Outcome[bytes]) -> None:
+        """Bring a stored goal up to date with its end."""
+        stored.status, stored.result = outcome.status, outcome.result
+        stored.reason = outcome.reason
         stored.is_running = False
-        self._write(self._journal.release, goal, stored, then)
+        stored.feedback_count, stored.ended_at = goal.feedback_count, time.time_ns()
+        seconds = self._outcome_time
+        if goal.is_given_up and outcome.status is GoalStatus.ABORTED and self._given_up_time:
+            seconds = max(seconds, self._given_up_time)
+        else:
+            stored.drop_request()
+        if seconds < LONGEST:
+            stored.keep_until = stored.ended_at + int(seconds * SECOND)
+
+    def _write_release(self, run: AnyRun) -> None:
+        stored = _stored(run.goal)
+        stored.is_running = False
+        kept = partial(self._life.step, run, Event.RELEASE_KEPT)
+        self._write(self._journal.release, run.goal, stored, kept)
 
     def _write(
         self,
@@ -315,11 +360,10 @@ class GoalKeeper(Keeper):
     # Waits
 
     def check(self) -> None:
-        if self.failure is not None or self._is_closed:
-            raise self.stopped()
-
-    def stopped(self) -> GoalKept:
-        return GoalKept(STORE_IS_LATE if self.failure is None else STORE_FAILED)
+        if self.failure is not None:
+            raise GoalKept(STORE_FAILED)
+        if self._is_closed:
+            raise GoalKept(STORE_IS_LATE)
 
     async def kept(self, write: int) -> None:
         await self._wait(write)

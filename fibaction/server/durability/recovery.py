@@ -30,7 +30,7 @@ on, and one of these happens:
   that several servers share asks for the `obstacle` first, and leaves such a goal to the others.
 
 A goal that runs again begins another attempt. `Runs` writes that before the executor starts. A goal
-that ends as ABORTED here is given up: the store keeps it whole (see `stored_ends`).
+that ends as ABORTED here is given up: the store keeps it whole (see `GoalKeeper`).
 """
 
 from __future__ import annotations
@@ -49,10 +49,9 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
-from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT
+from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, SECOND
 from fibaction.server.durability.lost_attempts import LostAttempts, cause_of
 from fibaction.server.durability.readable import ReadableCheck
-from fibaction.server.durability.stored_ends import SECOND
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
@@ -172,7 +171,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = GoalID(stored.goal_id)
         if self._registry.is_active(goal_id):
             return  # the store has handed it over before
-        self._admission.give_up(goal_id)
+        self._admission.lose(self._admission.writing(goal_id))
         if self._registry.is_undecided(goal_id):
             self._tasks.start_soon(self._take_later, stored)
             return

@@ -5,12 +5,11 @@ Theory of operation
 
 Each active goal has a `Run`: its record in the registry, its `FeedbackLog` and its `Execution`.
 `add` makes the run. `begin` adds it to the task pool, in which `_run` awaits the executor. What
-happens to a goal goes through `_step`, which looks its effects up in the table of a goal's life,
-and carries them out: those that write belong to the keeper, those that tell to `GoalNews`, and the
-rest is here.
+happens to a goal is a step of its `Life`. The effects on executors are carried out here, those that
+tell by `GoalLogs`, and those that write by the keeper.
 
 The end of a goal has two steps. `_finish`, and nothing else, decides the outcome, which never
-changes afterwards. When it is kept, `GoalNews` makes it the goal's, and notifies followers.
+changes afterwards. When it is kept, `GoalLogs` makes it the goal's, and notifies followers.
 
 A goal that is not to end here (`_let_go`) just leaves, and its streams fail. If the server stops
 and keeps its goals, or its store has failed, clients are told nothing (`GoalKept`), and come back.
@@ -35,33 +34,33 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextvars import Context
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias
 
 from anyio.abc import TaskGroup
 
+from fibaction._runtime.log import clean_logger
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
 from fibaction.server.execution.executor import Execution, Fence, Runner
 from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
 from fibaction.server.execution.executor_life import EXECUTOR_LIFE, ExecutorEvent, ExecutorPhase
-from fibaction.server.execution.goal_news import GoalNews, Run
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.lost_executors import LEASE_IS_OVER, LostExecutors
 from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import Effect, Event, LifeTable, Phase
+from fibaction.server.life import Acts, Effect, Event, Life, Phase
 from fibaction.server.registry.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ConnectionLost, GoalKept
-from fibaction.words.goals import GoalID
+from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog
-    from fibaction.server.durability.keeper import Acts, Keeper
+    from fibaction.server.durability.keeper import Keeper
     from fibaction.server.scheduling.dispatcher import Dispatcher
     from fibaction.server.settings import ActionServerSettings
 
@@ -69,6 +68,37 @@ if TYPE_CHECKING:
 BEGIN, EXECUTE, END = Event.BEGIN, Event.EXECUTE, Event.END
 CALL, LEAVE = ExecutorEvent.CALL, ExecutorEvent.LEAVE
 LOST = Phase.LOST
+
+logger = clean_logger("fibaction.server")
+
+
+class Run(Generic[GoalT, FeedbackT, ResultT]):
+    """An active goal: its record, its log with the followers, and its executor."""
+
+    __slots__ = ("error", "execution", "goal", "log", "outcome")
+
+    def __init__(
+        self,
+        goal: GoalRecord,
+        log: FeedbackLog[GoalRecord],
+        execution: Execution[GoalT, FeedbackT, ResultT],
+    ) -> None:
+        self.goal = goal
+        self.log = log
+        self.execution = execution
+        self.error: ConnectionLost | None = None
+        """The error for the followers of a goal that leaves without an end."""
+        self.outcome: Outcome[bytes] | None = None
+        """The outcome once it is fixed; the goal's record has it once it is told."""
+
+
+AnyRun: TypeAlias = Run[Any, Any, Any]
+
+
+class GoalThatLeft(NamedTuple):
+    """A goal that is not here any more."""
+
+    goal: GoalRecord
 
 
 class Runs(Generic[GoalT, FeedbackT, ResultT]):
@@ -83,6 +113,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         keeper: Keeper,
         dispatcher: Dispatcher[GoalT],
         watch: Watch,
+        life: Life,
         settings: ActionServerSettings[GoalT],
     ) -> None:
         self._action = action
@@ -103,11 +134,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._pool: TaskPool
-        acts = self._acts() | GoalNews(self._runs, registry, logs).acts() | keeper.acts(self._step)
-        self._life = LifeTable(
-            (at, (step.phase, tuple(acts[effect] for effect in step.effects)))
-            for at, step in keeper.life.items()
-        )
+        self._step = life.step
+        life.carry_out(self._acts())
 
     def open(self, tasks: TaskGroup) -> None:
         """Use these tasks for executors; the store is open."""
@@ -153,19 +181,13 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         execution.phase = EXECUTOR_LIFE[execution.phase, CALL]
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 
-    # The table
+    # The effects on executors
 
-    def _step(self, run: Run[GoalT, FeedbackT, ResultT], event: Event) -> None:
-        """Let a goal make the step that follows from an event: see `life`."""
-        goal = run.goal
-        goal.phase, acts = self._life[goal.phase, event]
-        for act in acts:
-            act(run)
-
-    def _acts(self) -> Acts[Run[GoalT, FeedbackT, ResultT]]:
+    def _acts(self) -> Acts:
         """Return the functions that carry out the effects on executors and places."""
         return {
             Effect.CALL: self._call,
+            Effect.REMOVE: self._remove,
             Effect.INTERRUPT: lambda run: run.execution.interrupt(),
             Effect.END_UNBEGUN: lambda run: self._finish(run, Ending(EndKind.CANCELED)),
             Effect.END_AND_LEAVE: lambda run: self._end(run.execution, Ending(EndKind.CANCELED)),
@@ -201,6 +223,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._leave(goal_id)
         if was_lost:
             self._logs.ended.notify()
+
+    def _remove(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        del self._runs[run.goal.goal_id]
 
     def _leave(self, goal_id: GoalID) -> None:
         # A goal that has come back has no place before its old executor is gone.
@@ -269,9 +294,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def lose(self, goal: GoalRecord) -> None:
         """Let go of a goal that another server has taken over, and interrupt its executor."""
+        logger.info("goal %s of action %r: another server has it", goal.goal_id, self._action.name)
         run = self._runs.get(goal.goal_id)
         if run is None or run.goal is not goal:
-            goal.happen(Event.LOSE)
+            self._step(GoalThatLeft(goal), Event.LOSE)
             return
         goal.stop_reason = goal.stop_reason or GOAL_IS_TAKEN  # its executor may look for that
         run.error = ConnectionLost(GOAL_IS_TAKEN)

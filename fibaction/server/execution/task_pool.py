@@ -31,9 +31,8 @@ from anyio.lowlevel import cancel_shielded_checkpoint
 from fibaction._runtime.detached import DetachedGroup, waker
 from fibaction._runtime.notify import Notifier
 from fibaction.server.execution.executor_life import ScopesPhase
-from fibaction.server.execution.fair_queue import FairQueue
 from fibaction.server.execution.interruption import CancelOnce
-from fibaction.server.execution.turns import EXECUTOR_SLICE, Turns
+from fibaction.server.execution.turns import EXECUTOR_SLICE, FairQueue, Turns
 
 GRACE = 1.0
 """Seconds after `close()` until jobs are abandoned: for clean-up that is shielded from being

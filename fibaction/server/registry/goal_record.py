@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Generic, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, cast
 
 import msgspec
 
 from fibaction._runtime.text import LENGTH, shortened
-from fibaction.server.life import LIFE, Event, Phase
+from fibaction.server.life import Phase
 from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from contextvars import Context
 
     from fibaction.border.abc import GoalRequest
-    from fibaction.border.goal_store import StoredGoal
+    from fibaction.border.goal_store import RecordTooLarge, StoredGoal
     from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
     from fibaction.server.registry.kept_results import HeldBytes
 
@@ -125,6 +125,7 @@ class GoalRecord:
         """Make the record of a goal that was accepted by an earlier process."""
         goal_id = GoalID(stored.goal_id)
         goal = cls(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
+        goal.phase = Phase.ENDED if stored.status.is_terminal else Phase.WAITING
         goal.attempt = max(stored.attempt, 1)
         goal.take_origin(stored.meta)
         goal.began_at = stored.began_at or None
@@ -140,14 +141,6 @@ class GoalRecord:
     def is_kept(self) -> bool:
         """True if this attempt is interrupted and the goal continues: see `GoalHandle.is_kept`."""
         return self.goes_on and self.status is not GoalStatus.CANCELING
-
-    def happen(self, event: Event) -> None:
-        """Note an event after which the server has nothing more to do for the goal.
-
-        Raises:
-            InvalidStep: The event cannot happen in this phase.
-        """
-        self.phase = LIFE[self.phase, event].phase
 
     def forget_outcome(self) -> HeldBytes:
         """Forget the outcome of a goal that has ended, and return its bytes, which others may hold
@@ -223,18 +216,27 @@ class Offer(msgspec.Struct, Generic[GoalT], eq=False):
     """The goal, once it is decoded."""
     context: Context | None = None
     """The context for the goal's executor; None for that of the call that accepts it."""
-    record: GoalRecord = cast("Any", None)
+    goal: GoalRecord = cast("Any", None)
     """The record of the goal, once it is to be accepted."""
+    is_running: bool = False
+    """True if it has its turn as soon as it is accepted."""
+    write: int = 0
+    """The number of the write of its acceptance; 0 without a store."""
     stream: FeedbackCursor | None = None
     """The stream of the goal, once it is accepted."""
+    too_large: RecordTooLarge | None = None
+    """The error of a goal that the store cannot keep."""
     error: GoalRejected | None = None
-    """The rejection of a goal that the store cannot keep."""
+    """The rejection of such a goal."""
     is_left: bool = False
     """True if the call that has sent the goal does not wait any longer."""
 
     def leave(self, now: float) -> None:
         """Wait no longer: the call was canceled. Its client may come back, and send it again."""
         self.is_left = True
-        self.record.remember_until = now + LEAST_TIME
+        self.goal.remember_until = now + LEAST_TIME
         if self.stream is not None:
             self.stream.close()
+
+
+AnyOffer: TypeAlias = Offer[Any]

@@ -40,7 +40,6 @@ from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 from fibaction._runtime.budget import ByteBudget
-from fibaction.server.life import Event
 from fibaction.server.registry.cancellation import Cancellation, cancellation_of
 from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
@@ -60,9 +59,6 @@ MAX_BYTES = 256 * 2**20
 
 MOST_REJECTIONS = 200
 """Rejections that are forgotten by one call."""
-
-# Looked up for each goal: a name of this module is found faster than a member of an enum.
-ACCEPT, ACCEPTANCE_KEPT = Event.ACCEPT, Event.ACCEPTANCE_KEPT
 
 
 class Verdict(Enum):
@@ -183,14 +179,11 @@ class GoalRegistry:
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
         digest, held = self._undecided[goal_id]
-        goal = GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
-        goal.happen(ACCEPT)
-        return goal
+        return GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
 
     def accept(self, goal: GoalRecord) -> None:
         """Accept an undecided goal with its record."""
         del self._undecided[goal.goal_id]
-        goal.happen(ACCEPTANCE_KEPT)
         earlier = self._ended.discard(goal.goal_id)  # it may have expired without being freed yet
         if earlier is not None:
             self._forget(earlier)
@@ -214,7 +207,6 @@ class GoalRegistry:
         goal_id, goal.remember_until = goal.goal_id, until
         self._listing = None
         if status.is_terminal:
-            goal.happen(Event.RESTORE_ENDED)
             goal.status = goal.told_status = status
             goal.outcome = Outcome(status, stored.result, stored.reason)
             goal.feedback_count, goal.ended_at = stored.feedback_count, stored.ended_at
@@ -224,7 +216,6 @@ class GoalRegistry:
             self.results.add(goal_id, goal.sender, held, held.size)
             self._ended.put_until(goal_id, goal, until)
             return goal
-        goal.happen(Event.RESTORE)
         goal.stored = stored
         goal.status = goal.told_status = stored.told_status  # a status never goes back
         self._active[goal_id] = goal

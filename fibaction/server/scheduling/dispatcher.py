@@ -1,16 +1,14 @@
-"""`Dispatcher`: the way in which goals get their turn, with a schedule or without one.
+"""`Dispatcher`: the way in which goals get their turn; this one is for a server without a schedule.
 
-`GoalDispatcher` carries out a `Schedule`. A server without a schedule has a `NoScheduleDispatcher`,
-on which each goal has its turn as soon as it is accepted.
+Each goal has its turn as soon as it is accepted. `GoalDispatcher` carries out a `Schedule`.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from fibaction.server.goal_handle import NoSuccession, Succession
+from fibaction.server.goal_handle import Succession
 from fibaction.types.action import GoalT
 
 if TYPE_CHECKING:
@@ -37,9 +35,12 @@ class DispatchedGoals(Protocol[GoalT]):
 
 
 class Dispatcher(Succession[GoalT]):
-    """The turns of one server's goals."""
+    """The turns of one server's goals: all run at once, as it has no schedule."""
 
-    @abstractmethod
+    def __init__(self) -> None:
+        self._goals: DispatchedGoals[GoalT]
+        self._is_closed = False
+
     async def open(
         self,
         tasks: TaskGroup,
@@ -55,12 +56,12 @@ class Dispatcher(Succession[GoalT]):
             RuntimeError, ValueError: The schedule cannot be shared with others.
             StoreError: The store does not answer.
         """
+        self._goals = goals
 
-    @abstractmethod
     def close(self) -> None:
         """Start no goals from now on: the server stops, and ends all of them."""
+        self._is_closed = True
 
-    @abstractmethod
     def offer(self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float) -> bool:
         """Find a place for a goal, and return whether it has its turn as soon as it is accepted.
 
@@ -72,16 +73,16 @@ class Dispatcher(Succession[GoalT]):
             Busy: There is no place to run or to wait.
             GoalRejected: The function `key` or `priority` of the schedule rejects it, or failed.
         """
+        return True
 
-    @abstractmethod
     def accepted(self, goal_id: GoalID) -> None:
         """Begin the goal if it has its turn, and carry out what else was held back."""
+        if not self._is_closed:
+            self._goals.begin(goal_id)
 
-    @abstractmethod
     def withdraw(self, goal_id: GoalID) -> None:
         """Free the place of a goal that is not accepted after all."""
 
-    @abstractmethod
     def resume(
         self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float, waited: float
     ) -> None:
@@ -92,77 +93,25 @@ class Dispatcher(Succession[GoalT]):
         Raises:
             GoalRejected: As for `offer`.
         """
+        self._goals.begin(goal_id)
 
-    @abstractmethod
     def failure_of(self, request: GoalT, sender: Sender) -> str:
         """Return how the function `key` or `priority` of the schedule fails for a goal; empty if it
         does not fail.
         """
+        return ""
 
-    @abstractmethod
     def left(self, goal_id: GoalID) -> None:
         """Free the place of a goal whose executor is gone; of an unknown one, do nothing."""
 
-    @abstractmethod
     def lost(self, goal_id: GoalID) -> None:
         """Order nothing more for a goal that another server has taken over, and that runs here
         until its executor is gone.
         """
 
-    @abstractmethod
     def room(self) -> tuple[float, float]:
         """Return how many more goals can run, and how many more can wait."""
-
-    @abstractmethod
-    def note_places(self) -> None:
-        """Note in the records of waiting goals their places in the queue, for observers."""
-
-
-class NoScheduleDispatcher(NoSuccession, Dispatcher[Any]):
-    """The turns on a server without a schedule: all goals run at once."""
-
-    def __init__(self) -> None:
-        self._goals: DispatchedGoals[Any]
-        self._is_closed = False
-
-    async def open(
-        self,
-        tasks: TaskGroup,
-        goals: DispatchedGoals[Any],
-        changed: Callable[[], None],
-        key_places: OpenKeyPlaces,
-    ) -> None:
-        self._goals = goals
-
-    def close(self) -> None:
-        self._is_closed = True
-
-    def offer(self, goal_id: GoalID, request: Any, sender: Sender, deadline: float) -> bool:
-        return True
-
-    def accepted(self, goal_id: GoalID) -> None:
-        if not self._is_closed:
-            self._goals.begin(goal_id)
-
-    def withdraw(self, goal_id: GoalID) -> None:
-        """Do nothing: there are no places."""
-
-    def resume(
-        self, goal_id: GoalID, request: Any, sender: Sender, deadline: float, waited: float
-    ) -> None:
-        self._goals.begin(goal_id)
-
-    def failure_of(self, request: Any, sender: Sender) -> str:
-        return ""
-
-    def left(self, goal_id: GoalID) -> None:
-        """Do nothing, as above."""
-
-    def lost(self, goal_id: GoalID) -> None:
-        """Do nothing, as above."""
-
-    def room(self) -> tuple[float, float]:
         return math.inf, 0
 
     def note_places(self) -> None:
-        """Do nothing, as above."""
+        """Note in the records of waiting goals their places in the queue, for observers."""

@@ -14,7 +14,7 @@ from anyio import current_time
 
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import KeyPlaces, OpenKeyPlaces
-from fibaction.server.scheduling.dispatcher import Dispatcher, NoScheduleDispatcher
+from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.fleet_scheduler import FleetScheduler
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.scheduling.schedule import Schedule
@@ -25,7 +25,7 @@ from fibaction.types.action import GoalT
 def dispatcher_of(action: str, schedule: Schedule | None, kill_after: float) -> Dispatcher[GoalT]:
     """Return what carries out a schedule, if there is one, for the goals of an action."""
     if schedule is None:
-        return NoScheduleDispatcher()
+        return Dispatcher()
     if schedule.fleet_limit:
         return FleetDispatcher(schedule, action=action, kill_after=kill_after)
     return GoalDispatcher(schedule, action=action, kill_after=kill_after)

@@ -65,11 +65,11 @@ class GoalDispatcher(Dispatcher[GoalT]):
 
     def __init__(self, schedule: Schedule, *, action: str, kill_after: float) -> None:
         """Kill executors that have not ended `kill_after` seconds after they were interrupted."""
+        super().__init__()
         self._schedule = schedule
         self._shared: SharedScheduler
         self._key = schedule.key and with_sender("key", schedule.key)
         self._priority = schedule.priority and with_sender("priority", schedule.priority)
-        self._goals: DispatchedGoals[GoalT]
         self._changed: Callable[[], None]
         self._action = action
         self.kill_after = kill_after
@@ -84,7 +84,6 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
         self._placed_at = -math.inf
-        self._is_closed = False
 
     async def open(
         self,
@@ -100,9 +99,6 @@ class GoalDispatcher(Dispatcher[GoalT]):
     async def _join(self, _key_places: OpenKeyPlaces) -> SharedScheduler:
         """Return the scheduler of all servers with this schedule."""
         return SharedScheduler.join(self._schedule, self)
-
-    def close(self) -> None:
-        self._is_closed = True
 
     # Goals
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
+from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import GoalID
 
 
@@ -31,5 +32,8 @@ class Order(NamedTuple):
     reason: str = ""
 
 
-class Busy(Exception):
-    """A goal can neither run nor wait; the text says how many do."""
+class Busy(GoalRejected):
+    """A goal can neither run nor wait; the reason says how many do."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason, code=RejectionCode.BUSY)
