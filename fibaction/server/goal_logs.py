@@ -32,7 +32,8 @@ from anyio.lowlevel import cancel_shielded_checkpoint
 from fibaction._runtime.notify import Notifier
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
-from fibaction.server.life import Effect, Life
+from fibaction.server.durability.keeper import Keeper
+from fibaction.server.life import Effect
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.watchers import Watchers
@@ -41,7 +42,7 @@ from fibaction.words.goals import GoalID, GoalInfo, Sender
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.server.execution.runs import AnyRun
+    from fibaction.server.execution.executor import AnyRun
 
 EXPIRY_STEP = 0.1
 """The least seconds between two clean-ups of expired goals. It only limits how often memory is
@@ -63,16 +64,14 @@ class GoalLogs:
         self,
         registry: GoalRegistry,
         watchers: Watchers,
-        life: Life,
+        keeper: Keeper,
         now: Callable[[], float],
         *,
         window: int,
         latest: bool,
-        are_told_elsewhere: bool,
     ) -> None:
         """Remember `window` feedback messages of a goal, of which slow readers get the latest if
-        `latest`. If the statuses `are_told_elsewhere`, they may be followed without this server's
-        knowledge. `now` is the clock of the event loop.
+        `latest`. `now` is the clock of the event loop.
         """
         self._registry = registry
         self._watchers = watchers
@@ -80,7 +79,7 @@ class GoalLogs:
         """The clock of the event loop."""
         self._window = window
         self._latest = latest
-        self._are_told_elsewhere = are_told_elsewhere
+        self._are_told_elsewhere = keeper.tells_statuses
         self.kept: GoalKept | None = None
         """The error for goals that are not known here, once the server has let goals go that it
         keeps: a client that asks for one of them is to ask again after the next start."""
@@ -88,7 +87,7 @@ class GoalLogs:
         self._statuses = StatusBroadcast()
         self.ended = Notifier()
         """The notifier of the ends of goals."""
-        life.carry_out(
+        keeper.life.carry_out(
             {
                 Effect.RUN_AHEAD: self._run_ahead,
                 Effect.TELL_EXECUTING: self._tell_executing,

@@ -331,6 +331,7 @@ class Living(Protocol):
     @property
     def goal(self) -> GoalInPhase:
         """The record of the goal."""
+        ...
 
 
 Acts: TypeAlias = dict[Effect, Callable[[Any], None]]

@@ -35,8 +35,7 @@ from fibaction._runtime.tasks import Background
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
 from fibaction.server.cancels import Cancels
-from fibaction.server.durability.goal_keeper import STORE_IS_LATE
-from fibaction.server.durability.keeper import Keeper, KeeperEvents
+from fibaction.server.durability.keeper import STORE_IS_LATE, Keeper, KeeperEvents
 from fibaction.server.durability.past_goals import PastGoals
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution.executor import Runner
@@ -44,7 +43,6 @@ from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import Life
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
@@ -85,8 +83,6 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.keeper = keeper
         self.dispatcher = dispatcher
         self._callbacks = callbacks
-        life = Life(keeper.table)
-        life.carry_out(keeper.acts(life))
         registry = GoalRegistry(
             result_timeout=settings.result_timeout,
             max_results=settings.max_results,
@@ -96,19 +92,18 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.logs = logs = GoalLogs(
             registry,
             watchers,
-            life,
+            keeper,
             loop_clock(),
             window=settings.feedback_window,
             latest=settings.feedback == "latest",
-            are_told_elsewhere=keeper.tells_statuses,
         )
         self.past = PastGoals(action.name, keeper, logs, registry.budget)
         self._watch = Watch(action.name, settings.watchdog)
         self.runs = runs = Runs(
-            action, runner, registry, logs, keeper, dispatcher, self._watch, life, settings
+            action, runner, registry, logs, keeper, dispatcher, self._watch, settings
         )
         self.admission = Admission(
-            action, registry, runs, logs, keeper, dispatcher, watchers, callbacks, life
+            action, registry, runs, logs, keeper, dispatcher, watchers, callbacks
         )
         self.cancels = Cancels(
             registry,
@@ -285,22 +280,16 @@ class Capacity:
 
     def update(self) -> None:
         """Tell the store if one of the numbers has become zero, or more than zero."""
-        running, waiting = self.now()
+        running, waiting = 0.0, 0.0
+        if self._is_open:
+            if self._registry.goals_left > 0:
+                running, waiting = self._dispatcher.room()
+            elif self._registry.has_too_many_bytes:
+                self._shortage.notify()
         has_room = running > 0, waiting > 0
         if has_room != self._told:
             self._told = has_room
             self._keeper.set_room(running, waiting)
-
-    def now(self) -> tuple[float, float]:
-        """Return how many more goals can run now, and how many more can wait."""
-        if not self._is_open:
-            return 0, 0
-        if self._registry.has_too_many_bytes:
-            self._shortage.notify()
-            return 0, 0
-        if self._registry.goals_left <= 0:
-            return 0, 0
-        return self._dispatcher.room()
 
     def watch(self, tasks: TaskGroup) -> None:
         """Look again after a shortage of bytes, in a task of this group."""

@@ -33,8 +33,8 @@ from fibaction.border.watchers import Watcher
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
-from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, STORE_FAILED, GoalKeeper
-from fibaction.server.durability.keeper import ADD_A_STORE, Keeper
+from fibaction.server.durability.goal_keeper import GoalKeeper
+from fibaction.server.durability.keeper import ADD_A_STORE, GOAL_IS_KEPT, STORE_FAILED, Keeper
 from fibaction.server.execution.executor import Executor
 from fibaction.server.functions.executor_check import (
     check_is_executor,

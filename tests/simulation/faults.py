@@ -21,9 +21,8 @@ from fibaction.feeds.feedback_window import FeedbackWindow
 from fibaction.feeds.status_broadcast import StatusBroadcast
 from fibaction.server.admission.admission import Admission
 from fibaction.server.registry.cancellation import Cancellation
-from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
-from fibaction.server.registry.kept_results import HeldBytes
+from fibaction.server.registry.kept_results import ExpiringMap, HeldBytes
 from fibaction.server.registry.registry import GoalRegistry, Verdict, _Undecided
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.client.calls import Credits

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from fibaction import GoalID
-from fibaction.server.execution.executor import Execution
-from fibaction.server.execution.runs import Run, Runs
+from fibaction.server.execution.executor import Execution, Run
+from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import Ending
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.scheduling.orders import Busy

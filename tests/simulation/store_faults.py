@@ -15,7 +15,8 @@ from fibaction.server.durability.keeper import Keeper
 from fibaction.server.durability.lost_attempts import LostAttempts
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.execution import runs
-from fibaction.server.execution.runs import AnyRun, Runs
+from fibaction.server.execution.executor import AnyRun
+from fibaction.server.execution.runs import Runs
 from fibaction.server.life import Event
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
@@ -121,7 +122,7 @@ def a_cancel_is_not_written(_real: Any) -> Any:
     """Accept a cancel, and keep it nowhere."""
 
     def _write_cancel(self: GoalKeeper, run: AnyRun) -> None:
-        self._life.step(run, Event.CANCEL_KEPT)
+        self.life.step(run, Event.CANCEL_KEPT)
 
     return _write_cancel
 

@@ -39,11 +39,10 @@ from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.schema.goal_check import GoalCheck
 from fibaction.server.admission.callbacks import SERVER_STOPPING
 from fibaction.server.admission.goal_callbacks import GoalCallbacks
-from fibaction.server.durability.goal_keeper import GOAL_IS_TAKEN
-from fibaction.server.durability.keeper import Keeper
+from fibaction.server.durability.keeper import GOAL_IS_TAKEN, Keeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import Effect, Event, Life
+from fibaction.server.life import Effect, Event
 from fibaction.server.registry.goal_record import GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
@@ -82,7 +81,6 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         dispatcher: Dispatcher[GoalT],
         watchers: Watchers,
         callbacks: GoalCallbacks[GoalT],
-        life: Life,
     ) -> None:
         self._action = action
         self._registry = registry
@@ -97,8 +95,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._writing: dict[GoalID, Offer[GoalT]] = {}  # those that the store does not have yet
         self._is_draining = False
         self._is_closed = False
-        self._life = life
-        life.carry_out(
+        self._life = keeper.life
+        keeper.life.carry_out(
             {
                 Effect.TELL_ACCEPTED: self._tell_accepted,
                 Effect.TELL_TOO_LARGE: self._tell_too_large,

@@ -52,20 +52,21 @@ from fibaction.border.goal_store import (
     StoredGoal,
     Then,
 )
-from fibaction.server.durability.keeper import Keeper, KeeperEvents
-from fibaction.server.life import LIFE, Acts, Effect, Event, Life, Phase
+from fibaction.server.durability.keeper import (
+    GOAL_IS_TAKEN,
+    STORE_FAILED,
+    STORE_IS_LATE,
+    Keeper,
+    KeeperEvents,
+)
+from fibaction.server.life import LIFE, Effect, Event, Phase
 from fibaction.words.errors import GoalKept, StoreError, copy_of
 from fibaction.words.goals import Outcome
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.server.execution.runs import AnyRun
+    from fibaction.server.execution.executor import AnyRun
     from fibaction.server.registry.goal_record import AnyOffer, GoalRecord
-
-GOAL_IS_TAKEN = "another server has taken the goal over"
-STORE_FAILED = "the server has stopped, because its store has failed"
-GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
-STORE_IS_LATE = "the server has stopped before its store has answered"
 
 OUTCOME_GRACE = 60.0
 """Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited
@@ -94,8 +95,6 @@ class _Answered(NamedTuple):
 class GoalKeeper(Keeper):
     """The writes of one server to its store."""
 
-    table = LIFE
-
     def __init__(
         self,
         store: GoalStore,
@@ -108,12 +107,11 @@ class GoalKeeper(Keeper):
         """Keep outcomes for so many seconds, goals that were given up for as many others, and so
         many of each at most.
         """
-        super().__init__(action)
+        super().__init__(action, LIFE)
         self._store = store
         self._outcome_time = result_timeout + OUTCOME_GRACE
         self._given_up_time = given_up_timeout
         self._max_results = max_results
-        self._life: Life
         self._journal: GoalJournal
         self._written = 0
         self._answered = 0
@@ -128,6 +126,16 @@ class GoalKeeper(Keeper):
         self._events: KeeperEvents
         self._scope: CancelScope
         self.tells_statuses = store.tells_statuses
+        self.life.carry_out(
+            {
+                Effect.WRITE_ACCEPTANCE: self._write_acceptance,
+                Effect.WRITE_BEGIN: partial(self._write_begin, Event.BEGIN_KEPT),
+                Effect.WRITE_TAKE_OVER: partial(self._write_begin, Event.TAKE_OVER_KEPT),
+                Effect.WRITE_CANCEL: self._write_cancel,
+                Effect.WRITE_END: self._write_end,
+                Effect.WRITE_RELEASE: self._write_release,
+            }
+        )
 
     @asynccontextmanager
     async def open(self, tasks: TaskGroup, events: KeeperEvents) -> AsyncGenerator[None, None]:
@@ -170,17 +178,6 @@ class GoalKeeper(Keeper):
 
     # Writes
 
-    def acts(self, life: Life) -> Acts:
-        self._life = life
-        return {
-            Effect.WRITE_ACCEPTANCE: self._write_acceptance,
-            Effect.WRITE_BEGIN: partial(self._write_begin, Event.BEGIN_KEPT),
-            Effect.WRITE_TAKE_OVER: partial(self._write_begin, Event.TAKE_OVER_KEPT),
-            Effect.WRITE_CANCEL: self._write_cancel,
-            Effect.WRITE_END: self._write_end,
-            Effect.WRITE_RELEASE: self._write_release,
-        }
-
     def _write_acceptance(self, offer: AnyOffer) -> None:
         goal, deadline, is_running = offer.goal, 0, offer.is_running
         if goal.deadline - current_time() < LONGEST:
@@ -200,25 +197,25 @@ class GoalKeeper(Keeper):
 
         def too_large(error: RecordTooLarge) -> None:
             offer.too_large = error
-            self._life.step(offer, Event.TOO_LARGE)
+            self.life.step(offer, Event.TOO_LARGE)
 
-        kept = partial(self._life.step, offer, Event.ACCEPTANCE_KEPT)
+        kept = partial(self.life.step, offer, Event.ACCEPTANCE_KEPT)
         offer.write = self._write(self._journal.accept, goal, goal.stored, kept, too_large)
 
     def _write_begin(self, kept: Event, run: AnyRun) -> None:
         """Write that an attempt begins, unless the acceptance has said so."""
         goal, stored = run.goal, _stored(run.goal)
         if stored.is_running:
-            self._life.step(run, kept)
+            self.life.step(run, kept)
             return
         stored.is_running, stored.attempt = True, goal.attempt
         stored.began_at = stored.began_at or time.time_ns()
-        self._write(self._journal.begin, goal, stored, partial(self._life.step, run, kept))
+        self._write(self._journal.begin, goal, stored, partial(self.life.step, run, kept))
 
     def _write_cancel(self, run: AnyRun) -> None:
         stored = _stored(run.goal)
         stored.status = GoalStatus.CANCELING
-        kept = partial(self._life.step, run, Event.CANCEL_KEPT)
+        kept = partial(self.life.step, run, Event.CANCEL_KEPT)
         self._write(self._journal.cancel, run.goal, stored, kept)
 
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
@@ -258,9 +255,9 @@ class GoalKeeper(Keeper):
             else:
                 reason = f"the result is not kept: {error}"
                 run.outcome = Outcome(GoalStatus.ABORTED, None, reason)
-                self._life.step(run, Event.TOO_LARGE)
+                self.life.step(run, Event.TOO_LARGE)
 
-        kept = partial(self._life.step, run, Event.END_KEPT)
+        kept = partial(self.life.step, run, Event.END_KEPT)
         self._write(self._journal.end, goal, stored, kept, keep_without)
 
     def _note_end(self, stored: StoredGoal, goal: GoalRecord, outcome: Outcome[bytes]) -> None:
@@ -280,7 +277,7 @@ class GoalKeeper(Keeper):
     def _write_release(self, run: AnyRun) -> None:
         stored = _stored(run.goal)
         stored.is_running = False
-        kept = partial(self._life.step, run, Event.RELEASE_KEPT)
+        kept = partial(self.life.step, run, Event.RELEASE_KEPT)
         self._write(self._journal.release, run.goal, stored, kept)
 
     def _write(

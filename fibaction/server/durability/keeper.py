@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from fibaction._runtime.log import clean_logger
 from fibaction.border.goal_store import NoFleet, PastSource
-from fibaction.server.life import LIFE_IN_MEMORY, Acts, Event, Life, Phase, Step
+from fibaction.server.life import LIFE_IN_MEMORY, Event, Life, Phase, Step
 
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from fibaction.words.errors import StoreError
     from fibaction.words.goals import GoalID
 
+GOAL_IS_TAKEN = "another server has taken the goal over"
+STORE_FAILED = "the server has stopped, because its store has failed"
+GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
+STORE_IS_LATE = "the server has stopped before its store has answered"
 ADD_A_STORE = "give the server a store, such as store=SqliteStore('goals.db')"
 """The advice for a setting or a call that has no effect without a store."""
 
@@ -64,12 +68,14 @@ class Keeper:
     """True if the statuses may be followed without this server's knowledge."""
     block: AbstractContextManager[object] = nullcontext()
     """A block that is canceled when the store fails, once the keeper is open."""
-    table: Mapping[tuple[Phase, Event], Step] = LIFE_IN_MEMORY
-    """The table by which the goals live."""
     past: PastSource = PastSource()
     """The source of the goals of the past, once the keeper is open."""
 
-    def __init__(self, action: str) -> None:
+    def __init__(
+        self, action: str, table: Mapping[tuple[Phase, Event], Step] = LIFE_IN_MEMORY
+    ) -> None:
+        self.life = Life(table)
+        """The lives of the goals, by a table in which each step is kept before it is told."""
         self._action = action
         self._has_warned = False
 
@@ -101,12 +107,6 @@ class Keeper:
             StoreError: The store does not answer.
         """
         raise NoFleet(limit)
-
-    def acts(self, life: Life) -> Acts:
-        """Return the functions that carry out the effects which write, and then let the goals of
-        this life take the steps that follow.
-        """
-        return {}
 
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
         """Keep a checkpoint, which `encode` returns, and wait until it is kept. Without a store

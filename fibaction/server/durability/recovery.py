@@ -49,7 +49,8 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
-from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, SECOND
+from fibaction.server.durability.goal_keeper import SECOND
+from fibaction.server.durability.keeper import GOAL_IS_KEPT
 from fibaction.server.durability.lost_attempts import LostAttempts, cause_of
 from fibaction.server.durability.readable import ReadableCheck
 from fibaction.server.execution.runs import Runs

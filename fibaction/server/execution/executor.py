@@ -73,6 +73,8 @@ from fibaction.words.returned import Return
 if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog
     from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.words.errors import ConnectionLost
+    from fibaction.words.goals import Outcome
 
 T = TypeVar("T")
 
@@ -323,6 +325,29 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
 
     def arrive(self) -> None:
         self._steps.arrive()
+
+
+class Run(Generic[GoalT, FeedbackT, ResultT]):
+    """An active goal: its record, its log with the followers, and its executor."""
+
+    __slots__ = ("error", "execution", "goal", "log", "outcome")
+
+    def __init__(
+        self,
+        goal: GoalRecord,
+        log: FeedbackLog[GoalRecord],
+        execution: Execution[GoalT, FeedbackT, ResultT],
+    ) -> None:
+        self.goal = goal
+        self.log = log
+        self.execution = execution
+        self.error: ConnectionLost | None = None
+        """The error for the followers of a goal that leaves without an end."""
+        self.outcome: Outcome[bytes] | None = None
+        """The outcome once it is fixed; the goal's record has it once it is told."""
+
+
+AnyRun: TypeAlias = Run[Any, Any, Any]
 
 
 def _generator_of(items: Any) -> AsyncGenerator[Any, None]:

@@ -34,14 +34,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextvars import Context
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple
 
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.goal_keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
-from fibaction.server.execution.executor import Execution, Fence, Runner
+from fibaction.server.durability.keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
+from fibaction.server.execution.executor import Execution, Fence, Run, Runner
 from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
 from fibaction.server.execution.executor_life import EXECUTOR_LIFE, ExecutorEvent, ExecutorPhase
 from fibaction.server.execution.interruption import CancelOnce
@@ -50,12 +50,12 @@ from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.life import Acts, Effect, Event, Life, Phase
+from fibaction.server.life import Acts, Effect, Event, Phase
 from fibaction.server.registry.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import ConnectionLost, GoalKept
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
@@ -70,29 +70,6 @@ CALL, LEAVE = ExecutorEvent.CALL, ExecutorEvent.LEAVE
 LOST = Phase.LOST
 
 logger = clean_logger("fibaction.server")
-
-
-class Run(Generic[GoalT, FeedbackT, ResultT]):
-    """An active goal: its record, its log with the followers, and its executor."""
-
-    __slots__ = ("error", "execution", "goal", "log", "outcome")
-
-    def __init__(
-        self,
-        goal: GoalRecord,
-        log: FeedbackLog[GoalRecord],
-        execution: Execution[GoalT, FeedbackT, ResultT],
-    ) -> None:
-        self.goal = goal
-        self.log = log
-        self.execution = execution
-        self.error: ConnectionLost | None = None
-        """The error for the followers of a goal that leaves without an end."""
-        self.outcome: Outcome[bytes] | None = None
-        """The outcome once it is fixed; the goal's record has it once it is told."""
-
-
-AnyRun: TypeAlias = Run[Any, Any, Any]
 
 
 class GoalThatLeft(NamedTuple):
@@ -113,7 +90,6 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         keeper: Keeper,
         dispatcher: Dispatcher[GoalT],
         watch: Watch,
-        life: Life,
         settings: ActionServerSettings[GoalT],
     ) -> None:
         self._action = action
@@ -134,8 +110,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._pool: TaskPool
-        self._step = life.step
-        life.carry_out(self._acts())
+        self._step = keeper.life.step
+        keeper.life.carry_out(self._acts())
 
     def open(self, tasks: TaskGroup) -> None:
         """Use these tasks for executors; the store is open."""

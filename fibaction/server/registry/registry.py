@@ -41,9 +41,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fibaction._runtime.budget import ByteBudget
 from fibaction.server.registry.cancellation import Cancellation, cancellation_of
-from fibaction.server.registry.expiry import ExpiringMap
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
-from fibaction.server.registry.kept_results import HeldBytes, KeptResults
+from fibaction.server.registry.kept_results import ExpiringMap, HeldBytes, KeptResults
 from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import ID_IN_USE, NO_GOAL, GoalID, Outcome, Sender, digest_of
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
@@ -160,7 +159,11 @@ class GoalRegistry:
 
     @property
     def goals_left(self) -> int:
-        """The number of goals that may be admitted in addition to those undecided or active."""
+        """The number of goals that may be admitted in addition to those undecided or active; 0 if
+        goals and feedback take too many bytes.
+        """
+        if self.budget.used - self.results.size > self.budget.limit:
+            return 0
         return self._max_goals - len(self._undecided) - len(self._active)
 
     @property

@@ -43,11 +43,11 @@ from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
-from fibaction.server.scheduling.orders import Act, Busy, Order
+from fibaction.server.scheduling.orders import Act, Order
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.shared_scheduler import SharedScheduler
 from fibaction.types.action import GoalT
-from fibaction.words.errors import GoalRejected, RejectionCode, text_of
+from fibaction.words.errors import GoalRejected, text_of
 from fibaction.words.goals import GoalID, Sender
 
 if TYPE_CHECKING:
@@ -119,18 +119,15 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float, waited: float
     ) -> None:
         key, urgency = self._rank(request, sender)
-        try:
-            orders = self._shared.restore(
-                self,
-                goal_id,
-                key=key,
-                urgency=urgency,
-                now=self._now(),
-                waited=waited,
-                expires=self._expires(deadline),
-            )
-        except Busy as busy:
-            raise GoalRejected(str(busy), code=RejectionCode.BUSY) from None
+        orders = self._shared.restore(
+            self,
+            goal_id,
+            key=key,
+            urgency=urgency,
+            now=self._now(),
+            waited=waited,
+            expires=self._expires(deadline),
+        )
         self._shared.carry_out(orders)
 
     def failure_of(self, request: GoalT, sender: Sender) -> str:

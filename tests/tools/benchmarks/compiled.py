@@ -21,7 +21,7 @@ from tests.tools.benchmarks.program import ROOT
 MODULES = [
     "fibaction/_runtime/notify.py",
     "fibaction/server/admission/admission.py",
-    "fibaction/server/registry/expiry.py",
+    "fibaction/server/registry/kept_results.py",
     "fibaction/server/registry/goal_record.py",
     "fibaction/server/registry/registry.py",
     "fibaction/server/execution/runs.py",
