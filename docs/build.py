@@ -3,7 +3,8 @@
     python docs/build.py
 
 First the parts that are generated from the code are written: the pictures of the statuses and of a
-goal's life, and the marked parts of docs/concepts.md, docs/protocol.md and docs/howto/secure.md.
+goal's life, and the marked parts of docs/concepts.md, docs/protocol.md, docs/howto/secure.md and
+of the pages in docs/reference with the settings of transports.
 Then the site is built strictly, and the built pages are checked: a link or an anchor without a
 target, or a resource from another site, is a fault. The exit code is 1 if there are faults.
 """
@@ -24,6 +25,7 @@ from page_parts import with_parts
 from protocol_parts import descriptions_part, limits_part, messages_part
 from secure_parts import limits_part as all_limits_part
 from secure_parts import memory_part
+from settings_parts import SETTINGS_PARTS
 from site_links import problems
 from states_picture import diagram
 
@@ -42,6 +44,7 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
         "limits": limits_part,
     },
     "howto/secure.md": {"limits": all_limits_part, "memory": memory_part},
+    **SETTINGS_PARTS,
 }
 """Function that makes the part between each pair of markers, by page."""
 

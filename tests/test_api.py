@@ -209,8 +209,8 @@ async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
 
 
 async def test_settings_go_to_the_transport() -> None:
-    with pytest.raises(TypeError, match="reconnect"):
-        async with connect("inproc://connection", FIBONACCI, reconnect=False):
+    with pytest.raises(TransportError, match="reconnect_timeout is between 0 and inf"):
+        async with connect("inproc://connection", FIBONACCI, reconnect_timeout=-1):
             raise AssertionError("the block must not run")
 
 

@@ -52,7 +52,6 @@ from fibaction.states import TRANSITIONS
 from fibaction.testing import ScriptedServer
 from fibaction.wire import codec, messages
 from fibaction.wire.frames import MAX_FRAME
-from fibaction.wire.settings import ClientSettings, ServerSettings, WireKeywords
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.golden import GOLDEN
 from tests.support.pages import FENCED, NOT_RUN, Block
@@ -473,21 +472,6 @@ def test_every_public_name_is_in_the_reference(module: ModuleType, known: str) -
 
     assert known in names
     assert missing == set()
-
-
-def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
-    page = (DOCS / "reference" / "tcp.md").read_text(encoding="utf-8")
-    section = page.partition("\n## Settings\n")[2].partition("\n:::")[0]
-    defaults: dict[str, object] = {"tokens": None, "authorize": None, "limits": None}
-    for kind in (ClientSettings, ServerSettings):
-        for field in msgspec.structs.fields(kind):
-            if field.name in WireKeywords.__annotations__ and field.name != "limits":
-                defaults[field.name] = field.default
-
-    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", section, re.MULTILINE)
-    documented = {name: ast.literal_eval(default.strip("`")) for name, default in rows}
-    assert documented == defaults
-    assert set(documented) == set(WireKeywords.__annotations__)
 
 
 @every_page

@@ -17,8 +17,10 @@ from fibaction.client.goal import Blocks, leave_blocks
 from fibaction.client.goal_span import GoalTracer
 from fibaction.client.kept_connection import KeptConnection, keep_open
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.wire.settings import ConnectKeywords
 from fibaction.words.goals import ActionPeers, WorkerInfo
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import ConnectKeywords
 
 
 class ClientConnection(Connection):

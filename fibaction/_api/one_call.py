@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from fibaction._api.called_action import CalledAction
 from fibaction._api.connections import check_is_action, connect
 from fibaction.border.abc import Transport
 from fibaction.client.retry import Retry
 from fibaction.types.action import NO_VALUE, FeedbackT, GoalT, ResultT
-from fibaction.wire.settings import ConnectKeywords
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import ConnectKeywords
 
 
 @overload

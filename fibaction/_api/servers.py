@@ -15,11 +15,11 @@ from fibaction.border.goal_store import GoalStore
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.border.watchers import Watcher
 from fibaction.types.action import Action
-from fibaction.wire.settings import ServeKeywords
 from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
     from fibaction.server.functions.function_action import FunctionAction
+    from fibaction_transports.keywords import ServeKeywords
 
 Served: TypeAlias = "Endpoint | FunctionAction[Any, Any, Any, Any]"
 """A server or another endpoint, or an action that is made of a function."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from typing import Any, NoReturn, Unpack, overload
+from typing import TYPE_CHECKING, Any, NoReturn, Unpack, overload
 
 import fibaction._api
 from fibaction._api import CalledAction, ClientConnection, check_is_action
@@ -19,8 +19,10 @@ from fibaction.border.urls import transport_for
 from fibaction.client.goal_span import GoalTracer
 from fibaction.client.retry import Retry
 from fibaction.types.action import NO_VALUE, Action, FeedbackT, GoalT, ResultT
-from fibaction.wire.settings import ConnectKeywords
 from fibaction.words.errors import TransportError
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import ConnectKeywords
 
 
 @overload

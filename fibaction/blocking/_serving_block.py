@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import suppress
 from threading import Event
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import fibaction._api
 from fibaction._api import Served
@@ -14,8 +14,10 @@ from fibaction.blocking._loop_thread import LoopThread
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.border.watchers import Watcher
-from fibaction.wire.settings import ServeKeywords
 from fibaction.words.errors import TransportError
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import ServeKeywords
 
 
 class BlockingServing(LoopBlock[tuple[str, ...], tuple[str, ...]]):

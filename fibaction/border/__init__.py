@@ -13,6 +13,7 @@ Helpers:
 
 - `event_loop`: background tasks, bulk work that leaves others their turns, asyncio under anyio;
 - `peer_text`: loggers and excerpts for text that a peer has sent;
+- `settings`: the settings of a transport, from keywords and from URLs;
 - `byte_budgets`: limits for the bytes that many parts hold together;
 - `http_access`: which HTTP requests a server lets in;
 - `plain_values`: type guards for data that comes from JSON.

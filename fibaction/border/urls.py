@@ -6,9 +6,11 @@ So any installed package can bring a transport.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from fibaction.border.abc import Transport
 from fibaction.words.errors import InvalidURL, TransportError
@@ -93,6 +95,35 @@ def without_settings(url: str) -> str:
     Its settings may have a token, and there may be a password before an `@`.
     """
     return re.sub("://[^/]*@", "://", url.partition("?")[0])
+
+
+def split_url(url: str) -> tuple[SplitResult, dict[str, str]]:
+    """Split a URL into its parts, and the settings after its `?`, as text.
+
+    Raises:
+        InvalidURL: It is malformed, it has a part behind `#`, or a setting is given twice.
+    """
+    with invalid_url(url):
+        parts = urlsplit(url)
+    if "#" in url:
+        raise InvalidURL(
+            f"{without_settings(url)} has a part behind #, which has no meaning here: write %23 if"
+            f" the # belongs to a path or a token"
+        )
+    pairs = parse_qsl(parts.query, keep_blank_values=True)
+    settings = dict(pairs)
+    if len(settings) < len(pairs):
+        raise InvalidURL(f"{without_settings(url)}: setting given twice")
+    return parts, settings
+
+
+@contextmanager
+def invalid_url(url: str) -> Generator[None, None, None]:
+    """Turn a ValueError of the block into the error of a URL."""
+    try:
+        yield
+    except ValueError as exc:
+        raise InvalidURL(f"{without_settings(url)}: {exc}") from exc
 
 
 def check_settings(where: str, given: Iterable[str], known: Iterable[str]) -> None:

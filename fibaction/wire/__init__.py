@@ -11,23 +11,17 @@ whose client is gone.
 
 from fibaction.wire.auth import AccessPolicy, Authorize, Peer, Permission
 from fibaction.wire.settings import (
-    ClientKeywords,
     ClientSettings,
     Limits,
-    ServerKeywords,
-    ServerSettings,
-    WireKeywords,
+    WireSettings,
 )
 
 __all__ = [
     "AccessPolicy",
     "Authorize",
-    "ClientKeywords",
     "ClientSettings",
     "Limits",
     "Peer",
     "Permission",
-    "ServerKeywords",
-    "ServerSettings",
-    "WireKeywords",
+    "WireSettings",
 ]

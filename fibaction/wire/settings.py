@@ -1,34 +1,27 @@
 """The settings of both halves of a transport over the wire protocol.
 
-Each setting has its default and its check here, and only here. `ServerSettings` and
-`ClientSettings` are what the two halves read; `WireKeywords` is what a transport's constructor
-takes, for type checkers and for the list in the error for a setting that does not exist.
-`ConnectKeywords` and `ServeKeywords` are all settings that users pass on to transports.
+Each setting has its default and its check here, and only here. `ClientSettings` are those of the
+connecting half, and `WireSettings` those of both.
 
 A frame has one message. A server accepts frames of at most `Limits.frame`, 1 MiB by default, and as
 the first one, before it knows the client, of 4 KiB (`FIRST_FRAME`). A client accepts frames of at
-most `max_frame`, 16 MiB by default, or of `Limits.frame` if it is given limits. Each half tells the
-other its limit when they say hello.
-
-`fibaction` itself imports this module, so it imports nothing that costs time.
+most 16 MiB by default, or of `Limits.frame` if it is given limits. Each half tells the other its
+limit when they say hello.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from collections.abc import Mapping
+from functools import cached_property
+from typing import ClassVar, Literal
 
 import msgspec
 
 from fibaction._runtime.plain_data import check_is_number
+from fibaction.border.settings import TransportSettings, check_range
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
-
-if TYPE_CHECKING:
-    from ssl import SSLContext
-
-    from fibaction.wire.tls_files import TlsFiles
 
 HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""
@@ -99,46 +92,26 @@ class Limits(msgspec.Struct, frozen=True):
             raise ValueError(f"the limit of frame is at least {LEAST_FRAME}, not {self.frame}")
 
 
-class ServerSettings(msgspec.Struct, frozen=True):
-    """The settings of the serving half."""
-
-    heartbeat: float = HEARTBEAT
-    """Seconds between the heartbeats of the server."""
-    access: AccessPolicy = msgspec.field(default_factory=AccessPolicy)
-    """The tokens and permissions of the clients."""
-    limits: Limits = msgspec.field(default_factory=Limits)
-    orphans: Literal["keep", "cancel"] = "keep"
-    """The fate of goals whose client does not come back: they keep running, or are canceled."""
-    grace: float = 10.0
-    """Seconds in which a client may come back for its goals."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ValueError: A number is out of range, or `orphans` is another word.
-        """
-        _check_range("heartbeat", self.heartbeat, 0.001, 3600)
-        _check_range("grace", self.grace, 0, math.inf)
-        if self.orphans not in ("keep", "cancel"):
-            raise ValueError(f"orphans is 'keep' or 'cancel', not {self.orphans!r}")
+DEFAULT_LIMITS = Limits()
+"""The limits of a transport that is given none."""
 
 
-class ClientSettings(msgspec.Struct, frozen=True):
-    """The settings of the connecting half."""
+class LineSettings(TransportSettings, frozen=True, kw_only=True):
+    """The settings of a client over a line that is not opened again."""
 
-    heartbeat: float = HEARTBEAT
-    """Seconds between the heartbeats of the client."""
+    only_for_clients: ClassVar[tuple[str, ...]] = ("token", "window")
+
     token: str = ""
-    """Access token sent to the server; empty if none."""
-    reconnect: bool = True
-    """Open a lost connection again, and continue with open calls."""
-    reconnect_timeout: float = 30.0
-    """Seconds that calls wait for a lost connection to come back."""
+    """The access token that a client sends; empty if none."""
+    heartbeat: float = HEARTBEAT
+    """Seconds between heartbeats: more than 0, at most 3600, and at a client at most the
+    limit of its server."""
     window: int = 256
-    """Feedback messages of a goal that wait here to be read; more wait at the server."""
-    max_frame: int = MAX_FRAME
-    """Bytes of the largest message that the client accepts."""
+    """The most feedback messages of a goal that wait at a client to be read; more wait at the
+    server."""
+    limits: Limits = DEFAULT_LIMITS
+    """The `Limits` of a server; at a client, its `frame` is the size of the
+    largest message that it accepts, in bytes, by default 16 MiB."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -147,116 +120,68 @@ class ClientSettings(msgspec.Struct, frozen=True):
             ValueError: A number is out of range, or the token is too long or not valid text.
         """
         check_token(self.token)
-        _check_range("heartbeat", self.heartbeat, 0.001, 3600)
-        _check_range("window", self.window, 1, 2**31 - 1)
-        _check_range("max_frame", self.max_frame, LEAST_FRAME, 2**32 - 1)
-        _check_range("reconnect_timeout", self.reconnect_timeout, 0, math.inf)
+        check_range("heartbeat", self.heartbeat, 0.001, 3600)
+        check_range("window", self.window, 1, 2**31 - 1)
 
-    def __repr__(self) -> str:
-        return "<ClientSettings>"  # a token has no place in a log
-
-
-class _SharedKeywords(TypedDict, total=False):
-    heartbeat: float
-    limits: Limits | None
+    @property
+    def max_frame(self) -> int:
+        """Bytes of the largest message that a client accepts."""
+        return MAX_FRAME if self.limits is DEFAULT_LIMITS else self.limits.frame
 
 
-class ClientKeywords(_SharedKeywords, total=False):
-    """The keyword arguments of a transport that a client uses."""
+class ClientSettings(LineSettings, frozen=True, kw_only=True):
+    """The settings of a client."""
 
-    token: str
-    reconnect: bool
-    reconnect_timeout: float
-    window: int
+    only_for_clients: ClassVar[tuple[str, ...]] = (
+        *LineSettings.only_for_clients,
+        "reconnect",
+        "reconnect_timeout",
+    )
 
+    reconnect: bool = True
+    """Open a lost connection again, and continue with open calls."""
+    reconnect_timeout: float = 30.0
+    """Seconds that the calls of a client wait for a lost connection to come back."""
 
-class ServerKeywords(_SharedKeywords, total=False):
-    """The keyword arguments of a transport that a server uses."""
+    def __post_init__(self) -> None:
+        """Check the values.
 
-    tokens: Mapping[str, str] | None
-    authorize: Authorize | None
-    orphans: Literal["keep", "cancel"]
-    grace: float
-
-
-class WireKeywords(ClientKeywords, ServerKeywords, total=False):
-    """The keyword arguments that every transport over the wire protocol has."""
-
-
-class _RosKeywords(TypedDict, total=False):
-    namespace: str
-    domain_id: int | None
-    arguments: Sequence[str] | None
-    node: Any
-    feedback_depth: int
-    discovery_timeout: float
-    via: str
-    search: Sequence[str]
-    discovery: str
-    peers: Sequence[str]
-    network: Sequence[str]
-    fragment_size: int
+        Raises:
+            ValueError: As for `LineSettings`.
+        """
+        super().__post_init__()
+        check_range("reconnect_timeout", self.reconnect_timeout, 0, math.inf)
 
 
-class _RosbridgeKeywords(TypedDict, total=False):
-    accepted_after: float
-    answer_timeout: float
-    schemas: bool
-    cancel_on_disconnect: bool
+class WireSettings(ClientSettings, frozen=True, kw_only=True):
+    """The settings of both halves of a transport over the wire protocol; each reads its own."""
 
+    only_for_servers: ClassVar[tuple[str, ...]] = ("tokens", "authorize", "orphans", "grace")
 
-class _McpKeywords(TypedDict, total=False):
-    allow: Iterable[str]
-    unasked: Iterable[str]
-    read_only: bool
-    patience: float
+    tokens: Mapping[str, str] | None = None
+    """The tokens that a server accepts, each with the name of its client;
+    None lets every client in."""
+    authorize: Authorize | None = None
+    """The function that decides what a client may do at a server; None permits everything."""
+    orphans: Literal["keep", "cancel"] = "keep"
+    """The fate of the goals whose client does not come back to a server: `"keep"` continues them,
+    `"cancel"` cancels them."""
+    grace: float = 10.0
+    """Seconds in which a client may come back to a server for its goals."""
 
+    def __post_init__(self) -> None:
+        """Check the values.
 
-class ConnectKeywords(ClientKeywords, _RosKeywords, _RosbridgeKeywords, total=False):
-    """The settings that `connect` passes on to the transport of a URL."""
+        Raises:
+            ValueError: As for `ClientSettings`, or `orphans` is another word.
+        """
+        super().__post_init__()
+        check_range("grace", self.grace, 0, math.inf)
+        if self.orphans not in ("keep", "cancel"):
+            raise ValueError(f"orphans is 'keep' or 'cancel', not {self.orphans!r}")
+        _ = self.access  # which checks the tokens
 
-    tls: TlsFiles | SSLContext | None
-
-
-class ServeKeywords(ServerKeywords, _RosKeywords, _McpKeywords, total=False):
-    """The settings that `serve` passes on to the transports of URLs."""
-
-    tls: TlsFiles | SSLContext | None
-    insecure: bool
-    hosts: Iterable[str]
-    origins: Iterable[str]
-
-
-def client_settings(given: WireKeywords) -> ClientSettings:
-    """Return the settings of the connecting half.
-
-    Raises:
-        ValueError: A value is out of range.
-    """
-    limits = given.get("limits")
-    fields = _fields_of(ClientSettings, given)
-    if limits is not None:
-        fields["max_frame"] = limits.frame
-    return ClientSettings(**fields)
-
-
-def server_settings(given: WireKeywords) -> ServerSettings:
-    """Return the settings of the serving half.
-
-    Raises:
-        ValueError: A value is out of range.
-    """
-    access = AccessPolicy(given.get("tokens"), given.get("authorize"))
-    fields = _fields_of(ServerSettings, given)
-    fields["limits"] = given.get("limits") or Limits()
-    return ServerSettings(access=access, **fields)
-
-
-def _fields_of(kind: type[msgspec.Struct], given: WireKeywords) -> dict[str, Any]:
-    return {name: value for name, value in given.items() if name in kind.__struct_fields__}
-
-
-def _check_range(name: str, value: float, least: float, most: float) -> None:
-    check_is_number(name, value)
-    if not least <= value <= most:
-        raise ValueError(f"{name} is between {least} and {most}, not {value}")
+    @cached_property
+    def access(self) -> AccessPolicy:
+        """The tokens and permissions of the clients."""
+        return AccessPolicy(self.tokens, self.authorize)

@@ -4,14 +4,15 @@ A `WireTransport` says how to open and to accept lines; the rest is here and in 
 settings and their checks, URLs with settings after `?`, TLS files, `serve` and `connect`. A
 subclass has
 
-- a constructor with its address, which passes `**settings` on,
+- `settings_type`, a struct of its settings, if it has more than those of the wire protocol,
+- a constructor with its address, and with settings by keyword,
 - `address_of`, the address in a URL as arguments of the constructor,
 - `url`, the address as a URL,
 - `open_line`, which connects,
 - `accept_lines`, which listens, and hands each line to the `WireServer`.
 
-`ConfiguredTransport` is the part with the settings and the URL, for a transport whose lines are
-only a part of how it connects.
+`ConfiguredTransport` is the part with the settings and the URL, for a transport that connects in
+another way.
 
 `docs/howto/write_a_transport.md` writes one; `fibaction_transports.tcp` has two, and `web` one.
 """
@@ -19,66 +20,33 @@ only a part of how it connects.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import AsyncGenerator, Callable, Generator, Mapping
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, Unpack
-from urllib.parse import SplitResult, parse_qsl, urlsplit
+from collections.abc import AsyncGenerator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from urllib.parse import SplitResult
 
 from fibaction.border.abc import Connection, Endpoint, Transport
-from fibaction.border.urls import check_settings, unknown_setting, without_settings
+from fibaction.border.settings import TransportSettings, read_settings
+from fibaction.border.urls import invalid_url, split_url
 from fibaction.wire.channel import Line
-from fibaction.wire.client.connection import open_connection
-from fibaction.wire.settings import WireKeywords, client_settings, server_settings
+from fibaction.wire.settings import WireSettings
 from fibaction.wire.tls_files import TlsFiles
-from fibaction.words.errors import InvalidURL, TransportError
+from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
     from fibaction.wire.wire_server import WireServer
 
 T = TypeVar("T", bound="ConfiguredTransport")
-FromText = Callable[[str], Any]
-"""Makes the value of a setting from the text in a URL; raises ValueError or KeyError."""
-
-boolean: FromText = {"true": True, "false": False}.__getitem__
-"""Reads `true` and `false`."""
-_FROM_TEXT: dict[str, FromText] = {
-    "token": str,
-    "heartbeat": float,
-    "reconnect": boolean,
-    "reconnect_timeout": float,
-    "window": int,
-    "orphans": str,
-    "grace": float,
-}
 _TLS_FILES = ("ca", "cert", "key")
-_IN_CODE = ("tokens", "authorize", "limits")
-"""Settings that a URL cannot have: it ends up in logs, and is only text."""
 
 
 class ConfiguredTransport(Transport):
-    """A transport with the settings of the wire protocol, and with a URL."""
+    """A transport with a struct of settings, and with a URL that may have them."""
 
-    wire_settings: ClassVar[tuple[str, ...]] = tuple(WireKeywords.__annotations__)
-    """Names of the keyword arguments of `WireKeywords` that the subclass has."""
-    own_settings: ClassVar[tuple[str, ...]] = ()
-    """Names of keyword arguments that the subclass has in addition to those of `WireKeywords`."""
-    own_url_settings: ClassVar[Mapping[str, FromText]] = {}
-    """Settings that the subclass has after the `?` of a URL, each with its reader."""
+    settings_type: ClassVar[type[TransportSettings]]
+    """The settings of the subclass: the keyword arguments of its constructor."""
     tls_schemes: ClassVar[tuple[str, ...]] = ()
     """Schemes of URLs that have `ca`, `cert` and `key`, which become the argument `tls`."""
-
-    def __init__(self, **settings: Unpack[WireKeywords]) -> None:
-        """Take the settings of both halves; each uses its own.
-
-        Raises:
-            TypeError: There is no such setting.
-            ValueError: A number is out of range, `orphans` is another word, or a token is not
-                valid text.
-        """
-        known = (*self.wire_settings, *self.own_settings)
-        check_settings(type(self).__name__, settings, known)
-        self.client_settings = client_settings(settings)
-        self.server_settings = server_settings(settings)
 
     # The parts of a subclass
 
@@ -106,20 +74,23 @@ class ConfiguredTransport(Transport):
             InvalidURL: The address or a setting in the URL is invalid; the text says which.
             TypeError: There is no such setting.
         """
-        parts, query = _split(url)
+        parts, query = split_url(url)
         files = _TLS_FILES if parts.scheme in cls.tls_schemes else ()
-        shared = {name: _FROM_TEXT[name] for name in _FROM_TEXT if name in cls.wire_settings}
-        readers = {**shared, **cls.own_url_settings}
-        readers.update((name, str) for name in files)
-        found = _settings_in(url, query, readers)
+        found = read_settings(url, query, cls.settings_type, files)
         if files:
             found["tls"] = TlsFiles(**{name: found.pop(name, None) for name in files})
-        with _translated(url):
+        with invalid_url(url):
             return cls(**cls.address_of(parts), **{**found, **settings})
 
 
 class WireTransport(ConfiguredTransport):
     """A transport over lines of the wire protocol."""
+
+    settings_type: ClassVar[type[TransportSettings]] = WireSettings
+
+    def __init__(self, settings: WireSettings) -> None:
+        """Take the settings of both halves; each reads its own."""
+        self.settings = settings
 
     @abstractmethod
     async def open_line(self) -> Line:
@@ -150,7 +121,7 @@ class WireTransport(ConfiguredTransport):
         if len(served) < len(endpoints):
             raise TransportError("two of the endpoints serve actions of the same name")
         async with (
-            open_server(served, self.server_settings) as server,
+            open_server(served, self.settings) as server,
             self.accept_lines(server) as url,
         ):
             yield url
@@ -158,7 +129,9 @@ class WireTransport(ConfiguredTransport):
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
         """See `Transport.connect`."""
-        async with open_connection(self.open_line, self.url, self.client_settings) as connection:
+        from fibaction.wire.client.connection import open_connection  # servers do not need it
+
+        async with open_connection(self.open_line, self.url, self.settings) as connection:
             yield connection
 
 
@@ -190,50 +163,3 @@ def _surplus(parts: SplitResult, what: str) -> ValueError:
         f"it has a {what}, and the URL of a server is like"
         f" {parts.scheme}://host:port, with settings after ? such as token="
     )
-
-
-def _split(url: str) -> tuple[SplitResult, dict[str, str]]:
-    """Split a URL into its parts, and the settings after its `?`, as text."""
-    with _translated(url):
-        parts = urlsplit(url)
-    if "#" in url:
-        raise InvalidURL(
-            f"{without_settings(url)} has a part behind #, which has no meaning here: write %23 if"
-            f" the # belongs to a path or a token"
-        )
-    pairs = parse_qsl(parts.query, keep_blank_values=True)
-    settings = dict(pairs)
-    if len(settings) < len(pairs):
-        raise InvalidURL(f"{without_settings(url)}: setting given twice")
-    return parts, settings
-
-
-def _settings_in(
-    url: str, query: Mapping[str, str], readers: Mapping[str, FromText]
-) -> dict[str, Any]:
-    """Return the settings in a URL, read from their texts."""
-    settings: dict[str, Any] = {}
-    for name, text in query.items():
-        if name in _IN_CODE:
-            raise InvalidURL(
-                f"{without_settings(url)} cannot have the setting {name!r}: it is given in code,"
-                f" as in serve(..., {name}=...), and not in a URL, which ends up in logs"
-            )
-        if name not in readers:
-            raise InvalidURL(unknown_setting(without_settings(url), name, readers))
-        try:
-            settings[name] = readers[name](text)
-        except (ValueError, KeyError):
-            raise InvalidURL(
-                f"{without_settings(url)}: the setting {name!r} cannot be {text!r}"
-            ) from None
-    return settings
-
-
-@contextmanager
-def _translated(url: str) -> Generator[None, None, None]:
-    """Turn an invalid value into an invalid URL."""
-    try:
-        yield
-    except ValueError as exc:
-        raise InvalidURL(f"{without_settings(url)}: {exc}") from exc

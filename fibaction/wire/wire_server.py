@@ -24,7 +24,7 @@ from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session
-from fibaction.wire.settings import ServerSettings
+from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import (
     AuthenticationFailed,
     ConnectionLost,
@@ -42,7 +42,7 @@ class WireServer:
     """Serves endpoints to every client that connects, within the limits."""
 
     def __init__(
-        self, tasks: TaskGroup, endpoints: Mapping[str, Endpoint], settings: ServerSettings
+        self, tasks: TaskGroup, endpoints: Mapping[str, Endpoint], settings: WireSettings
     ) -> None:
         self.tasks = tasks
         """The task group of the connections."""
@@ -194,7 +194,7 @@ def too_many(address: str, most: int | None) -> str:
 
 @asynccontextmanager
 async def open_server(
-    endpoints: Mapping[str, Endpoint], settings: ServerSettings
+    endpoints: Mapping[str, Endpoint], settings: WireSettings
 ) -> AsyncGenerator[WireServer, None]:
     """Open a server of these endpoints; at the end of the block its connections are closed."""
     async with Background() as tasks:

@@ -28,7 +28,6 @@ from fibaction import (
     ServerNotFound,
     StoreError,
 )
-from fibaction.wire.settings import ClientSettings
 from fibaction_transports.nats.client.connection import open_fleet
 from fibaction_transports.nats.lines import ClientLines  # noqa: F401  # patched when it is loaded
 from fibaction_transports.nats.names import FleetNames
@@ -239,7 +238,7 @@ class World:
     async def _client(self, number: int) -> None:
         chance = self.chance
         broker = self.brokers.member(f"client {number}")
-        settings = FleetSettings("simulated", client=ClientSettings(reconnect_timeout=PATIENCE))
+        settings = FleetSettings("simulated", reconnect_timeout=PATIENCE)
         async with open_fleet(broker, NAMES, settings) as connection:
             endpoint = connection.endpoint(WORK)
             await endpoint.wait_for_server()

@@ -16,7 +16,7 @@ from typing import Any
 import anyio
 
 from fibaction import ActionServer
-from fibaction.wire.settings import Limits, server_settings
+from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.web.rosbridge.server.channel import (
     RosbridgeAsgiChannel,
@@ -46,7 +46,7 @@ async def serve(data: bytes) -> None:
         else:
             assert len(message["reason"].encode()) <= 123
 
-    settings = server_settings({"limits": LIMITS, "grace": 0, "orphans": "cancel"})
+    settings = WireSettings(limits=LIMITS, grace=0, orphans="cancel")
     async with (
         ActionServer(FIBONACCI, fibonacci, max_goals=4) as server,
         open_server({"fibonacci": server}, settings) as wire,

@@ -18,7 +18,7 @@ from anyio.abc import ByteStream, SocketAttribute
 
 from fibaction import ActionServer
 from fibaction._runtime.http_rules import rules
-from fibaction.wire.settings import Limits, server_settings
+from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.web.http.application import WebApplication
 from fibaction_transports.web.http.server import HttpServer
@@ -60,7 +60,7 @@ async def serve(data: bytes) -> None:
     pieces = (data[start : start + size] for start in range(0, len(data), size))
     async with (
         ActionServer(FIBONACCI, fibonacci, max_goals=4) as server,
-        open_server({"fibonacci": server}, server_settings({"limits": LIMITS})) as wire,
+        open_server({"fibonacci": server}, WireSettings(limits=LIMITS)) as wire,
     ):
         application = WebApplication(wire, RULES)
         await HttpServer(application, wire, RULES, "http").serve(Given(pieces))

@@ -16,7 +16,6 @@ import anyio
 
 from fibaction import ActionServer
 from fibaction._runtime.budget import ByteBudget
-from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
 from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.frames import FrameReader, header
@@ -24,7 +23,7 @@ from fibaction.wire.link import Link
 from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session
-from fibaction.wire.settings import Limits, ServerSettings
+from fibaction.wire.settings import Limits, WireSettings
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 from tests.fuzz.fuzzer import fuzz
 from tests.support.fibonacci import FIBONACCI, fibonacci
@@ -32,9 +31,7 @@ from tests.support.fibonacci import FIBONACCI, fibonacci
 LIMIT = 2**16
 HELLO = encode(Hello(VERSION, 60.0))
 LIMITS = Limits(goals=10, requests=10, memory=LIMIT)
-TERMS = ServerSettings(
-    heartbeat=60.0, access=AccessPolicy(), limits=LIMITS, orphans="keep", grace=0
-)
+TERMS = WireSettings(heartbeat=60.0, limits=LIMITS, grace=0)
 
 
 class Given(Channel):

@@ -38,7 +38,7 @@ from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.server import action_server, feedback_topic, service_server
 from fibaction_transports.ros2.server.action_server import RosActionServer, ServedEndpoint
 from fibaction_transports.ros2.server.served_statuses import ServedStatuses
-from fibaction_transports.ros2.settings import EndSettings, NodeSettings
+from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import (
     PATIENCE,
@@ -365,7 +365,7 @@ async def test_a_request_that_arrives_after_the_tasks_have_ended_is_dropped(
             own_node(NodeSettings(namespace=place)) as ros,
             anyio.create_task_group() as tasks,
         ):
-            served = RosActionServer(ros, ServedEndpoint(server, ros.types), EndSettings(), tasks)
+            served = RosActionServer(ros, ServedEndpoint(server, ros.types), RosSettings(), tasks)
             tasks.cancel_scope.cancel()  # as if trio had raised a Ctrl-C in one of them
             goals = next(one for one in ros.sources._sources if isinstance(one, Requests))
             goals._sink((None, None))

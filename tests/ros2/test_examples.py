@@ -147,7 +147,7 @@ def test_a_client_without_a_server_says_so_in_one_line() -> None:
 @pytest.mark.parametrize(
     ("url", "error"),
     [
-        ("ros2://?domain_id=many", "invalid setting 'domain_id': 'many'"),
+        ("ros2://?domain_id=many", "the setting 'domain_id' cannot be 'many'"),
         ("ros2://two%20words", "two%20words"),
     ],
 )

@@ -13,7 +13,7 @@ from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.server import feedback_topic
 from fibaction_transports.ros2.server.feedback_topic import FIRST_PACE, LOOK_PAUSE, FeedbackTopic
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
@@ -101,7 +101,7 @@ def taken(ros: Ros, time: Time) -> Callable[..., Any]:
     node: Any = ros
     names: Any = Names()
     codec: Any = Codec()
-    topic = FeedbackTopic(node, "arm", names, Message, codec, EndSettings())
+    topic = FeedbackTopic(node, "arm", names, Message, codec, RosSettings())
 
     async def publish(messages: int = MANY) -> float:
         before = time.now

@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fibaction import ActionServer, ServerNotFound, connect, serve
 from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 from tests.ros2.ends import PATIENCE, client_of, new_url
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
@@ -123,5 +123,5 @@ async def test_nothing_is_said_of_a_server_that_matches(url: str) -> None:
         ):
             await client.wait_for_server()
             presence = client_of(client.endpoint).presence
-            said = explain_mismatch(presence._ros, presence._names, EndSettings())
+            said = explain_mismatch(presence._ros, presence._names, RosSettings())
     assert said == ""

@@ -23,6 +23,7 @@ from fibaction import Action, ActionServer, GoalHandle, Limits, Schedule, serve
 from fibaction.wire.codec import FromClient, encode
 from fibaction.wire.frames import UNCOUNTED, framed, header
 from fibaction.wire.messages import VERSION, CancelGoals, Follow, Hello, SendGoal, WatchStatus
+from fibaction.wire.settings import DEFAULT_LIMITS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 sys.path.insert(0, str(DOCS))
@@ -75,7 +76,7 @@ class Raw:
 
 @asynccontextmanager
 async def serving(
-    limits: Limits | None = None, authorize: Any = None, **settings: Any
+    limits: Limits = DEFAULT_LIMITS, authorize: Any = None, **settings: Any
 ) -> AsyncGenerator[Callable[[], Awaitable[Raw]], None]:
     """Serve, and yield a function that connects a client."""
     server = ActionServer(WORK, work, shutdown_timeout=0, **settings)

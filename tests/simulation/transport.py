@@ -12,7 +12,7 @@ from fibaction.border.abc import Connection
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.frames import FrameReader
-from fibaction.wire.settings import ClientSettings, ServerSettings
+from fibaction.wire.settings import ClientSettings, WireSettings
 from fibaction.wire.wire_server import WireServer, open_server
 from fibaction_transports._socket_lines.protocol_line import ProtocolLine
 from tests.simulation.network import Line, Listener, Network
@@ -28,7 +28,7 @@ class SimulatedTransport(Transport):
         network: Network,
         line: Line | None = None,
         keeping: ClientSettings | None = None,
-        terms: ServerSettings | None = None,
+        terms: WireSettings | None = None,
         *,
         calls_back: bool = False,
         is_alive: Callable[[], bool] = lambda: True,

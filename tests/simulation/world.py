@@ -25,9 +25,9 @@ from anyio.abc import TaskGroup
 
 from fibaction import ActionError, ActionServer, serve
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.wire.auth import AccessPolicy, Peer, Permission
+from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.server.session import Session
-from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
+from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import StoreError
 from tests.simulation import loop as virtual
@@ -225,8 +225,14 @@ class World:
 
         rules: dict[str, Any] = {"open": None, "sync": decide, "async": decide_later}
         tokens = {HONEST_TOKEN: "honest", HOSTILE_TOKEN: "hostile"}
-        access = AccessPolicy(tokens if plan.asks_for_tokens else None, rules[plan.authorize])
-        terms = ServerSettings(plan.heartbeat, access, self.limits, plan.orphans, plan.grace)
+        terms = WireSettings(
+            heartbeat=plan.heartbeat,
+            limits=self.limits,
+            tokens=tokens if plan.asks_for_tokens else None,
+            authorize=rules[plan.authorize],
+            orphans=plan.orphans,
+            grace=plan.grace,
+        )
         return SimulatedTransport(
             self.network,
             terms=terms,

@@ -20,7 +20,6 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import Endpoint
-from fibaction.border.urls import transport_for
 from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import Sender
 from fibaction_transports import inprocess
@@ -31,25 +30,30 @@ from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 pytestmark = pytest.mark.asyncio
 
 
-@pytest.mark.parametrize(
-    "url", ["inproc://", "inproc://a/b", "inproc://ä", "inproc://a b", "inproc://a#b"]
-)
+@pytest.mark.parametrize("url", ["inproc://", "inproc://a/b", "inproc://ä", "inproc://a b"])
 async def test_a_url_with_no_good_name_is_rejected(url: str) -> None:
     with pytest.raises(TransportError, match="an in-process URL is like inproc://robot, not"):
         InProcessTransport.from_url(url)
 
 
-async def test_it_has_no_settings() -> None:
-    with pytest.raises(TypeError, match="token"):
-        InProcessTransport.from_url("inproc://a", token="x")
+async def test_it_takes_the_settings_of_every_client() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    async with serve(server, "inproc://settings"):
+        url = "inproc://settings?token=secret&heartbeat=2"
+        async with connect(url, FIBONACCI, reconnect_timeout=5, window=3) as client:
+            assert await client.call(Goal(1)) == Result([0, 1])
 
 
-async def test_settings_in_its_url_are_rejected_and_not_shown() -> None:
+@pytest.mark.parametrize("setting", ["tokens", "authorize", "insecure"])
+async def test_settings_that_would_protect_a_server_are_rejected(setting: str) -> None:
+    with pytest.raises(TypeError, match=f"InProcessTransport has no setting '{setting}'"):
+        InProcessTransport.from_url("inproc://a", **{setting: None})
+
+
+async def test_an_invalid_setting_is_an_error_without_its_value() -> None:
     with pytest.raises(TransportError) as caught:
-        InProcessTransport.from_url("inproc://a?token=secret")
-    assert str(caught.value) == (
-        "inproc://a does not take settings: leave out the ? and what follows it"
-    )
+        InProcessTransport.from_url("inproc://a?heartbeat=x&token=secret")
+    assert str(caught.value) == "inproc://a: the setting 'heartbeat' cannot be 'x'"
 
 
 async def test_transports_of_one_name_meet_and_those_without_a_name_do_not() -> None:
@@ -209,14 +213,6 @@ async def test_a_place_that_is_not_used_any_more_is_forgotten() -> None:
     InProcessTransport("passing")
     gc.collect()
     assert "inproc://passing" not in inprocess._directories
-
-
-async def test_a_setting_by_name_is_an_error_since_there_are_none() -> None:
-    with pytest.raises(TypeError) as caught:
-        transport_for("inproc://robot", heartbeat=2)
-    assert str(caught.value) == (
-        "InProcessTransport has no setting 'heartbeat'; it has no settings"
-    )
 
 
 async def test_a_connection_that_was_closed_says_so() -> None:

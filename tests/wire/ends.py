@@ -8,12 +8,12 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any, Literal
 
 import anyio
+import msgspec
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection, Endpoint, ForwardingEndpoint
 from fibaction.server import ActionServer, Schedule
 from fibaction.testing import ScriptedServer
-from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.codec import decode_from_client, decode_from_server
@@ -33,7 +33,7 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
 )
-from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
+from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.wire.wire_server import WireServer, open_server
 from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction.words.goals import GoalID
@@ -187,7 +187,7 @@ class Served:
 @asynccontextmanager
 async def serving(
     *servers: ActionServer[Any, Any, Any] | ForwardingEndpoint,
-    access: AccessPolicy | None = None,
+    access: WireSettings | None = None,
     limits: Limits | None = None,
     heartbeat: float = LONG,
     grace: float = 10.0,
@@ -199,7 +199,9 @@ async def serving(
         for server in servers:
             await stack.enter_async_context(server)
         endpoints: dict[str, Endpoint] = {server.info.name: server for server in servers}
-        terms = ServerSettings(heartbeat, access or AccessPolicy(), limits, then, grace)
+        terms = msgspec.structs.replace(
+            access or WireSettings(), heartbeat=heartbeat, limits=limits, orphans=then, grace=grace
+        )
         wire = await stack.enter_async_context(open_server(endpoints, terms))
         yield Served(wire, endpoints, limits.frame)
 

@@ -11,7 +11,6 @@ import pytest
 
 from fibaction.border.abc import GoalRequest
 from fibaction.testing import ScriptedServer
-from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.codec import encode
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
@@ -23,7 +22,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.settings import ClientSettings, Limits
+from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.words.goals import Sender
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
@@ -65,7 +64,7 @@ async def test_a_session_has_sixteen_or_thirty_two_bytes_or_none(length: int) ->
 
 
 async def test_the_same_session_with_another_token_is_another_client() -> None:
-    access = AccessPolicy({"sesame": "ann", "open": "bob", "too": "ann"})
+    access = WireSettings(tokens={"sesame": "ann", "open": "bob", "too": "ann"})
     async with serving(held(), access=access) as served:
         ann = await served.greet(SESSION, "sesame")
         await ann.send(1)
@@ -89,7 +88,7 @@ async def test_each_client_is_told_from_the_others_by_its_owner() -> None:
             senders.append(request.sender)
             return super().offer_goal(request)
 
-    access = AccessPolicy({"sesame": "ann", "open": "bob"})
+    access = WireSettings(tokens={"sesame": "ann", "open": "bob"})
     async with serving(Noting(FIBONACCI, [anyio.Event()]), access=access) as served:
         for number, (session, token) in enumerate(
             ((ANN, "sesame"), (ANN, "sesame"), (ANN, "open"), (BOB, "sesame"), *[(b"", "open")] * 2)

@@ -46,7 +46,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.settings import ClientSettings
+from fibaction.wire.settings import ClientSettings, Limits
 from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
@@ -133,7 +133,7 @@ def end(call_id: int, place: int = 0) -> Ended:
 
 async def test_the_first_message_names_the_client_on_each_connection() -> None:
     network = Network()
-    settings = ClientSettings(heartbeat=LONG, token="s3cret", max_frame=1234)
+    settings = ClientSettings(heartbeat=LONG, token="s3cret", limits=Limits(frame=1234))
     assert "s3cret" not in repr(settings)
     hellos = []
 

@@ -1176,7 +1176,7 @@ async def test_a_message_over_every_servers_limit_is_not_sent() -> None:
         assert await server.hear_all() == []
 
 
-SMALL = ClientSettings(heartbeat=LONG, window=WINDOW, max_frame=LEAST_FRAME)
+SMALL = ClientSettings(heartbeat=LONG, window=WINDOW, limits=Limits(frame=LEAST_FRAME))
 
 
 async def test_messages_over_the_limit_of_either_end_harm_one_goal_and_no_connection() -> None:

@@ -8,7 +8,6 @@ import pytest
 from msgspec.structs import replace
 
 from fibaction.border.abc import ForwardingEndpoint
-from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.messages import (
     Close,
     Credit,
@@ -21,6 +20,7 @@ from fibaction.wire.messages import (
     Why,
     past_fields,
 )
+from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import LimitReached, ProtocolError
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import GoalID, GoalInfo
@@ -178,7 +178,7 @@ async def test_a_page_is_asked_for_again_on_the_next_connection() -> None:
 
 
 async def test_those_who_may_not_observe_see_no_history() -> None:
-    access = AccessPolicy(authorize=lambda peer, action, permission: False)
+    access = WireSettings(authorize=lambda peer, action, permission: False)
     async with serving(endpoint := Remembering(past(1)), access=access) as served:
         client = await served.greet()
         asked = WatchStatus(1, "fibonacci", ANY, past_fields(PastPage()))

@@ -12,7 +12,7 @@ import pytest
 from fibaction import RejectionCode
 from fibaction._runtime.slices import SLICE
 from fibaction.testing import ScriptedServer
-from fibaction.wire.auth import AccessPolicy, Permission
+from fibaction.wire.auth import Permission
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
@@ -38,7 +38,7 @@ from fibaction.wire.messages import (
     WatchStatus,
     Why,
 )
-from fibaction.wire.settings import Limits
+from fibaction.wire.settings import Limits, WireSettings
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
 from tests.support.slices import SliceClock
@@ -155,7 +155,7 @@ async def test_goals_of_one_client_wait_within_its_limit_of_memory(by: str) -> N
     """A permission that is waited for counts as well as a decision."""
     deciding = Deciding()
     server = running(fib.Result([]), on_goal=deciding.on_goal)
-    access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None
+    access = WireSettings(authorize=deciding.authorize) if by == "authorize" else None
     async with serving(server, access=access, limits=Limits(memory=2 * len(GOAL))) as served:
         client, other = await served.greet(ANN), await served.greet(BOB)
         rejected = Rejected(
@@ -177,7 +177,7 @@ async def test_goals_of_all_clients_wait_within_one_limit_of_memory(
     monkeypatch.setattr("fibaction.wire.server.session_goals.UNCOUNTED", 0)
     deciding = Deciding()
     server = running(fib.Result([]), on_goal=deciding.on_goal)
-    access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None
+    access = WireSettings(authorize=deciding.authorize) if by == "authorize" else None
     limits = Limits(total_memory=2 * len(GOAL))
     async with serving(server, access=access, limits=limits) as served:
         clients = [await served.greet(session) for session in (ANN, BOB, b"cem" * 5 + b"!")]
@@ -207,7 +207,7 @@ async def test_small_goals_of_a_client_wait_also_if_others_use_up_the_memory_of_
 # A goal that another client has sent
 
 
-def only(*permissions: Permission, is_async: bool) -> AccessPolicy:
+def only(*permissions: Permission, is_async: bool) -> WireSettings:
     """Return an access policy that permits these requests only."""
 
     async def authorize(_peer: Any, _action: str, permission: Permission) -> bool:
@@ -215,8 +215,8 @@ def only(*permissions: Permission, is_async: bool) -> AccessPolicy:
         return permission in permissions
 
     if is_async:
-        return AccessPolicy(authorize=authorize)
-    return AccessPolicy(authorize=lambda _, __, permission: permission in permissions)
+        return WireSettings(authorize=authorize)
+    return WireSettings(authorize=lambda _, __, permission: permission in permissions)
 
 
 @pytest.mark.parametrize("is_async", [False, True])
@@ -283,7 +283,7 @@ async def test_a_goal_that_another_client_sends_too_waits_for_its_own_client_onl
 async def test_a_request_with_a_long_name_does_not_wait() -> None:
     """It could wait for a permission, with as many bytes as a message may have."""
     deciding = Deciding()
-    access = AccessPolicy(authorize=deciding.authorize)
+    access = WireSettings(authorize=deciding.authorize)
     text = "the name of an action has at most 1000 characters"
     async with serving(held(), access=access) as served:
         client = await served.greet()

@@ -15,7 +15,7 @@ from hypothesis import strategies as some
 from fibaction.border.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord
-from fibaction.wire.auth import AccessPolicy, Permission
+from fibaction.wire.auth import Permission
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import (
@@ -34,6 +34,7 @@ from fibaction.wire.messages import (
     StatusChanged,
     Why,
 )
+from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import ConnectionLost, GoalKept, GoalRejected, UnknownGoal
 from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, digest_of
 from fibaction.words.statuses import GoalStatus
@@ -473,7 +474,7 @@ async def test_the_end_of_a_goal_is_kept_for_its_client_also_after_a_restart() -
 
 
 async def test_a_client_that_may_only_send_may_follow_its_own_goals_after_a_restart() -> None:
-    access = AccessPolicy(authorize=lambda _, __, verb: verb is Permission.SEND)
+    access = WireSettings(authorize=lambda _, __, verb: verb is Permission.SEND)
     kept = Kept()
     async with await started_again(kept, access=access) as served:
         for session in (BOB, b""):

@@ -16,7 +16,7 @@ import pytest
 from fibaction import ActionServer
 from fibaction.border.abc import Connection, GoalRequest
 from fibaction.testing import ScriptedServer
-from fibaction.wire.auth import AccessPolicy, Permission
+from fibaction.wire.auth import Permission
 from fibaction.wire.codec import encode
 from fibaction.wire.link import HIGH_WATER, OVERFULL
 from fibaction.wire.messages import (
@@ -44,7 +44,7 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.wire.server.end_only import EndOnly
-from fibaction.wire.settings import ClientSettings, Limits
+from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, ServerNotFound
 from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
@@ -440,7 +440,7 @@ async def test_an_observer_that_is_lost_leaves_the_goal_as_it_was() -> None:
 
 
 async def test_a_client_that_may_only_send_may_follow_its_own_goals_again() -> None:
-    access = AccessPolicy(authorize=lambda _, __, verb: verb is Permission.SEND)
+    access = WireSettings(authorize=lambda _, __, verb: verb is Permission.SEND)
     async with serving(held(), access=access) as served:
         client = await served.greet(ANN)
         await client.send(1)

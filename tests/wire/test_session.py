@@ -13,7 +13,7 @@ from fibaction.border.abc import GoalRequest
 from fibaction.server import ActionServer
 from fibaction.testing import ScriptedServer
 from fibaction.types.action import Action
-from fibaction.wire.auth import AccessPolicy, Peer, Permission
+from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.messages import (
     VERSION,
     Actions,
@@ -48,7 +48,7 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.wire.server.requests import ChangingEndpoints
-from fibaction.wire.settings import Limits, ServerSettings
+from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import (
     ActionError,
@@ -140,7 +140,7 @@ async def test_a_client_that_begins_in_a_wrong_way_is_told_so_and_harms_no_other
     messages: list[Any], end: tuple[Goodbye, str]
 ) -> None:
     goodbye, text = end
-    async with serving(held(), access=AccessPolicy({"right": "ann"})) as served:
+    async with serving(held(), access=WireSettings(tokens={"right": "ann"})) as served:
         good = await served.greet(token="right")
         with logged() as lines:
             bad = served.connect("the bad one")
@@ -195,7 +195,7 @@ async def test_the_loss_of_a_client_is_one_line_of_the_log() -> None:
 
 
 async def test_a_token_is_in_no_line_of_the_log() -> None:
-    async with serving(held(), access=AccessPolicy({"right": "ann"})) as served:
+    async with serving(held(), access=WireSettings(tokens={"right": "ann"})) as served:
         with logged(logging.DEBUG) as lines:
             for version in (VERSION, 2):
                 await served.connect().say(Hello(version, LONG, "s3cret"))
@@ -379,7 +379,7 @@ async def test_an_observer_may_leave_before_the_answer() -> None:
             await decided.wait()
         return True
 
-    access, limits = AccessPolicy(authorize=authorize), Limits(goals=1)
+    access, limits = WireSettings(authorize=authorize), Limits(goals=1)
     async with serving(held(), access=access, limits=limits) as served:
         client, other = await served.greet(ANN), await served.greet(BOB)
         await client.send(1)
@@ -465,7 +465,7 @@ async def test_the_actions_that_are_served_are_listed() -> None:
 
 
 async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
-    async with serving(held(), access=AccessPolicy({"right": "ann"})) as served:
+    async with serving(held(), access=WireSettings(tokens={"right": "ann"})) as served:
         client = await served.greet(token="right")
         stamp = (await client.send(1)).stamp
         assert await client.ask(WatchStatus(2, "fibonacci", 1), Watching) == Watching(2, 1)
@@ -520,7 +520,7 @@ async def test_a_client_is_told_when_the_server_is_there() -> None:
 async def test_where_actions_come_and_go_a_client_is_told_when_its_own_has_come() -> None:
     server, endpoints = held(), ChangingEndpoints()
     other = ScriptedServer(Action("swim", goal=int, feedback=int, result=str), ())
-    settings = ServerSettings(LONG, AccessPolicy(), Limits(heartbeat=LONG), "keep", 10.0)
+    settings = WireSettings(heartbeat=LONG, limits=Limits(heartbeat=LONG))
     async with server, other, open_server(endpoints, settings) as wire:
         client = await Served(wire, endpoints, settings.limits.frame).greet()
         await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"), Close(1))
@@ -548,7 +548,7 @@ async def test_goals_that_wait_are_told_with_their_places() -> None:
 
 
 async def test_the_clients_of_an_action_are_told_by_token_and_address_of_all_connections() -> None:
-    access = AccessPolicy({"sesame": "ann", "open": "bob"})
+    access = WireSettings(tokens={"sesame": "ann", "open": "bob"})
     async with serving(held(), access=access) as served:
         ann = await served.greet(ANN, "sesame", name="10.0.0.7:1")
         bob = await served.greet(BOB, "open", name="10.0.0.8:2")
@@ -596,7 +596,7 @@ async def test_a_request_that_is_not_allowed_fails_and_the_endpoint_is_not_asked
         asked.append((peer, action, wanted))
         return wanted is not verb
 
-    access = AccessPolicy({"secret": "ann"}, authorize)
+    access = WireSettings(tokens={"secret": "ann"}, authorize=authorize)
     async with serving(access=access) as served:
         served.endpoints["fibonacci"] = Unasked()  # type: ignore[assignment]  # other uses fail
         client = await served.greet(token="secret")
@@ -614,7 +614,7 @@ async def test_nobody_waits_for_an_action_where_the_actions_cannot_change() -> N
 
 
 async def test_a_client_without_permissions_is_not_told_what_there_is() -> None:
-    async with serving(access=AccessPolicy(authorize=lambda *_: False)) as served:
+    async with serving(access=WireSettings(authorize=lambda *_: False)) as served:
         client = await served.greet()
         assert (await client.ask(WatchStatus(1, "swim", 1), Failed)).why == Why.FORBIDDEN
 
@@ -624,7 +624,7 @@ async def test_a_request_that_is_allowed_is_granted() -> None:
         await anyio.lowlevel.checkpoint()
         return verb is Permission.SEND
 
-    async with serving(held(), access=AccessPolicy(authorize=authorize)) as served:
+    async with serving(held(), access=WireSettings(authorize=authorize)) as served:
         client = await served.greet()
         await client.send(1)
         assert (await client.ask(AwaitServer(2, "fibonacci"), Failed)).why == Why.FORBIDDEN
@@ -644,7 +644,7 @@ async def test_the_timeout_of_a_goal_begins_when_the_goal_arrives(waits: bool) -
         await anyio.sleep(2)
         return True
 
-    access = AccessPolicy(authorize=authorize) if waits else AccessPolicy()
+    access = WireSettings(authorize=authorize) if waits else WireSettings()
     async with serving(Noting(FIBONACCI, [anyio.Event()]), access=access) as served:
         client = await served.greet()
         for number, timeout in enumerate((5.0, None), 1):
@@ -710,7 +710,7 @@ async def test_a_permission_that_awaits_a_canceled_task_fails_that_request_only(
             raise anyio.get_cancelled_exc_class()
         return True
 
-    async with serving(held(), access=AccessPolicy(authorize=authorize)) as served:
+    async with serving(held(), access=WireSettings(authorize=authorize)) as served:
         client = await served.greet()
         failed = await client.ask(WatchStatus(1, "fibonacci", ANY), Failed)
         assert failed == Failed(1, Why.SERVER_FAILED, "the server failed: CancelledError")
@@ -867,7 +867,7 @@ async def test_a_permission_that_comes_after_the_connection_has_ended_sends_noth
         return True
 
     server = scripted(anyio.Event())
-    async with serving(server, access=AccessPolicy(authorize=authorize)) as served:
+    async with serving(server, access=WireSettings(authorize=authorize)) as served:
         client = await served.greet()
         await client.say(send(1))
         await settled()
@@ -913,7 +913,7 @@ async def test_a_decision_that_the_end_of_the_connection_cut_off_is_made_anew(
 
 
 async def test_a_newer_connection_of_a_client_ends_the_one_before_and_no_other() -> None:
-    async with serving(held(), access=AccessPolicy({"right": "ann"})) as served:
+    async with serving(held(), access=WireSettings(tokens={"right": "ann"})) as served:
         other, nameless = await served.greet(BOB, "right"), await served.greet(b"", "right")
         first = await served.greet(ANN, "right", name="the first")
         stranger = served.connect()

@@ -11,7 +11,8 @@ import re
 import uuid
 from collections.abc import AsyncGenerator, Coroutine
 from contextlib import asynccontextmanager, suppress
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, Unpack
+from urllib.parse import SplitResult
 from weakref import WeakSet, WeakValueDictionary
 
 import msgspec
@@ -23,10 +24,11 @@ from fibaction.border.abc import (
     GoalStream,
     Notifier,
     StatusStream,
-    Transport,
 )
-from fibaction.border.urls import check_settings
+from fibaction.border.settings import TransportSettings
 from fibaction.types.action import Action, ActionInfo
+from fibaction.wire.settings import ClientSettings
+from fibaction.wire.transport import ConfiguredTransport
 from fibaction.words.errors import (
     ConnectionLost,
     InvalidURL,
@@ -36,6 +38,9 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, GoalInfo, Sender
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import ClientKeywords
 
 StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 
@@ -68,37 +73,42 @@ class _Directory:
 _directories: WeakValueDictionary[str, _Directory] = WeakValueDictionary()
 
 
-class InProcessTransport(Transport):
+class InProcessTransport(ConfiguredTransport):
     """The transport between clients and servers in one process.
 
     Without a name it makes a unique URL, for example for one test; clients and servers then need
-    this object, or that URL.
+    this object, or that URL. The settings of clients of other transports are accepted and have no
+    effect, since there is no connection to lose: a program changes only the address.
     """
+
+    settings_type: ClassVar[type[TransportSettings]] = ClientSettings
 
     shares_event_loop = True
     shares_address = True
 
-    def __init__(self, name: str | None = None) -> None:
+    def __init__(self, name: str | None = None, **settings: Unpack[ClientKeywords]) -> None:
+        """Take a name of letters, digits and `_.-`.
+
+        Raises:
+            InvalidURL: The name has other characters.
+            TypeError: There is no such setting.
+            ValueError: A setting is out of range.
+        """
+        ClientSettings.of(self, settings)
         url = f"inproc://{name or uuid.uuid4().hex}"
         if not _URL.fullmatch(url):
             raise InvalidURL(f"an in-process URL is like inproc://robot, not {url!r}")
         self._place = _directories.setdefault(url, _Directory(url))
 
     @classmethod
-    def from_url(cls, url: str, **settings: Any) -> InProcessTransport:
-        """Make a transport from `inproc://name`, where the name has letters, digits and `_.-`.
+    def address_of(cls, parts: SplitResult) -> dict[str, Any]:
+        """Return the name in a URL, which has nothing else."""
+        return {"name": f"{parts.netloc}{parts.path}" or "/"}
 
-        It does not take settings.
-
-        Raises:
-            InvalidURL: The URL is invalid.
-            TypeError: Settings were given.
-        """
-        where, has_settings, _ = url.partition("?")
-        if has_settings:  # they are not shown: copied from another URL, they may have a token
-            raise InvalidURL(f"{where} does not take settings: leave out the ? and what follows it")
-        check_settings(cls.__name__, settings, ())
-        return cls(url.removeprefix("inproc://") or "/")
+    @property
+    def url(self) -> str:
+        """The address as a URL."""
+        return self._place.url
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:

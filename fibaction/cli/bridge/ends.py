@@ -137,7 +137,7 @@ async def open_end(url: str) -> AsyncGenerator[BridgeEnd, None]:
     if isinstance(transport, WireTransport):
         end = _WireEnd()
         async with (
-            open_server(end.endpoints, transport.server_settings) as server,
+            open_server(end.endpoints, transport.settings) as server,
             transport.accept_lines(server) as end.where,
         ):
             yield end

@@ -105,7 +105,7 @@ async def console(url: str, port: int, *, opens: bool) -> int:
         found = ReachableActions(connection)
         found.take(await connection.actions())
         async with (
-            open_server(found.endpoints, page.server_settings) as server,
+            open_server(found.endpoints, page.settings) as server,
             page.accept_lines(server) as where,
             anyio.create_task_group() as tasks,
         ):
@@ -124,7 +124,7 @@ async def show_recording(path: str, port: int, *, opens: bool) -> int:
     page, token = page_at(port, recording=path)
     async with (
         stop_signals() as stop,
-        open_server({}, page.server_settings) as server,
+        open_server({}, page.settings) as server,
         page.accept_lines(server) as where,
         anyio.create_task_group() as tasks,
     ):

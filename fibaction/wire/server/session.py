@@ -71,7 +71,7 @@ from fibaction.wire.server.requests import Answer, Request, RequestHandlers
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.server.session_goals import GoalMessage, SessionGoals, too_much
 from fibaction.wire.server.subscriptions import RequestSubscription, Subscription
-from fibaction.wire.settings import ServerSettings
+from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
@@ -96,7 +96,7 @@ class Session:
         self,
         link: Link,
         endpoints: Mapping[str, Endpoint],
-        settings: ServerSettings,
+        settings: WireSettings,
         owners: Owners,
         memory: ByteBudget,
         clients_of: Callable[[str], list[str]],

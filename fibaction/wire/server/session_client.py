@@ -12,7 +12,7 @@ from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.codec import FromClient
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
 from fibaction.wire.messages import VERSION, Hello
-from fibaction.wire.settings import ServerSettings
+from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import AuthenticationFailed, ProtocolError, ServerNotFound
 from fibaction.words.goals import GoalID, Sender, digest_of
 
@@ -24,7 +24,7 @@ class SessionClient:
     """The client of one session, unknown until it has said hello."""
 
     def __init__(
-        self, address: str, endpoints: Mapping[str, Endpoint], settings: ServerSettings
+        self, address: str, endpoints: Mapping[str, Endpoint], settings: WireSettings
     ) -> None:
         self._address = address
         self._endpoints = endpoints

@@ -221,7 +221,7 @@ async def test_the_settings_in_a_url_are_those_of_the_constructor() -> None:
     ("url", "text"),
     [
         ("mcp+http://h:1?patience=0", "patience is finite"),
-        ("mcp+http://h:1?allow=", "cannot be empty"),
+        ("mcp+http://h:1?allow=", "'allow' cannot be ''"),
         ("mcp+http://h:1?read_only=yes", "'read_only' cannot be 'yes'"),
         ("mcp+http://h:1?tokens=a", "given in code"),
         ("mcp+http://h:1/path", "it has a path"),

@@ -30,7 +30,7 @@ from fibaction.border.goal_store import (
     no_obstacle,
 )
 from fibaction.wire.channel import Line
-from fibaction.wire.settings import ClientSettings, ServerSettings
+from fibaction.wire.settings import ClientSettings, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goal_history import GoalHistory
@@ -330,7 +330,7 @@ class FakeWorker:
                     server.keep_in(FakeStore(self.broker, self))
                 await stack.enter_async_context(server)  # type: ignore[arg-type]
             endpoints = {one.info.name: one for one in servers}
-            self.server = await stack.enter_async_context(open_server(endpoints, ServerSettings()))
+            self.server = await stack.enter_async_context(open_server(endpoints, WireSettings()))
             self.actions = tuple(ServedAction(one.info, self.is_kept) for one in servers)
             for action in endpoints:
                 self.listen(NAMES.offer(action))

@@ -12,7 +12,7 @@ from fibaction import ActionServer, GoalCanceled, GoalHandle, ServerNotFound, co
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader
-from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
+from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction_transports.nats.broker.broker import Message
 from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker
@@ -31,7 +31,7 @@ def transport_to(server: NatsServer, fleet: str, heartbeat: float = 1.0) -> Line
     return LineTransport(
         FleetSettings(fleet, (server.address,)),
         ClientSettings(heartbeat=heartbeat),
-        ServerSettings(heartbeat=heartbeat),
+        WireSettings(heartbeat=heartbeat),
     )
 
 
@@ -445,7 +445,7 @@ async def test_a_message_for_an_unknown_line_is_ignored(
 async def test_limits_of_the_server_hold_on_a_line(shared_broker: NatsServer, fleet: str) -> None:
     transport = LineTransport(
         FleetSettings(fleet, (shared_broker.address,)),
-        server=ServerSettings(limits=Limits(frame=2048)),
+        server=WireSettings(limits=Limits(frame=2048)),
     )
     async with serve(ActionServer(FIBONACCI, fibonacci), transport):
         async with connect(transport, FIBONACCI) as client:

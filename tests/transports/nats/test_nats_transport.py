@@ -37,7 +37,7 @@ def test_a_url_has_brokers_a_login_a_fleet_and_settings() -> None:
     assert (settings.user, settings.password, settings.login_token) == ("me", "p@ss", "")
     assert (settings.fleet, settings.worker) == ("my/fleet", "robot7")
     assert (settings.lease, settings.replicas, settings.creds) == (20, 3, "/c")
-    assert (settings.client.token, settings.server.heartbeat) == ("secret", 2)
+    assert (settings.token, settings.heartbeat) == ("secret", 2)
     assert transport.url == "nats://one:4222,two:5000,[::1]:4222/my%2Ffleet"
 
 
@@ -94,7 +94,7 @@ def test_arguments_count_for_more_than_the_url() -> None:
         ("nats://host/f?history_days=0", "history_days is more than 0, not 0"),
         ("nats://host/f?history_goals=0", "history_goals is 1 or more, not 0"),
         ("nats://host/f?tokens=a", "'tokens': it is given in code"),
-        ("nats://host/f?password=a", "has no setting 'password'"),
+        ("nats://host/f?password=a", "'password': it is given in code"),
         ("nats://host/f?worker=a&worker=b", "setting given twice"),
         (f"nats://host/{'%20' * 40}", "the name of the fleet is too long"),
     ],

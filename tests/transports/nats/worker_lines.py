@@ -8,7 +8,7 @@ from typing import Any
 
 from fibaction.border.abc import Connection, Endpoint, Transport
 from fibaction.wire.client.connection import open_connection
-from fibaction.wire.settings import ClientSettings, ServerSettings
+from fibaction.wire.settings import ClientSettings, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.lines import ClientLines, WorkerLines
@@ -25,12 +25,12 @@ class LineTransport(Transport):
         self,
         settings: FleetSettings,
         client: ClientSettings | None = None,
-        server: ServerSettings | None = None,
+        server: WireSettings | None = None,
     ) -> None:
         self._settings = settings
         self._names = FleetNames(settings.fleet)
         self._client = client or ClientSettings()
-        self._server = server or ServerSettings()
+        self._server = server or WireSettings()
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> Transport:

@@ -397,7 +397,7 @@ async def test_the_domain_and_the_range_may_be_settings(monkeypatch: pytest.Monk
     ("settings", "problem"),
     [
         ({"discovery": "EVERYWHERE"}, "discovery is one of OFF, LOCALHOST, SUBNET"),
-        ({"fragment_size": 100}, "fragment_size must be between 256 and 63000"),
+        ({"fragment_size": 100}, "fragment_size is between 256 and 63000"),
         ({"ip_versions": (6, 4)}, "ip_versions is one of 4, 6 and 4,6, not 6,4"),
     ],
 )

@@ -13,7 +13,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.wire.settings import Limits, WireKeywords
+from fibaction.wire.settings import Limits, WireSettings
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.transports.tcp.servers import SECRET, new_server
 
@@ -26,18 +26,18 @@ async def test_the_settings_behind_a_url_have_types_and_those_given_count_for_mo
         "&insecure=true&grace=2&orphans=cancel&ca=a&cert=b&key=c"
     )
     made = TcpTransport.from_url(url, window=5)
-    keeping = made.client_settings
+    keeping = made.settings
     assert (keeping.token, keeping.heartbeat, keeping.window) == (SECRET, 0.5, 5)
     assert (keeping.reconnect, keeping.reconnect_timeout) == (False, 7.0)
     assert made._insecure
-    assert (made.server_settings.grace, made.server_settings.orphans) == (2.0, "cancel")
-    assert made.server_settings.heartbeat == 0.5
+    assert (made.settings.grace, made.settings.orphans) == (2.0, "cancel")
+    assert made.settings.heartbeat == 0.5
     assert made._tls == TlsFiles("a", "b", "c")
     local = UnixTransport.from_url("unix:///run/a%20b?window=3&reconnect=true", window=4)
-    assert (local._path, local.client_settings.window) == (Path("/run/a b"), 4)
+    assert (local._path, local.settings.window) == (Path("/run/a b"), 4)
 
 
-ALL_HAVE = "token, heartbeat, reconnect, reconnect_timeout, window, orphans, grace"
+ALL_HAVE = "token, heartbeat, window, reconnect, reconnect_timeout, orphans, grace"
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ async def test_a_url_is_not_cut_off_silently_at_a_number_sign(url: str, shown: s
 
 async def test_a_number_sign_that_belongs_to_a_path_or_a_token_is_written_as_a_number() -> None:
     made = UnixTransport.from_url("unix:///run/robot%231.sock?token=%23a")
-    assert (made._path, made.client_settings.token) == (Path("/run/robot#1.sock"), "#a")
+    assert (made._path, made.settings.token) == (Path("/run/robot#1.sock"), "#a")
 
 
 async def test_of_two_values_of_one_setting_none_is_left_out_silently() -> None:
@@ -207,7 +207,7 @@ async def test_a_setting_that_does_not_exist_is_an_error_that_lists_those_that_d
     wrong: Any = {"hartbeat": 2}
     with pytest.raises(TypeError) as caught:
         connect(url, **wrong)
-    settings = ", ".join((*WireKeywords.__annotations__, *(("tls", "insecure") if more else ())))
+    settings = ", ".join((*WireSettings.__struct_fields__, *(("tls", "insecure") if more else ())))
     name = "TcpTransport" if more else "UnixTransport"
     assert str(caught.value) == (
         f"{name} has no setting 'hartbeat': did you mean 'heartbeat'? Its settings are {settings}"

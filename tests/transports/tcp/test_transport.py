@@ -387,8 +387,7 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
         return True
 
     serving = TcpTransport(port=0, tokens={SECRET: "ann", "other": "bob"}, authorize=authorize)
-    shown: list[object] = [serving, serving.server_settings, serving.__dict__]
-    shown.append(serving.client_settings)
+    shown: list[object] = [serving, serving.settings, serving.__dict__]
     async with serve(new_server(), serving) as (url,):
         none = (
             "the server asks for a token, and the client gave none: give one as token=, or in"
@@ -409,7 +408,7 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
             client = connection.client(FIBONACCI)
             goal = await client.send_goal(Goal(1))
             assert await goal.result() == Result([0, 1])
-            shown += [connecting, connecting.client_settings, connecting.__dict__]
+            shown += [connecting, connecting.settings, connecting.__dict__]
             shown += [connection, connection._connection, connection._connection.__dict__]
             stream = goal.feedback.stream
             shown += [client, client.endpoint, goal, stream, stream.__dict__]

@@ -55,7 +55,7 @@ def test_a_url_has_settings() -> None:
     )
     made = RosbridgeTransport.from_url(url)
     assert made._tls == TlsFiles(ca="x")
-    terms = made._terms
+    terms = made._own_settings
     assert (terms.heartbeat, terms.window, terms.accepted_after) == (2, 3, 0)
     assert (terms.answer_timeout, terms.cancel_on_disconnect) == (4, True)
 
@@ -68,7 +68,8 @@ def test_a_url_has_settings() -> None:
         ("rosbridge://robot?ca=x", "has no setting 'ca'"),
         ("rosbridge://robot?orphans=cancel", "has no setting 'orphans'"),
         ("rosbridge://robot?origins=x", "has no setting 'origins'"),
-        ("rosbridge://robot?tokens=x", "cannot have the setting 'tokens'"),
+        ("rosbridge://robot?tokens=x", "has no setting 'tokens'"),
+        ("rosbridge://robot?limits=x", "cannot have the setting 'limits'"),
         ("rosbridge://robot?accepted_after=soon", "'accepted_after' cannot be 'soon'"),
         ("rosbridge://robot?accepted_after=-1", "accepted_after is at least 0 seconds"),
         ("rosbridge://robot?heartbeat=0", "heartbeat is between"),

@@ -2,27 +2,62 @@
 
 from __future__ import annotations
 
-import ssl
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from typing import Any, ClassVar, Unpack
+from ssl import SSLContext
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult
 
 from fibaction.border.event_loop import asyncio_task
 from fibaction.border.http_access import rules
-from fibaction.wire.auth import AccessPolicy
+from fibaction.border.settings import TransportSettings
+from fibaction.wire.auth import AccessPolicy, check_token
+from fibaction.wire.settings import DEFAULT_LIMITS, Limits
 from fibaction.wire.tls_files import TlsFiles
-from fibaction.wire.transport import boolean, host_only
+from fibaction.wire.transport import host_only
 from fibaction.words.errors import TransportError
-from fibaction_transports._agents.agent_keywords import AgentHttpKeywords
-from fibaction_transports._agents.agent_transport import AgentTransport, items
+from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports._agents.agent_transport import AgentTransport
 from fibaction_transports._agents.http_guard import App, Guarded
 from fibaction_transports._agents.http_server import is_loopback, served_over_http
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import AgentHttpKeywords
 
 HOST = "127.0.0.1"
 """The default host: this machine only."""
 MAX_PORT = 65535
 """The largest port: a number of 16 bits."""
+
+
+class AgentHttpSettings(AgentPolicy, frozen=True, kw_only=True):
+    """The settings of an `AgentHttpTransport`."""
+
+    token: str = ""
+    """The token that clients need."""
+    tokens: Mapping[str, str] | None = None
+    """Several tokens, each with the name of its owner."""
+    limits: Limits = DEFAULT_LIMITS
+    """`connections`, `per_address`, `frame` and `handshake` of these limits hold here."""
+    tls: TlsFiles | SSLContext | None = None
+    """The files to make TLS from, or a context; in a URL the paths `ca`, `cert` and `key`."""
+    insecure: bool = False
+    """Permit a server without TLS at an address that other machines can reach."""
+    hosts: Sequence[str] = ()
+    """Names of the server, in addition to its addresses and the names of its machine; `*` permits
+    all."""
+    origins: Sequence[str] = ()
+    """Pages that may use the server, for example `https://robot.example`, besides those that come
+    from its own address; `*` permits all."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: As for `AgentPolicy`, or a token is not valid text.
+        """
+        super().__post_init__()
+        check_token(self.token)
 
 
 class AgentHttpTransport(AgentTransport):
@@ -31,20 +66,7 @@ class AgentHttpTransport(AgentTransport):
     Each client needs a token, so that no other user of the machine can move a robot.
     """
 
-    wire_settings = ("token", "tokens", "limits")
-    own_settings: ClassVar[tuple[str, ...]] = (
-        *AgentTransport.own_settings,
-        "tls",
-        "insecure",
-        "hosts",
-        "origins",
-    )
-    own_url_settings: ClassVar = {
-        **AgentTransport.own_url_settings,
-        "insecure": boolean,
-        "hosts": items,
-        "origins": items,
-    }
+    settings_type: ClassVar[type[TransportSettings]] = AgentHttpSettings
     schemes: ClassVar[tuple[str, str]]
     """The scheme without TLS, and the one with it."""
     default_port: ClassVar[int]
@@ -53,52 +75,39 @@ class AgentHttpTransport(AgentTransport):
         self,
         host: str = HOST,
         port: int | None = None,
-        *,
-        tls: TlsFiles | ssl.SSLContext | None = None,
-        insecure: bool = False,
-        hosts: Iterable[str] = (),
-        origins: Iterable[str] = (),
         **settings: Unpack[AgentHttpKeywords],
     ) -> None:
         """Take an address, and the rules for what an agent may do.
-
-        A URL has the settings after its `?`, with commas between their items, but for `tokens`.
-        With TLS it has the paths `ca`, `cert` and `key` as well.
 
         Args:
             host: The host to listen at.
             port: The port, None for the default one; 0 is a free one, which the URL shows that
                 `serve` gives.
-            tls: The files to make TLS from, or a context.
-            insecure: Permit a server without TLS at an address that other machines can reach.
-            hosts: Names of the server, in addition to its addresses and the names of its machine;
-                `*` permits all.
-            origins: Pages that may use the server, for example `https://robot.example`, besides
-                those that come from its own address; `*` permits all.
-            settings: `allow`, `unasked`, `read_only` and `patience` are those of `AgentPolicy`.
-                `token` is the one that clients need, or `tokens` maps several to the names of their
-                owners. Of `limits`, `connections`, `per_address` and `handshake` hold here.
+            settings: See the table of settings.
 
         Raises:
             TypeError: There is no such setting.
             ValueError: The port or the patience is out of range, a pattern is empty, or a token is
                 not valid text.
         """
-        super().__init__(**settings)
+        made = AgentHttpSettings.of(self, settings)
+        super().__init__(made)
         port = self.default_port if port is None else port
         if not 0 <= port <= MAX_PORT:
             raise ValueError(f"port is between 0 and {MAX_PORT}, not {port}")
-        tokens = dict(settings.get("tokens") or {})
-        if token := settings.get("token"):
-            tokens[token] = "agent"
+        tokens = dict(made.tokens or {})
+        if made.token:
+            tokens[made.token] = "agent"
         self._access = AccessPolicy(tokens) if tokens else None
         self.host = host
         """The host to listen at."""
         self._port = port
-        self._tls = tls
-        self._insecure = insecure
-        self.hosts = tuple(hosts)
-        self._origins = tuple(origins)
+        self._tls = made.tls
+        self._insecure = made.insecure
+        self.hosts = tuple(made.hosts)
+        self._origins = tuple(made.origins)
+        self.limits = made.limits
+        """The bounds of the server."""
 
     @classmethod
     def address_of(cls, parts: SplitResult) -> dict[str, Any]:
@@ -133,9 +142,7 @@ class AgentHttpTransport(AgentTransport):
             self.host, path, hosts=self.hosts, origins=self._origins, has_tls=tls is not None
         )
         guarded = Guarded(app, admitted, access, public)
-        async with served_over_http(
-            guarded, self.host, self._port, tls, self.server_settings.limits
-        ) as port:
+        async with served_over_http(guarded, self.host, self._port, tls, self.limits) as port:
             yield f"{'https' if tls else 'http'}://{self._netloc(port)}{path}"
 
     def _checked_access(self) -> AccessPolicy:

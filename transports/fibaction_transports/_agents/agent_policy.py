@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
+from typing import ClassVar
 
-import msgspec
+from fibaction.border.settings import TransportSettings
 
 
-class AgentPolicy(msgspec.Struct, frozen=True):
+class AgentPolicy(TransportSettings, frozen=True, kw_only=True):
     """The rules for what an agent may do: a language model, or a program that has one.
 
     By default it may send goals to all actions, and the user is asked before each goal. A client
@@ -23,9 +24,11 @@ class AgentPolicy(msgspec.Struct, frozen=True):
         AgentPolicy(allow=("arm/*", "camera/look"), unasked=("camera/look",))
     """
 
-    allow: tuple[str, ...] = ("*",)
+    for_clients: ClassVar[bool] = False
+
+    allow: Sequence[str] = ("*",)
     """Patterns of the actions that are shown to the agent; all others do not exist for it."""
-    unasked: tuple[str, ...] = ()
+    unasked: Sequence[str] = ()
     """Patterns of the actions whose goals are sent without a question to the user."""
     read_only: bool = False
     """Show the actions and their goals, and let nothing be sent or canceled."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import socket
-import ssl
 from contextlib import AsyncExitStack
 from errno import EADDRINUSE
 from ipaddress import ip_address
-from typing import Any, ClassVar, Unpack
+from ssl import SSLContext
+from typing import Any, ClassVar
 from urllib.parse import SplitResult
 
 import anyio
@@ -15,11 +15,11 @@ from anyio.abc import Listener, SocketAttribute
 from anyio.streams.tls import TLSStream
 
 from fibaction.border.event_loop import asyncio_task
+from fibaction.border.settings import TransportSettings
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader, Framing
-from fibaction.wire.settings import WireKeywords
+from fibaction.wire.settings import WireSettings
 from fibaction.wire.tls_files import TlsFiles
-from fibaction.wire.transport import boolean
 from fibaction.words.errors import TransportError
 from fibaction_transports._socket_lines import on_asyncio, tls_lines
 from fibaction_transports._socket_lines.client_tls import ClientTls
@@ -30,31 +30,34 @@ MAX_PORT = 65535
 """The largest port: a number of 16 bits."""
 
 
+class HostSettings(WireSettings, frozen=True, kw_only=True):
+    """The settings of a transport whose servers have a host and a port."""
+
+    only_for_servers: ClassVar[tuple[str, ...]] = (*WireSettings.only_for_servers, "insecure")
+
+    tls: TlsFiles | SSLContext | None = None
+    """The files to make TLS from, or a context for the half that is used; in a URL the paths `ca`,
+    `cert` and `key`."""
+    insecure: bool = False
+    """Permit a server without TLS at an address that other machines can reach."""
+
+
 class HostTransport(StreamTransport):
     """A transport whose servers have a host and a port."""
 
-    own_settings: ClassVar[tuple[str, ...]] = ("tls", "insecure")
-    own_url_settings: ClassVar = {"insecure": boolean}
+    settings_type: ClassVar[type[TransportSettings]] = HostSettings
     speaks_tls: ClassVar[bytes] = SPEAKS_TLS
     """The answer of a server with TLS to a client that does not begin with TLS."""
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        *,
-        tls: TlsFiles | ssl.SSLContext | None,
-        insecure: bool,
-        **settings: Unpack[WireKeywords],
-    ) -> None:
-        super().__init__(**settings)
+    def __init__(self, host: str, port: int, settings: HostSettings) -> None:
+        super().__init__(settings)
         if not 0 <= port <= MAX_PORT:
             raise ValueError(f"port is between 0 and {MAX_PORT}, not {port}")
         self._host = host
         self._port = port
-        self._tls = tls
-        self._client_tls = None if tls is None else ClientTls(tls)
-        self._insecure = insecure
+        self._tls = settings.tls
+        self._client_tls = None if settings.tls is None else ClientTls(settings.tls)
+        self._insecure = settings.insecure
 
     @property
     def url(self) -> str:
@@ -74,7 +77,7 @@ class HostTransport(StreamTransport):
 
     def _client_framing(self) -> Framing:
         """Return the form of the frames of a client's line."""
-        return FrameReader(self.client_settings.max_frame)
+        return FrameReader(self.settings.max_frame)
 
     async def _connect(self) -> Line:
         framing, tls = self._client_framing(), self._client_tls
@@ -114,7 +117,7 @@ class HostTransport(StreamTransport):
         url = self._url(listener.extra(SocketAttribute.local_port))
         if context is None:
             return listener, url
-        limits = self.server_settings.limits
+        limits = self.settings.limits
         tls = TlsListener(
             listener,
             context,

@@ -10,7 +10,7 @@ import json
 import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import Any, Unpack, cast
+from typing import TYPE_CHECKING, Any, Unpack, cast
 from urllib.parse import SplitResult
 
 import anyio
@@ -21,8 +21,11 @@ from mcp.server.stdio import stdio_server
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
-from fibaction_transports._agents.agent_keywords import PolicyKeywords
+from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports.mcp.mcp_transport import McpTransport
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import AgentPolicyKeywords
 
 STDIO_URL = "mcp+stdio://"
 HALF_CHARACTER = "\\ud"
@@ -39,14 +42,14 @@ class McpStdioTransport(McpTransport):
             await transport.wait_end()
     """
 
-    def __init__(self, **settings: Unpack[PolicyKeywords]) -> None:
+    def __init__(self, **settings: Unpack[AgentPolicyKeywords]) -> None:
         """Take the rules for what an agent may do: see `AgentPolicy`.
 
         Raises:
             TypeError: There is no such setting.
             ValueError: The patience is not a number of seconds, or a pattern is empty.
         """
-        super().__init__(**settings)
+        super().__init__(AgentPolicy.of(self, settings))
         self._ended = anyio.Event()
 
     @classmethod

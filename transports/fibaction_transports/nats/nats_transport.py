@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ssl
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
@@ -11,16 +10,16 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from fibaction.border.abc import Connection, Endpoint
 from fibaction.border.event_loop import asyncio_task
 from fibaction.border.goal_store import GoalStore
+from fibaction.border.settings import TransportSettings
+from fibaction.border.urls import check_settings
 from fibaction.wire.client.connection import open_connection
-from fibaction.wire.settings import WireKeywords
-from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import ConfiguredTransport
 from fibaction.words.errors import TransportError
-from fibaction.words.goal_history import DAY, GoalHistory
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.settings import FleetSettings
+from fibaction_transports.nats.settings import FleetSettings, NatsSettings
 
 if TYPE_CHECKING:
+    from fibaction_transports.keywords import NatsKeywords
     from fibaction_transports.nats.worker.worker import Worker
 
 PORT = 4222
@@ -36,57 +35,20 @@ class NatsTransport(ConfiguredTransport):
     As a server it is one worker of the fleet.
     """
 
-    own_settings = ("tls",)
-    own_url_settings: ClassVar = {
-        "worker": str,
-        "lease": float,
-        "replicas": int,
-        "history_days": float,
-        "history_goals": int,
-        "creds": str,
-    }
+    settings_type: ClassVar[type[TransportSettings]] = NatsSettings
     tls_schemes = ("nats+tls",)
 
     def __init__(
         self,
         servers: str | Sequence[str] = SERVERS,
         fleet: str = "fibaction",
-        *,
-        worker: str = "",
-        lease: float | None = None,
-        replicas: int | None = None,
-        history_days: float | None = None,
-        history_goals: int | None = None,
-        user: str = "",
-        password: str = "",
-        login_token: str = "",
-        creds: str | None = None,
-        tls: TlsFiles | ssl.SSLContext | None = None,
-        **settings: Unpack[WireKeywords],
+        **settings: Unpack[NatsKeywords],
     ) -> None:
-        """Take the brokers and the fleet, and the settings of each transport over the wire.
-
-        A URL has `worker`, `lease`, `replicas`, `history_days`, `history_goals`, `creds` and the
-        text, number and boolean settings after its `?`, and the login for the brokers before an
-        `@`. With `nats+tls://` it has the paths `ca`, `cert` and `key` as well.
+        """Take the brokers, the fleet and settings.
 
         Args:
             servers: The brokers, each as `host` or `host:port`; one that answers is enough.
             fleet: The name of the fleet; several fleets may share brokers.
-            worker: The name of this worker, or the one worker to connect to.
-            lease: Seconds after which a worker that is silent counts as lost; None for 15 with
-                three brokers, and 5 with one.
-            replicas: The number of brokers that keep each record; None for three if there are
-                three, and one otherwise.
-            history_days: Days after its end for which the fleet keeps a goal in its history;
-                `math.inf` without this bound, None for 30.
-            history_goals: The number of goals in the history, of all actions together; None for
-                10,000. Without both, this worker keeps no history.
-            user: The user for the brokers.
-            password: The password of the user.
-            login_token: The token for the brokers; the setting `token` is for the workers.
-            creds: The path of a credentials file for the brokers, or of a secret key (nkey seed).
-            tls: The files to make TLS to the brokers from, or a context.
             settings: See the table of settings.
 
         Raises:
@@ -94,23 +56,9 @@ class NatsTransport(ConfiguredTransport):
             ValueError: A name or a number is out of range, a broker is not `host:port`, `orphans`
                 is another word, or a token is not valid text.
         """
-        super().__init__(**settings)
+        check_settings(type(self).__name__, settings, NatsSettings.__struct_fields__)
         names = servers.split(",") if isinstance(servers, str) else servers
-        self.settings = FleetSettings(
-            fleet,
-            tuple(map(_server, names)),
-            worker=worker,
-            lease=0.0 if lease is None else lease,
-            replicas=0 if replicas is None else replicas,
-            history=_history(history_days, history_goals),
-            user=user,
-            password=password,
-            login_token=login_token,
-            creds=creds or "",
-            tls=tls,
-            client=self.client_settings,
-            server=self.server_settings,
-        )
+        self.settings = FleetSettings(fleet, tuple(map(_server, names)), **settings)
         self._names = FleetNames(fleet)
         self._worker: Worker | None = None
 
@@ -166,11 +114,11 @@ class NatsTransport(ConfiguredTransport):
             if self.settings.worker:
                 from fibaction_transports.nats.lines import ClientLines
 
-                max_frame = self.client_settings.max_frame
+                max_frame = self.settings.max_frame
                 lines = ClientLines(broker, self._names, max_frame=max_frame)
                 await lines.open()
                 async with open_connection(
-                    lambda: lines.dial(self.settings.worker), self.url, self.client_settings
+                    lambda: lines.dial(self.settings.worker), self.url, self.settings
                 ) as connection:
                     yield connection
             else:
@@ -207,25 +155,6 @@ class NatsTransport(ConfiguredTransport):
                 f"{self.url} needs asyncio: run this program on asyncio, as with asyncio.run() or"
                 f" anyio.run()"
             )
-
-
-def _history(days: float | None, goals: int | None) -> GoalHistory | None:
-    """Return the bounds of a history; None if there is none.
-
-    Raises:
-        ValueError: One of them is out of range.
-    """
-    if days is None and goals is None:
-        return None
-    if days is not None and not days > 0:
-        raise ValueError(f"history_days is more than 0, not {days:g}")
-    if goals is not None and goals < 1:
-        raise ValueError(f"history_goals is 1 or more, not {goals}")
-    history = GoalHistory()
-    return GoalHistory(
-        seconds=history.seconds if days is None else days * DAY,
-        goals=history.goals if goals is None else goals,
-    )
 
 
 def _server(text: str) -> str:

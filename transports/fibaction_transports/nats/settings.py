@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import secrets
 import socket
-import ssl
+from ssl import SSLContext
+from typing import ClassVar
 
 import msgspec
 
-from fibaction.wire.settings import ClientSettings, ServerSettings
+from fibaction.wire.settings import WireSettings
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import TransportError
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_history import DAY, GoalHistory
 from fibaction_transports.nats.names import token_of
 
 MANY = 3
@@ -25,29 +26,82 @@ LONGEST_NAME = 100
 """Characters of the names of fleets and workers, as tokens; names of streams are limited."""
 
 
-class FleetSettings(msgspec.Struct, frozen=True):
-    """The settings of one fleet."""
+class NatsSettings(WireSettings, frozen=True, kw_only=True):
+    """The settings of a `NatsTransport`."""
+
+    only_in_code: ClassVar[tuple[str, ...]] = ("user", "password", "login_token")
+    only_for_servers: ClassVar[tuple[str, ...]] = (
+        *WireSettings.only_for_servers,
+        "replicas",
+        "history_days",
+        "history_goals",
+    )
+
+    worker: str = ""
+    """The name of this worker, or the one worker to connect to; empty for a name that is made of
+    the host's, or for all workers."""
+    lease: float = 0.0
+    """Seconds after which a worker that is silent counts as lost; 0 is 5, and 15 with three brokers
+    or more."""
+    replicas: int = 0
+    """The number of brokers that keep each record, when the first worker makes the streams; 0 is 1,
+    and 3 with three brokers or more."""
+    history_days: float | None = None
+    """Days after its end for which the fleet keeps a goal in its history; `math.inf` without this
+    bound, None for 30."""
+    history_goals: int | None = None
+    """The number of goals in the history, of all actions together; None for 10,000. Without both, a
+    worker keeps no history."""
+    user: str = ""
+    """The user for the brokers; in a URL before the `@`, as the next two."""
+    password: str = ""
+    """The password of the user."""
+    login_token: str = ""
+    """The token for the brokers; the setting `token` is for the workers."""
+    creds: str = ""
+    """The path of a credentials file for the brokers, or of a file with a secret key (nkey
+    seed)."""
+    tls: TlsFiles | SSLContext | None = None
+    """The files to make TLS to the brokers from, or a context; in a URL the paths `ca`, `cert` and
+    `key`."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range.
+        """
+        super().__post_init__()
+        if self.history_days is not None and not self.history_days > 0:
+            raise ValueError(f"history_days is more than 0, not {self.history_days:g}")
+        if self.history_goals is not None and self.history_goals < 1:
+            raise ValueError(f"history_goals is 1 or more, not {self.history_goals}")
+        if self.lease and not LEAST_LEASE <= self.lease <= LONGEST_LEASE:
+            raise ValueError(
+                f"lease is between {LEAST_LEASE:g} and {LONGEST_LEASE:g} s, not {self.lease:g}"
+            )
+        if self.replicas not in (0, 1, 3, 5):
+            raise ValueError(f"replicas is 1, 3 or 5, not {self.replicas}")
+
+    @property
+    def history(self) -> GoalHistory | None:
+        """The bounds of the history that this worker keeps; None if it keeps none."""
+        days, goals = self.history_days, self.history_goals
+        if days is None and goals is None:
+            return None
+        history = GoalHistory()
+        return GoalHistory(
+            seconds=history.seconds if days is None else days * DAY,
+            goals=history.goals if goals is None else goals,
+        )
+
+
+class FleetSettings(NatsSettings, frozen=True):
+    """The settings of one fleet, with its address."""
 
     fleet: str
     servers: tuple[str, ...] = ("127.0.0.1:4222",)
     """The brokers, each as `host:port`."""
-    worker: str = ""
-    """The name of this worker, or of the one to connect to; empty for a new name, or any worker."""
-    lease: float = 0.0
-    """Seconds after which a worker counts as lost; 0 for the default."""
-    replicas: int = 0
-    """Brokers that keep each record; 0 for the default."""
-    history: GoalHistory | None = None
-    """The bounds of the history that this worker keeps; None if it keeps none."""
-    user: str = ""
-    password: str = ""
-    login_token: str = ""
-    """The token for the brokers; clients and workers have another one for each other."""
-    creds: str = ""
-    """The path of a credentials file for the brokers, or of a secret key."""
-    tls: TlsFiles | ssl.SSLContext | None = None
-    client: ClientSettings = msgspec.field(default_factory=ClientSettings)
-    server: ServerSettings = msgspec.field(default_factory=ServerSettings)
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -55,6 +109,7 @@ class FleetSettings(msgspec.Struct, frozen=True):
         Raises:
             ValueError: A name is empty or too long, or a number is out of range.
         """
+        super().__post_init__()
         for what, name in (("fleet", self.fleet), ("worker", self.worker)):
             if len(token_of(name)) > LONGEST_NAME:
                 raise ValueError(
@@ -63,15 +118,6 @@ class FleetSettings(msgspec.Struct, frozen=True):
                 )
         if not self.fleet:
             raise ValueError("the fleet has no name")
-        if self.lease and not LEAST_LEASE <= self.lease <= LONGEST_LEASE:
-            raise ValueError(
-                f"lease is between {LEAST_LEASE:g} and {LONGEST_LEASE:g} s, not {self.lease:g}"
-            )
-        if self.replicas not in (0, 1, 3, 5):
-            raise ValueError(f"replicas is 1, 3 or 5, not {self.replicas}")
-
-    def __repr__(self) -> str:
-        return "<FleetSettings>"  # a password has no place in a log
 
     @property
     def url(self) -> str:

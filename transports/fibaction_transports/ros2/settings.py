@@ -1,12 +1,14 @@
-"""The settings of a node, and those of the ends of an action: a server, a client, or both."""
+"""The settings of a node of ROS, and of the actions that it serves and calls."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import msgspec
 
+from fibaction.border.settings import TransportSettings, check_range
 from fibaction_transports.ros2 import qos
 
 INTROSPECTIONS = ("off", "metadata", "contents")
@@ -28,18 +30,58 @@ class NodeSettings(msgspec.Struct, frozen=True):
     """ROS's arguments, for example `["--ros-args", "-r", "a:=b"]`; None is the command line."""
 
 
-class EndSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """The settings of both ends. `Ros2Transport` describes each of them."""
+class RosSettings(TransportSettings, frozen=True, kw_only=True):
+    """The settings of a transport of ROS."""
 
+    only_in_code: ClassVar[tuple[str, ...]] = ("arguments",)
+    only_for_clients: ClassVar[tuple[str, ...]] = (
+        "discovery_timeout",
+        "reconnect",
+        "reconnect_timeout",
+    )
+    shared: ClassVar[tuple[str, ...]] = (
+        "namespace",
+        "domain_id",
+        "lease",
+        "services_qos",
+        "feedback_qos",
+        "status_qos",
+    )
+    """The settings that a client should have as its server has them."""
+
+    namespace: str = ""
+    """The namespace of the node, and of relative names of actions."""
+    domain_id: int | None = None
+    """The ROS domain; None takes `ROS_DOMAIN_ID` from the environment."""
+    arguments: Sequence[str] | None = None
+    """ROS's arguments on a command line, for example `["--ros-args", "-r", "fibonacci:=sequence"]`;
+    None takes the program's own."""
     feedback_depth: int = 1000
+    """The number of feedback messages that are kept. A client keeps so many of each goal until they
+    are read; then the oldest is dropped. A server keeps so many of all goals in the middleware, and
+    publishes at most five times as many in a second."""
     discovery_timeout: float = 4.0
+    """Seconds for which a new client waits if it finds no server. Nodes announce themselves at
+    once, and again after 3 s: on a busy machine, discovery may take as long."""
     lease: float = 2.0
+    """Seconds, from 0.1 to 3600. A server gives signs of life so often that clients with this
+    lease, or a longer one, do not miss it. At a client, a server counts as silent after so many
+    seconds without one. A client whose lease is shorter than the server's gets no signs of life."""
     reconnect: bool = True
+    """False ends the waiting calls of a client with `ConnectionLost` as soon as their server is
+    silent."""
     reconnect_timeout: float = 10.0
+    """Seconds that a client waits for a silent server to come back."""
     services_qos: str = ""
+    """The quality of service of the three services, as words of ROS with commas: `reliable` or
+    `best_effort`, `volatile` or `transient_local`. What is left out is as `rcl_action` has it."""
     feedback_qos: str = ""
+    """The same for the feedback topic, for example `best_effort`."""
     status_qos: str = ""
+    """The same for the status topic, for example `volatile`."""
     introspection: str = "off"
+    """The events that the services publish at each request and answer: `"off"`, `"metadata"` (who,
+    and when) or `"contents"`, which has the messages, too. It needs rclpy."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -47,6 +89,7 @@ class EndSettings(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             ValueError: A number is out of range, or a word is not one of those that are valid.
         """
+        check_range("domain_id", self.domain_id or 0, 0, LAST_DOMAIN)
         check_range("feedback_depth", self.feedback_depth, 1, 100_000)
         check_range("discovery_timeout", self.discovery_timeout, 0, math.inf)
         check_range("lease", self.lease, 0.1, 3600)
@@ -65,13 +108,3 @@ class EndSettings(msgspec.Struct, frozen=True, kw_only=True):
     def grace(self) -> float:
         """Seconds for which waiting calls continue after their server has fallen silent."""
         return self.reconnect_timeout if self.reconnect else 0.0
-
-
-def check_range(name: str, value: float, least: float, most: float) -> None:
-    """Check a setting that is a number.
-
-    Raises:
-        ValueError: It is out of range.
-    """
-    if not least <= value <= most:
-        raise ValueError(f"{name} must be between {least} and {most}, not {value}")

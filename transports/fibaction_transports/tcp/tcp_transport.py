@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import ssl
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 from urllib.parse import SplitResult
 
-from fibaction.wire.settings import WireKeywords
-from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import host_only
-from fibaction_transports._socket_lines.host_transport import HostTransport, port_in
+from fibaction_transports._socket_lines.host_transport import HostSettings, HostTransport, port_in
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import HostKeywords
 
 HOST, PORT = "127.0.0.1", 7400
 """The default address: on this machine only."""
@@ -24,21 +24,13 @@ class TcpTransport(HostTransport):
         self,
         host: str = HOST,
         port: int = PORT,
-        *,
-        tls: TlsFiles | ssl.SSLContext | None = None,
-        insecure: bool = False,
-        **settings: Unpack[WireKeywords],
+        **settings: Unpack[HostKeywords],
     ) -> None:
-        """Take an address, and the settings of every transport over the wire protocol.
-
-        A URL has `insecure` and the text, number and boolean settings after its `?`. With `tls://`
-        it has the paths `ca`, `cert` and `key` as well.
+        """Take an address and settings.
 
         Args:
             host: The host to connect to, or to listen at.
             port: The port; a server at port 0 gets a free one, which its URL shows.
-            tls: The files to make TLS from, or a context for the half that is used.
-            insecure: Permit a server without TLS at an address that other machines can reach.
             settings: See the table of settings.
 
         Raises:
@@ -46,7 +38,7 @@ class TcpTransport(HostTransport):
             ValueError: A number is out of range, `orphans` is another word, or a token is not
                 valid text.
         """
-        super().__init__(host, port, tls=tls, insecure=insecure, **settings)
+        super().__init__(host, port, HostSettings.of(self, settings))
 
     @classmethod
     def address_of(cls, parts: SplitResult) -> dict[str, Any]:

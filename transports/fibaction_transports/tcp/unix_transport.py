@@ -6,7 +6,7 @@ import os
 import socket
 import stat
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 from urllib.parse import SplitResult, unquote
 
 import anyio
@@ -15,21 +15,20 @@ from anyio.abc import Listener
 from fibaction.border.event_loop import asyncio_task
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
-from fibaction.wire.settings import WireKeywords
+from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import TransportError
 from fibaction_transports._socket_lines import on_asyncio
 from fibaction_transports._socket_lines.stream_transport import StreamTransport
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import WireKeywords
 
 
 class UnixTransport(StreamTransport):
     """A Unix domain socket: processes of one machine, with the permissions of a file."""
 
-    own_settings = ()
-
     def __init__(self, path: str | os.PathLike[str], **settings: Unpack[WireKeywords]) -> None:
-        """Take the path of the socket, and the settings of every transport over the wire protocol.
-
-        A URL has the text, number and boolean settings after its `?`.
+        """Take the path of the socket, and settings: see the table of settings.
 
         Raises:
             TypeError, ValueError: As for `TcpTransport`.
@@ -40,7 +39,7 @@ class UnixTransport(StreamTransport):
                 f"unix://{path} needs a system with Unix domain sockets, and Python has none on"
                 f" this one: use tcp://127.0.0.1:7400"
             )
-        super().__init__(**settings)
+        super().__init__(WireSettings.of(self, settings))
         self._path = Path(path)
         self._socket: tuple[int, int] | None = None  # the file that this server listens at
 
@@ -58,7 +57,7 @@ class UnixTransport(StreamTransport):
         return f"unix://{self._path}"
 
     async def _connect(self) -> Line:
-        reader = FrameReader(self.client_settings.max_frame)
+        reader = FrameReader(self.settings.max_frame)
         if asyncio_task() is not None:
             return await on_asyncio.dial_unix(self._path, reader, self.url)
         return StreamChannel(await anyio.connect_unix(self._path), self.url, reader)

@@ -6,13 +6,13 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 from anyio.abc import Listener
 
 from fibaction.border.event_loop import asyncio_task
+from fibaction.border.settings import TransportSettings
 from fibaction.observe.metrics import Metrics
-from fibaction.wire.transport import boolean
 from fibaction.wire.wire_server import WireServer
 from fibaction_transports._socket_lines.sockets import accept_sockets
 from fibaction_transports._socket_lines.tls import TlsListener
@@ -21,25 +21,41 @@ from fibaction_transports.web.http.handshake import http_answer
 from fibaction_transports.web.http.server import HttpServer
 from fibaction_transports.web.websocket_transport import (
     HOST,
-    WebSocketKeywords,
-    WebSocketTransport,
+    WebSocketLineTransport,
+    WebSocketSettings,
 )
 
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import HttpKeywords
 
-class HttpTransport(WebSocketTransport):
+
+class HttpSettings(WebSocketSettings, frozen=True, kw_only=True):
+    """The settings of an `HttpTransport`."""
+
+    only_for_servers: ClassVar[tuple[str, ...]] = (
+        *WebSocketSettings.only_for_servers,
+        "console",
+        "metrics",
+        "recording",
+    )
+
+    console: bool = True
+    """Serve the console as a page at the path of a server."""
+    metrics: Metrics | None = None
+    """Serve these at `/metrics` of a server; they are a watcher, too, for `serve`."""
+    recording: str | PathLike[str] | None = None
+    """The file of a recording to serve at `/recording`, which the console shows at the address
+    `?recording=NAME`."""
+
+
+class HttpTransport(WebSocketLineTransport):
     """HTTP and WebSocket at one address, with or without TLS.
 
     A server has all that a `WebTransport` has. A client connects by WebSocket, to `http://` as to
     `ws://`.
     """
 
-    own_settings: ClassVar[tuple[str, ...]] = (
-        *WebSocketTransport.own_settings,
-        "console",
-        "metrics",
-        "recording",
-    )
-    own_url_settings: ClassVar = {**WebSocketTransport.own_url_settings, "console": boolean}
+    settings_type: ClassVar[type[TransportSettings]] = HttpSettings
     plain_scheme = "http"
     tls_schemes: ClassVar[tuple[str, ...]] = ("https",)
     speaks_tls = http_answer(400, "this server speaks TLS: use https://")
@@ -49,31 +65,24 @@ class HttpTransport(WebSocketTransport):
         host: str = HOST,
         port: int | None = None,
         path: str = "/",
-        *,
-        console: bool = True,
-        metrics: Metrics | None = None,
-        recording: str | PathLike[str] | None = None,
-        **settings: Unpack[WebSocketKeywords],
+        **settings: Unpack[HttpKeywords],
     ) -> None:
-        """Take what a `WebSocketTransport` takes.
+        """Take an address and settings.
 
         Args:
             host: The host to connect to, or to listen at.
             port: The port, as for `WebSocketTransport`.
             path: The path of the server; it begins with `/`.
-            console: Serve the console as a page at the path.
-            metrics: Serve these at `/metrics`; they are a watcher, too, for `serve`.
-            recording: File of a recording to serve at `/recording`, which the console shows at the
-                address `?recording=NAME`.
-            settings: Those of a `WebSocketTransport`.
+            settings: See the table of settings.
 
         Raises:
             TypeError, ValueError: As for `WebSocketTransport`.
         """
-        super().__init__(host, port, path, **settings)
-        self._console = console
-        self._metrics = metrics
-        self._recording = recording
+        made = HttpSettings.of(self, settings)
+        super().__init__(host, port, path, made)
+        self._console = made.console
+        self._metrics = made.metrics
+        self._recording = made.recording
 
     @cached_property
     def _served(self) -> dict[WireServer, HttpServer]:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
-from typing import Any, ClassVar, NoReturn, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Unpack
 from urllib.parse import SplitResult
 
 from fibaction.border.http_access import rules
+from fibaction.border.settings import TransportSettings
 from fibaction.observe.metrics import Metrics
 from fibaction.wire.channel import Line
-from fibaction.wire.settings import ServerKeywords
+from fibaction.wire.settings import WireSettings
 from fibaction.wire.transport import WireTransport
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import TransportError
 from fibaction_transports.web.http.application import WebApplication, refuse
 from fibaction_transports.web.http.exchange import Receive, Scope, Send
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import WebKeywords
 
 URL = "asgi://"
 """The URL of an application, whose address only the program knows that it is part of."""
@@ -24,6 +28,23 @@ ONLY_SERVES = (
     "a WebTransport only serves: connect to the address of its program, as in"
     " ws://127.0.0.1:8000/robot/"
 )
+
+
+class WebSettings(WireSettings, frozen=True, kw_only=True):
+    """The settings of a `WebTransport`."""
+
+    for_clients: ClassVar[bool] = False
+
+    hosts: Sequence[str] = ()
+    """Names of the server, in addition to all addresses and the names of its machine; `*` permits
+    all. They are not needed with TLS."""
+    origins: Sequence[str] = ()
+    """Pages that may use the server, for example `https://robot.example`, besides those that come
+    from its own address; `*` permits all."""
+    console: bool = True
+    """Serve the console as a page."""
+    metrics: Metrics | None = None
+    """Serve these at `/metrics`; they are a watcher, too, for `serve`."""
 
 
 class WebTransport(WireTransport):
@@ -42,39 +63,23 @@ class WebTransport(WireTransport):
     It answers requests while `serve` lasts, and with the status 503 otherwise.
     """
 
-    own_settings: ClassVar[tuple[str, ...]] = ("hosts", "origins", "console", "metrics")
+    settings_type: ClassVar[type[TransportSettings]] = WebSettings
 
-    def __init__(
-        self,
-        *,
-        hosts: Iterable[str] = (),
-        origins: Iterable[str] = (),
-        console: bool = True,
-        metrics: Metrics | None = None,
-        **settings: Unpack[ServerKeywords],
-    ) -> None:
-        """Take the settings of a server.
-
-        Args:
-            hosts: Names of the server, in addition to all addresses and the names of its machine;
-                `*` permits all. They are not needed with TLS.
-            origins: Pages that may use the server, for example `https://robot.example`, beside
-                those that come from its own address; `*` permits all.
-            console: Serve the console as a page.
-            metrics: Serve these at `/metrics`; they are a watcher, too, for `serve`.
-            settings: See the table of settings.
+    def __init__(self, **settings: Unpack[WebKeywords]) -> None:
+        """Take the settings of a server: see the table of settings.
 
         Raises:
             TypeError: There is no such setting.
             ValueError: A number is out of range, `orphans` is another word, or a token is not
                 valid text.
         """
-        super().__init__(**settings)
+        made = WebSettings.of(self, settings)
+        super().__init__(made)
         self._rules = rules(
-            "localhost", "/", hosts=tuple(hosts), origins=tuple(origins), has_tls=False
+            "localhost", "/", hosts=tuple(made.hosts), origins=tuple(made.origins), has_tls=False
         )
-        self._console = console
-        self._metrics = metrics
+        self._console = made.console
+        self._metrics = made.metrics
         self._application: WebApplication | None = None
 
     @classmethod

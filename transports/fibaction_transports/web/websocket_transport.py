@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import ssl
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult, quote, unquote
 
 from fibaction.border.http_access import HttpRules, rules
+from fibaction.border.settings import TransportSettings
 from fibaction.wire.frames import FrameReader, Framing
-from fibaction.wire.settings import WireKeywords
-from fibaction.wire.tls_files import TlsFiles
-from fibaction.wire.transport import boolean, without_user
-from fibaction_transports._socket_lines.host_transport import HostTransport, port_in
+from fibaction.wire.transport import without_user
+from fibaction_transports._socket_lines.host_transport import (
+    HostSettings,
+    HostTransport,
+    port_in,
+)
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake, http_answer
 from fibaction_transports.web.http.websocket_frames import WebSocketFraming
 
 if TYPE_CHECKING:
     from fibaction.wire.wire_server import WireServer
+    from fibaction_transports.keywords import WebSocketKeywords
 
 HOST = "127.0.0.1"
 """The default host: this machine only."""
@@ -25,79 +28,39 @@ PORT, TLS_PORT = 80, 443
 """The ports of HTTP, which are those of WebSocket."""
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name for name in text.split(",") if name)
+class WebSocketSettings(HostSettings, frozen=True, kw_only=True):
+    """The settings of a `WebSocketTransport`."""
+
+    only_for_servers: ClassVar[tuple[str, ...]] = (
+        *HostSettings.only_for_servers,
+        "hosts",
+        "origins",
+    )
+
+    hosts: Sequence[str] = ()
+    """Names of a server, in addition to its addresses and the names of its machine; `*` permits
+    all."""
+    origins: Sequence[str] = ()
+    """Pages that may use a server, for example `https://robot.example`, besides those that come
+    from its own address; `*` permits all."""
 
 
-class WebSocketKeywords(WireKeywords, total=False):
-    """The keyword arguments of a `WebSocketTransport`."""
+class WebSocketLineTransport(HostTransport):
+    """The part that the transports at a path of HTTP have in common."""
 
-    tls: TlsFiles | ssl.SSLContext | None
-    insecure: bool
-    hosts: Iterable[str]
-    origins: Iterable[str]
-
-
-class WebSocketTransport(HostTransport):
-    """WebSocket, with or without TLS."""
-
-    own_settings: ClassVar[tuple[str, ...]] = ("tls", "insecure", "hosts", "origins")
-    own_url_settings: ClassVar = {"insecure": boolean, "hosts": _names, "origins": _names}
     plain_scheme = "ws"
-    tls_schemes: ClassVar[tuple[str, ...]] = ("wss",)
     speaks_tls = http_answer(400, "this server speaks TLS: use wss://")
     own_ports: ClassVar[tuple[int, int]] = PORT, TLS_PORT
     """The ports of URLs without one: without TLS, and with it."""
 
-    def __init__(
-        self,
-        host: str = HOST,
-        port: int | None = None,
-        path: str = "/",
-        *,
-        tls: TlsFiles | ssl.SSLContext | None = None,
-        insecure: bool = False,
-        hosts: Iterable[str] = (),
-        origins: Iterable[str] = (),
-        **settings: Unpack[WireKeywords],
-    ) -> None:
-        """Take an address, and the settings of every transport over the wire protocol.
-
-        A URL has `insecure`, `hosts` and `origins`, with commas between their items, and the text,
-        number and boolean settings after its `?`. With `wss://` it has the paths `ca`, `cert` and
-        `key` as well.
-
-        Args:
-            host: The host to connect to, or to listen at.
-            port: The port: 80, or 443 with TLS, if it is None; a server at port 0 gets a free one,
-                which its URL shows.
-            path: The path of the server; it begins with `/`.
-            tls: The files to make TLS from, or a context for the half that is used.
-            insecure: Permit a server without TLS at an address that other machines can reach.
-            hosts: Names of the server, in addition to its addresses and the names of its machine;
-                `*` permits all.
-            origins: Pages that may use the server, for example `https://robot.example`, beside
-                those that come from its own address; `*` permits all.
-            settings: See the table of settings.
-
-        Raises:
-            TypeError: There is no such setting.
-            ValueError: A number is out of range, `orphans` is another word, the path does not
-                begin with `/`, or a token is not valid text.
-        """
-        self._own_port = self.own_ports[tls is not None]
-        super().__init__(
-            host,
-            self._own_port if port is None else port,
-            tls=tls,
-            insecure=insecure,
-            **settings,
-        )
+    def __init__(self, host: str, port: int | None, path: str, settings: WebSocketSettings) -> None:
+        self._own_port = self.own_ports[settings.tls is not None]
+        super().__init__(host, self._own_port if port is None else port, settings)
         if not path.startswith("/"):
             raise ValueError(f"path begins with /, unlike {path!r}")
         self._path = quote(path, safe="/:@!$&'()*+,;=~-._")
-        self._hosts = tuple(hosts)
-        self._origins = tuple(origins)
+        self._hosts = tuple(settings.hosts)
+        self._origins = tuple(settings.origins)
 
     @classmethod
     def address_of(cls, parts: SplitResult) -> dict[str, Any]:
@@ -112,7 +75,7 @@ class WebSocketTransport(HostTransport):
     def _client_framing(self) -> Framing:
         host = self._netloc(self._port).removesuffix(f":{self._own_port}")
         handshake = ClientHandshake(host, self._path)
-        return WebSocketFraming(self.url, FrameReader(self.client_settings.max_frame), handshake)
+        return WebSocketFraming(self.url, FrameReader(self.settings.max_frame), handshake)
 
     def _rules(self) -> HttpRules:
         return rules(
@@ -130,3 +93,33 @@ class WebSocketTransport(HostTransport):
             return WebSocketFraming("the client", server.new_reader(), ServerHandshake(admitted))
 
         return new_framing
+
+
+class WebSocketTransport(WebSocketLineTransport):
+    """WebSocket, with or without TLS."""
+
+    settings_type: ClassVar[type[TransportSettings]] = WebSocketSettings
+    tls_schemes: ClassVar[tuple[str, ...]] = ("wss",)
+
+    def __init__(
+        self,
+        host: str = HOST,
+        port: int | None = None,
+        path: str = "/",
+        **settings: Unpack[WebSocketKeywords],
+    ) -> None:
+        """Take an address and settings.
+
+        Args:
+            host: The host to connect to, or to listen at.
+            port: The port: 80, or 443 with TLS, if it is None; a server at port 0 gets a free one,
+                which its URL shows.
+            path: The path of the server; it begins with `/`.
+            settings: See the table of settings.
+
+        Raises:
+            TypeError: There is no such setting.
+            ValueError: A number is out of range, `orphans` is another word, the path does not
+                begin with `/`, or a token is not valid text.
+        """
+        super().__init__(host, port, path, WebSocketSettings.of(self, settings))

@@ -31,7 +31,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.settings import ServerSettings
+from fibaction.wire.settings import WireSettings
 from fibaction_transports.web.rosbridge.operations import Subscribe, Unsubscribe
 from fibaction_transports.web.rosbridge.server import topics, watched_action
 from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT
@@ -148,7 +148,7 @@ async def test_topics_need_the_permission_to_observe(serving: Serving, log: Hear
 @asynchronous
 async def test_messages_that_wait_for_their_time_come_then() -> None:
     memory = FrameMemory(ByteBudget(2**20))
-    translator = RosbridgeTranslator("peer", {"fibonacci": new_server()}, ServerSettings(), memory)
+    translator = RosbridgeTranslator("peer", {"fibonacci": new_server()}, WireSettings(), memory)
     wakes = 0
 
     def wake() -> None:

@@ -22,7 +22,7 @@ from fibaction.wire.messages import (
     StatusChanged,
     Welcome,
 )
-from fibaction.wire.settings import ServerSettings
+from fibaction.wire.settings import WireSettings
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.server import pending_calls
 from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
@@ -40,7 +40,7 @@ def sent(frames: list[bytes]) -> list[FromClient]:
 @pytest.fixture
 def translator() -> RosbridgeTranslator:
     memory = FrameMemory(ByteBudget(2**20))
-    made = RosbridgeTranslator("peer", {"fibonacci": new_server()}, ServerSettings(), memory)
+    made = RosbridgeTranslator("peer", {"fibonacci": new_server()}, WireSettings(), memory)
     (hello,) = sent(made.begin())
     assert isinstance(hello, Hello)
     assert made.begin() == []

@@ -129,10 +129,10 @@ async def open_fleet(
     """Open a connection to a fleet for as long as the block lasts."""
     from fibaction_transports.nats.lines import ClientLines
 
-    lines = ClientLines(broker, names, max_frame=settings.client.max_frame)
+    lines = ClientLines(broker, names, max_frame=settings.max_frame)
     await lines.open()
     async with Background() as tasks:
-        connection = FleetConnection(broker, names, lines, settings.client, tasks)
+        connection = FleetConnection(broker, names, lines, settings, tasks)
         try:
             yield connection
         finally:

@@ -145,7 +145,7 @@ class Worker(MemberPart):
         """
         mapping = {endpoint.info.name: endpoint for endpoint in endpoints}
         async with AsyncExitStack() as stack:
-            server = await stack.enter_async_context(open_server(mapping, self._settings.server))
+            server = await stack.enter_async_context(open_server(mapping, self._settings))
             lines = WorkerLines(
                 self._broker, self._names, self.name, server.new_reader, server.start
             )

@@ -62,7 +62,7 @@ from fibaction_transports.ros2.node.feedback_counts import ReceivedCounts
 from fibaction_transports.ros2.node.rivals import Rivals
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.node.stamps import FollowedStamps
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 
 QUEUE = 10
 """Feedback that the middleware may hold, as a multiple of what a goal keeps for its reader. The
@@ -78,7 +78,7 @@ logger = clean_logger("fibaction.ros2")
 class RosActionClient:
     """A client of the servers of one action."""
 
-    def __init__(self, ros: RosNode, action: str, impl: Any, settings: EndSettings) -> None:
+    def __init__(self, ros: RosNode, action: str, impl: Any, settings: RosSettings) -> None:
         """Make the ends of the action at this node.
 
         Raises:

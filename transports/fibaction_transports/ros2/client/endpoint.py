@@ -41,7 +41,7 @@ from fibaction_transports.ros2.node.graph_view import FEEDBACK, GraphView
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import FIRST_STAMP, LAST_STAMP
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 
 logger = clean_logger("fibaction.ros2")
 
@@ -164,7 +164,7 @@ class _Decoder(GoalDecoder):
 class RosConnection(Connection):
     """A connection to all actions in the graph of a node."""
 
-    def __init__(self, ros: RosNode, tasks: TaskGroup, settings: EndSettings) -> None:
+    def __init__(self, ros: RosNode, tasks: TaskGroup, settings: RosSettings) -> None:
         self._ros = ros
         self._tasks = tasks
         self._settings = settings
@@ -273,7 +273,7 @@ def _nodes(ends: Iterable[EndInfo]) -> tuple[str, ...]:
 
 @asynccontextmanager
 async def connect_actions(
-    ros: RosNode, settings: EndSettings
+    ros: RosNode, settings: RosSettings
 ) -> AsyncGenerator[RosConnection, None]:
     """Connect for as long as the block lasts."""
     async with Background() as tasks:

@@ -17,7 +17,7 @@ from fibaction_transports.ros2.client.type_versions import explain_versions
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node.parts import ServiceCaller, TopicSubscription
 from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 
 LOOK_PAUSE = 0.05
 """Seconds between two looks for a server that is waited for; ROS offers nothing to wait for."""
@@ -52,7 +52,7 @@ class Presence:
         full: ActionNames,
         clients: Sequence[ServiceCaller],
         subscriptions: tuple[TopicSubscription, TopicSubscription],
-        settings: EndSettings,
+        settings: RosSettings,
     ) -> None:
         """`impl` has the types of the action. `subscriptions` are those to the feedback and to the
         statuses, in this order.

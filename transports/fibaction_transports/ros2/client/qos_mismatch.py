@@ -14,7 +14,7 @@ from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 
 _LEVELS = {
     "reliability": ("best_effort", "reliable"),
@@ -35,7 +35,7 @@ class _Way(NamedTuple):
     is_to_server: bool = False
 
 
-def explain_mismatch(ros: RosNode, full: ActionNames, settings: EndSettings) -> str:
+def explain_mismatch(ros: RosNode, full: ActionNames, settings: RosSettings) -> str:
     """Return a sentence that says which parts of a server do not match, and what to do; empty if
     there is no server, or if all of it matches.
     """
@@ -59,7 +59,7 @@ def explain_mismatch(ros: RosNode, full: ActionNames, settings: EndSettings) -> 
     )
 
 
-def _ways(ros: RosNode, full: ActionNames, settings: EndSettings) -> Iterator[_Way]:
+def _ways(ros: RosNode, full: ActionNames, settings: RosSettings) -> Iterator[_Way]:
     feedback = qos.feedback(settings.feedback_depth, settings.feedback_qos)
     status = qos.subscribed_status(settings.status_qos)
     services = qos.services(settings.services_qos)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import sys
 import uuid
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
-
-import msgspec
+from typing import ClassVar
 
 from fibaction.border.peer_text import excerpt
+from fibaction.border.settings import check_range
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.adapter import RosAdapter
 from fibaction_transports.ros2.on_dds.arguments.parameter_overrides import overrides_of
@@ -24,7 +24,7 @@ from fibaction_transports.ros2.on_dds.graph import NodeName
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.on_dds.node import DdsNode, open_node
 from fibaction_transports.ros2.on_dds.parameters import USE_SIM_TIME
-from fibaction_transports.ros2.settings import NodeSettings, check_range
+from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 from fibaction_transports.rtps.ports import IP_VERSIONS, DiscoveryRange, DomainSettings
 
 DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"
@@ -34,15 +34,35 @@ _YES, _NO = ("true", "yes", "on", "y"), ("false", "no", "off", "n")
 """The words of rcl."""
 
 
-class DdsSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """The settings of DDS. `DdsTransport` describes each of them."""
+class DdsSettings(RosSettings, frozen=True, kw_only=True):
+    """The settings of a `DdsTransport`."""
 
-    search: tuple[str, ...] = ()
+    shared: ClassVar[tuple[str, ...]] = (
+        *RosSettings.shared,
+        "discovery",
+        "peers",
+        "ip_versions",
+    )
+
+    search: Sequence[str] = ()
+    """Folders with packages of interface files: `package/action/Type.action` and
+    `package/msg/Type.msg`. They are searched before those of `FIBACTION_SEARCH` and those of
+    ROS."""
     discovery: str = ""
-    peers: tuple[str, ...] = ()
-    network: tuple[str, ...] = ()
-    ip_versions: tuple[int, ...] = ()
+    """`SUBNET`, `LOCALHOST` or `OFF`: how far other nodes are looked for. Without it,
+    `ROS_AUTOMATIC_DISCOVERY_RANGE` says it, and else it is `SUBNET`, as in ROS."""
+    peers: Sequence[str] = ()
+    """Hosts that are asked in addition, where multicast does not reach; without them, those of
+    `ROS_STATIC_PEERS`."""
+    network: Sequence[str] = ()
+    """The addresses of this machine's interfaces that take part in multicast; by default that of
+    the default route."""
+    ip_versions: Sequence[int] = ()
+    """The versions of IP that are used: `(4,)`, `(6,)` or `(4, 6)`. By default 4, and 6 as well if
+    a peer is an address of IPv6."""
     fragment_size: int = 63_000
+    """Bytes of a message that go into one datagram, from 256 to 63,000. Where much is lost, a size
+    below the MTU loses less."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -50,11 +70,14 @@ class DdsSettings(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             ValueError: A number is out of range, or a word is not one of those that are valid.
         """
+        super().__post_init__()
         check_range("fragment_size", self.fragment_size, 256, 63_000)
+        if self.introspection != "off":
+            raise ValueError("introspection needs rclpy: leave it out with dds://")
         if self.discovery and self.discovery not in DiscoveryRange.__members__:
             known = ", ".join(DiscoveryRange.__members__)
             raise ValueError(f"discovery is one of {known}, not {self.discovery!r}")
-        if self.ip_versions and self.ip_versions not in IP_VERSIONS:
+        if self.ip_versions and tuple(self.ip_versions) not in IP_VERSIONS:
             given = ",".join(map(str, self.ip_versions))
             raise ValueError(f"ip_versions is one of 4, 6 and 4,6, not {given}")
 
@@ -139,7 +162,7 @@ class DdsAdapter(RosAdapter):
         if settings.peers:
             environ["ROS_STATIC_PEERS"] = ";".join(settings.peers)
         try:
-            return DomainSettings.from_environment(environ, settings.ip_versions)
+            return DomainSettings.from_environment(environ, tuple(settings.ip_versions))
         except ValueError as exc:
             raise TransportError(str(exc)) from exc
 

@@ -18,7 +18,7 @@ from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter
 from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes
 from fibaction_transports.ros2.on_dds.names import ros_type, topic_name
 from fibaction_transports.ros2.on_dds.node import DdsNode
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, OWN_VENDOR
 from fibaction_transports.rtps.ports import (
     GROUPS,
@@ -51,7 +51,7 @@ class DomainView(Struct, frozen=True, kw_only=True):
 
 
 async def diagnose_domain(
-    adapter: DdsAdapter, ends: EndSettings, seconds: float, action: str = ""
+    adapter: DdsAdapter, ends: RosSettings, seconds: float, action: str = ""
 ) -> Diagnosis:
     """Listen in a domain for some seconds; then say what was heard, and what may be wrong.
 
@@ -159,7 +159,7 @@ def _datagrams(node: DdsNode) -> dict[str, int]:
 # What is wrong
 
 
-def _problems(node: DdsNode, ends: EndSettings, action: str, view: DomainView) -> Iterator[str]:
+def _problems(node: DdsNode, ends: RosSettings, action: str, view: DomainView) -> Iterator[str]:
     """Yield a sentence for each reason why an action cannot be used."""
     names = action_names(node.resolve, action)
     full = names.feedback.removesuffix(FEEDBACK)

@@ -63,7 +63,7 @@ from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher, F
 from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
 from fibaction_transports.ros2.server.served_statuses import ServedStatuses
 from fibaction_transports.ros2.server.service_server import ServiceServers
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 
 NO_GOAL = bytes(16)
 DRAIN_TIMEOUT = 5.0
@@ -99,7 +99,7 @@ class RosActionServer:
     """One action, served in ROS."""
 
     def __init__(
-        self, ros: RosNode, served: ServedEndpoint, settings: EndSettings, tasks: TaskGroup
+        self, ros: RosNode, served: ServedEndpoint, settings: RosSettings, tasks: TaskGroup
     ) -> None:
         self._ros = ros
         self._endpoint = served.endpoint
@@ -115,7 +115,7 @@ class RosActionServer:
         self._services = ServiceServers(ros, self._name, services, tasks, self._progress)
         self._open(settings)
 
-    def _open(self, settings: EndSettings) -> None:
+    def _open(self, settings: RosSettings) -> None:
         impl, full, serve = self._impl, self._names, self._services.serve
         rejected = impl.CancelGoalService.Response(return_code=int(CancelCode.REJECTED))
 
@@ -333,7 +333,7 @@ class RosActionServer:
 
 @asynccontextmanager
 async def serve_actions(
-    ros: RosNode, endpoints: Sequence[ServedEndpoint], settings: EndSettings
+    ros: RosNode, endpoints: Sequence[ServedEndpoint], settings: RosSettings
 ) -> AsyncGenerator[None, None]:
     """Serve for as long as the block lasts."""
     async with Background() as tasks:

@@ -14,7 +14,7 @@ from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.convert.conversion import RosCodec
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 
 MATCH_TIMEOUT, MATCH_PAUSE = 0.5, 0.01
 """Seconds that the first feedback of a goal waits for subscribers that are in the graph and not yet
@@ -45,7 +45,7 @@ class FeedbackTopic:
         full: ActionNames,
         message_type: Any,
         codec: RosCodec,
-        settings: EndSettings,
+        settings: RosSettings,
     ) -> None:
         self._ros = ros
         self._action = action

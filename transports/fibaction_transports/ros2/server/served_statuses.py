@@ -15,13 +15,13 @@ from fibaction_transports.ros2.convert.status_bytes import pack_statuses
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.node.stamps import ServedStamps
 from fibaction_transports.ros2.node.status_list import PublishedStatuses
-from fibaction_transports.ros2.settings import EndSettings
+from fibaction_transports.ros2.settings import RosSettings
 
 
 class ServedStatuses:
     """The goals of one action in the status list that its server publishes."""
 
-    def __init__(self, ros: RosNode, topic: str, message_type: Any, settings: EndSettings) -> None:
+    def __init__(self, ros: RosNode, topic: str, message_type: Any, settings: RosSettings) -> None:
         """Make the publisher, and publish nothing yet."""
         profile = qos.published_status(settings.lease, settings.status_qos)
         self._publisher = ros.publisher(topic, message_type, profile)

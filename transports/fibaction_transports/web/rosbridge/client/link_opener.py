@@ -10,8 +10,10 @@ goal is never sent twice, since that would run it twice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from ssl import SSLContext
+from typing import Any, ClassVar, TypeVar
 from weakref import WeakValueDictionary
 
 import anyio
@@ -19,6 +21,8 @@ import msgspec
 from anyio.abc import TaskGroup
 
 from fibaction.wire.channel import Line
+from fibaction.wire.settings import LineSettings
+from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
@@ -43,23 +47,40 @@ MOST_SENT = 10_000
 AnswerT = TypeVar("AnswerT")
 
 
-class ClientTerms(msgspec.Struct, frozen=True):
-    """The settings of a client of rosbridge."""
+class RosbridgeSettings(LineSettings, frozen=True, kw_only=True):
+    """The settings of a `RosbridgeTransport`."""
 
-    heartbeat: float
-    """Seconds between signs of life of the server, which is pinged twice as often."""
-    window: int
-    """Feedback messages of a goal that wait to be read."""
-    max_frame: int
-    """Bytes of the largest message of the server."""
-    accepted_after: float
-    """Seconds without an answer after which a goal counts as accepted."""
-    answer_timeout: float
-    """Seconds for the answer to a call of a service."""
-    schemas: bool
-    """True if rosapi is asked for the types of the actions that are listed."""
-    cancel_on_disconnect: bool
-    """True if the server is asked to cancel goals whose connection is lost."""
+    for_servers: ClassVar[bool] = False
+
+    heartbeat: float = 5.0
+    """Seconds between signs of life of the server, which is pinged twice as often; after four times
+    that without one the connection is lost. A robot that is busy answers late."""
+    tls: TlsFiles | SSLContext | None = None
+    """The files to make TLS from, or a context; in a URL the paths `ca`, `cert` and `key`."""
+    accepted_after: float = 1.5
+    """Seconds after which a goal counts as accepted if the server has said nothing: rosbridge
+    answers rejections only. A server looks for the action for a second, and then rejects the
+    goal."""
+    answer_timeout: float = 10.0
+    """Seconds for an answer of rosapi, for which a server itself waits up to 5 s."""
+    schemas: bool = True
+    """Ask rosapi for the types of the actions that are listed, so that goals are checked before
+    they are sent. False is for older releases of rosapi, which end when they are asked for some
+    types."""
+    cancel_on_disconnect: bool = False
+    """Ask the server to cancel goals whose connection is lost. Most servers do not know it yet."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range, or the token is not valid text.
+        """
+        super().__post_init__()
+        for name in ("accepted_after", "answer_timeout"):
+            value = getattr(self, name)
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{name} is at least 0 seconds and finite, not {value}")
 
     @property
     def fate(self) -> str:
@@ -77,7 +98,7 @@ class LinkKeeper:
         url: str,
         open_line: Callable[[], Awaitable[Line]],
         tasks: TaskGroup,
-        terms: ClientTerms,
+        terms: RosbridgeSettings,
     ) -> None:
         self.url = url
         self.terms = terms

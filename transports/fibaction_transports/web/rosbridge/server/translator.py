@@ -58,7 +58,7 @@ from fibaction.wire.messages import (
     Ping,
     Welcome,
 )
-from fibaction.wire.settings import ServerSettings
+from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction_transports.web.rosbridge.fragments import PartialMessages, size_of
@@ -102,7 +102,7 @@ class RosbridgeTranslator:
         self,
         peer: str,
         endpoints: Mapping[str, Endpoint],
-        settings: ServerSettings,
+        settings: WireSettings,
         memory: FrameMemory,
         token: str = "",
     ) -> None:
