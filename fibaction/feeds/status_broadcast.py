@@ -157,6 +157,9 @@ class StatusCursor(StatusStream):
         return goal.info
 
     def _next_change(self) -> GoalInfo | None:
+        if self._cursor == self._last:
+            self._listed_at.clear()
+            return None
         missed = self._missed
         self._cursor += missed
         self._dropped += missed

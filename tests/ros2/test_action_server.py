@@ -26,7 +26,7 @@ from fibaction import (
 )
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
-from fibaction_transports.ros2.convert.status_bytes import info_of, lines_in, unpack_lines
+from fibaction_transports.ros2.convert.status_bytes import status_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import rivals
 from fibaction_transports.ros2.on_rclpy import ends, rcl
@@ -511,9 +511,9 @@ async def test_every_status_of_a_goal_is_published_though_those_of_all_goals_are
     published: list[list[GoalStatus]] = []
     publish = ServedStatuses._publish
 
-    def record(self: Any, message: bytes) -> None:
-        published.append([info_of(line).status for line in unpack_lines(lines_in(message))])
-        publish(self, message)
+    def record(self: Any) -> None:
+        published.append([GoalStatus(status_of(line)) for line in self._lines.values()])
+        publish(self)
 
     async def never(self: Any) -> None:
         await anyio.sleep_forever()

@@ -9,6 +9,7 @@ import pytest
 
 from fibaction import GoalID, GoalInfo, GoalStatus
 from fibaction.words.statuses import TRANSITIONS
+from fibaction_transports.ros2.client.status_lists import ReceivedStatuses
 from fibaction_transports.ros2.convert.status_bytes import (
     StatusLine,
     info_of,
@@ -17,7 +18,9 @@ from fibaction_transports.ros2.convert.status_bytes import (
     pack_statuses,
     unpack_lines,
 )
-from fibaction_transports.ros2.node.status_list import REPEAT, PublishedStatuses, ReceivedStatuses
+from fibaction_transports.ros2.node.stamps import ServedStamps
+from fibaction_transports.ros2.on_dds.clock import DdsClock
+from fibaction_transports.ros2.server.served_statuses import REPEAT, ServedStatuses
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
@@ -43,7 +46,7 @@ class Published(list[list[GoalStatus]]):
 
 def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() -> None:
     published = Published()
-    statuses = PublishedStatuses(published)
+    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
     statuses.update(GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
     assert published == []
@@ -56,7 +59,7 @@ def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() ->
 
 def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
     published = Published()
-    statuses = PublishedStatuses(published)
+    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
     statuses.update(GoalInfo(TWO, 2, GoalStatus.UNKNOWN))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.CANCELING))
     for status in (GoalStatus.CANCELING, GoalStatus.EXECUTING):
@@ -68,7 +71,7 @@ def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
 @pytest.mark.promise("STATUS-8")
 def test_a_forgotten_goal_leaves_the_list() -> None:
     published = Published()
-    statuses = PublishedStatuses(published)
+    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
     assert ONE in statuses
     statuses.update(GoalInfo(ONE, 1, GoalStatus.UNKNOWN))
@@ -85,7 +88,7 @@ def test_a_forgotten_goal_leaves_the_list() -> None:
 @pytest.mark.anyio
 async def test_a_change_is_published_in_the_next_turn_of_the_loop() -> None:
     published = Published()
-    statuses = PublishedStatuses(published)
+    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(statuses.run)
         for status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING):
@@ -145,7 +148,7 @@ async def repeated(
     lists, and the number of waits.
     """
     lists: list[bytes] = []
-    statuses = PublishedStatuses(lists.append)
+    statuses = ServedStatuses(lists.append, ServedStamps(DdsClock()))
     rest = iter(turns)
     waits = 0
 

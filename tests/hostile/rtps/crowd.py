@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import anyio
 
-from fibaction_transports.rtps.budgets import MOST_REPAIRS
 from fibaction_transports.rtps.events import EndpointMatched, Event, SampleReceived
+from fibaction_transports.rtps.limits import MOST_REPAIRS
 from fibaction_transports.rtps.network import open_network
 from fibaction_transports.rtps.ports import DomainSettings
 from fibaction_transports.rtps.qos import Qos

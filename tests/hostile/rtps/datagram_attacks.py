@@ -11,8 +11,8 @@ from typing import NamedTuple, TypeAlias
 
 import anyio
 
-from fibaction_transports.rtps.discovery.endpoint_data import EndpointData, endpoint_payload
-from fibaction_transports.rtps.discovery.participant_data import (
+from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
+from fibaction_transports.rtps.discovery.remote_participant import (
     ParticipantData,
     participant_payload,
 )

@@ -34,10 +34,10 @@ from fibaction_transports.ros2.on_dds.messages.node_messages import (
 from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
+from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.events import ParticipantLost, TypesAnswered
 from fibaction_transports.rtps.messages.ids import FAST_DDS, Guid
-from fibaction_transports.rtps.messages.type_questions import TYPE_ID_SIZE
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio

@@ -12,9 +12,9 @@ from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.followed_goals import FollowedGoals
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.client.status_lists import ReceivedStatuses
 from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses
 from fibaction_transports.ros2.node.parts import TopicSubscription
-from fibaction_transports.ros2.node.status_list import ReceivedStatuses
 from fibaction_transports.ros2.on_dds.topics import DdsSubscription
 from fibaction_transports.ros2.qos import EndQos
 

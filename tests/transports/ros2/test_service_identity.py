@@ -22,7 +22,6 @@ from fibaction_transports.ros2.on_dds.service_identity import (
     identity_in,
     identity_items,
     split_header,
-    uses_header,
 )
 from fibaction_transports.ros2.on_dds.services import (
     ANSWERED_REQUESTS,
@@ -114,12 +113,6 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 
 pytestmark = pytest.mark.anyio
-
-
-def test_only_cyclone_has_a_header() -> None:
-    assert uses_header(CYCLONE_DDS)
-    assert not uses_header(FAST_DDS)
-    assert not uses_header(None)
 
 
 async def test_servers_of_one_vendor_get_one_sample() -> None:

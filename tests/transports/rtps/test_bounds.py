@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fibaction_transports.rtps.discovery.participant_data import (
+from fibaction_transports.rtps.discovery.remote_participant import (
     ParticipantData,
     participant_payload,
 )
-from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.fragments import PartialSamples
+from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
 from fibaction_transports.rtps.events import ParticipantFound, ParticipantLost, SamplesLost
 from fibaction_transports.rtps.limits import MIB, ByteAccount, RtpsLimits
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes

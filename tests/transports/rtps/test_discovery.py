@@ -7,12 +7,12 @@ from collections import Counter
 
 import pytest
 
-from fibaction_transports.rtps.discovery.endpoint_data import EndpointData, endpoint_payload
-from fibaction_transports.rtps.discovery.participant_data import (
+from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
+from fibaction_transports.rtps.discovery.remote_participant import (
     ParticipantData,
     participant_payload,
+    reachable,
 )
-from fibaction_transports.rtps.discovery.remote_participant import reachable
 from fibaction_transports.rtps.events import (
     EndpointMatched,
     EndpointUnmatched,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fibaction_transports.rtps.discovery.endpoint_data import read_endpoint
-from fibaction_transports.rtps.discovery.participant_data import read_participant
-from fibaction_transports.rtps.discovery.payloads import read_list
+from fibaction_transports.rtps.discovery.remote_endpoints import read_endpoint
+from fibaction_transports.rtps.discovery.remote_participant import read_participant
 from fibaction_transports.rtps.endpoints.sample import received_sample
 from fibaction_transports.rtps.messages import parameters as pids
 from fibaction_transports.rtps.messages.decoder import read_packet
 from fibaction_transports.rtps.messages.encoder import submessage_bytes
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, Guid
+from fibaction_transports.rtps.messages.parameters import read_list
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,

@@ -15,6 +15,7 @@ import pytest
 from fibaction.border.event_loop import asyncio_loop
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps import sockets as sockets_module
+from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.events import (
     CaughtUp,
     EndpointMatched,
@@ -24,12 +25,11 @@ from fibaction_transports.rtps.events import (
     ParticipantLost,
     SampleReceived,
 )
-from fibaction_transports.rtps.loops.fair_inbox import FairInbox
-from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop, calls_for
-from fibaction_transports.rtps.messages.type_questions import TYPE_ID_SIZE
+from fibaction_transports.rtps.loops import AsyncioLoop, calls_for
 from fibaction_transports.rtps.network import (
     MOST_AT_ONCE,
     MOST_WAITING,
+    FairInbox,
     ParticipantNetwork,
     open_network,
 )
@@ -429,7 +429,7 @@ async def test_a_loop_of_asyncio_wakes_once_for_the_earliest_time() -> None:
     loop.wake(now)
     await anyio.sleep(0.001)
     assert len(woken) == 2
-    loop._guarded(sleeper.on_deadline)  # a second error of the same turn
+    loop._fail(ValueError("a second error of the same turn"))
 
 
 # Sockets

@@ -470,7 +470,7 @@ def test_a_sample_that_is_repeated_before_it_is_sent_is_sent_once() -> None:
     ((datagram, _),) = one.participant.datagrams_to_send()
     (sample,) = [each for each in read_packet(datagram).submessages if isinstance(each, Data)]
     assert sample.reader == reader.guid.entity
-    assert one.participant.waiting == 0
+    assert one.participant.outbox.count == 0
 
 
 def test_a_payload_without_an_encapsulation_header_is_rejected() -> None:

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from fibaction_transports.rtps.endpoints.request_pace import (
+from fibaction_transports.rtps.endpoints.catch_up import (
     LONGEST_REPEAT,
     MARGIN,
     SHORTEST_REPEAT,
@@ -49,11 +49,10 @@ def test_the_pause_is_that_of_the_latest_answer_for_other_writers_too() -> None:
     latest = AnswerTime()
     pace = RequestPace(latest)
     assert requests(pace, 5, 1.0) == [1.0]
-    pace.note_sample(6, 1.1)  # it was not requested
     assert latest.pause == SHORTEST_REPEAT
-    pace.note_sample(3, 1.2)
+    pace.note_sample(1.2)
     assert latest.pause == pytest.approx(0.2 * MARGIN)
-    pace.note_sample(4, 1.4)  # of the same answer
+    pace.note_sample(1.4)  # of the same answer
     assert latest.pause == pytest.approx(0.2 * MARGIN)
     assert requests(pace, 5, 1.25, 1.29, 1.31) == [1.31]
     assert requests(RequestPace(latest), 5, 2.0, 2.2, 2.4) == [2.0, 2.4]
@@ -64,7 +63,7 @@ def test_the_pause_of_an_answer_is_within_bounds(seconds: float, pause: float) -
     latest = AnswerTime()
     pace = RequestPace(latest)
     pace.note_request(5, 1.0)
-    pace.note_sample(5, 1.0 + seconds)
+    pace.note_sample(1.0 + seconds)
     assert latest.pause == pause
 
 

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fibaction_transports.rtps.messages import decoder, kinds
+from fibaction_transports.rtps.messages import decoder, layout
 from fibaction_transports.rtps.messages.decoder import read_packet
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
-from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.layout import (
     BIG,
     LITTLE,
     MAX_NUMBER,
+    InvalidPacket,
     Order,
     duration_bytes,
     read_duration,
@@ -183,11 +183,11 @@ def raw(kind: int, body: bytes, flags: int = 1, size: int | None = None) -> byte
 def test_the_last_submessage_may_leave_out_its_length() -> None:
     data = Data(*ENDS, 7, b"\0\1\0\0abcd")
     body = submessage_bytes(data)[4:]
-    assert read_packet(raw(kinds.DATA, body, 5, size=0)).submessages == (data,)
+    assert read_packet(raw(layout.DATA, body, 5, size=0)).submessages == (data,)
 
 
 def test_padding_and_an_invalid_time_have_no_length() -> None:
-    content = struct.pack("<BBH", kinds.PAD, 1, 0) + struct.pack("<BBH", kinds.INFO_TS, 3, 0)
+    content = struct.pack("<BBH", layout.PAD, 1, 0) + struct.pack("<BBH", layout.INFO_TS, 3, 0)
     packet = read_packet(HEAD + content + submessage_bytes(Destination(bytes(12))))
     assert packet.submessages == (Timestamp(None), Destination(bytes(12)))
 
@@ -222,43 +222,43 @@ INVALID = {
     "nothing": (b"", "does not begin as RTPS does"),
     "another protocol": (b"HTTP/1.1 200 OK\r\n\r\n\r\n", "does not begin as RTPS does"),
     "version 1": (b"RTPS\x01\x00" + bytes(14), "version 1 of RTPS is not 2"),
-    "too long": (raw(kinds.DATA, b"", size=20), "20 bytes is longer than its datagram"),
-    "too short": (raw(kinds.HEARTBEAT, bytes(20)), "shorter than its kind"),
-    "number 0": (raw(kinds.HEARTBEAT, heartbeat(0, 0)), "sequence number 0 is not between 1"),
-    "number 2^62": (raw(kinds.HEARTBEAT, heartbeat(2**62, 2**62)), "is not between 1 and 2"),
-    "negative number": (raw(kinds.HEARTBEAT, heartbeat(1, -5)), "number -5 is not between 0"),
-    "last before first": (raw(kinds.HEARTBEAT, heartbeat(9, 7)), "number 7 is not between 8"),
+    "too long": (raw(layout.DATA, b"", size=20), "20 bytes is longer than its datagram"),
+    "too short": (raw(layout.HEARTBEAT, bytes(20)), "shorter than its kind"),
+    "number 0": (raw(layout.HEARTBEAT, heartbeat(0, 0)), "sequence number 0 is not between 1"),
+    "number 2^62": (raw(layout.HEARTBEAT, heartbeat(2**62, 2**62)), "is not between 1 and 2"),
+    "negative number": (raw(layout.HEARTBEAT, heartbeat(1, -5)), "number -5 is not between 0"),
+    "last before first": (raw(layout.HEARTBEAT, heartbeat(9, 7)), "number 7 is not between 8"),
     "no encapsulation": (
-        raw(kinds.DATA, struct.pack("<HH4s4siI", 0, 16, *ENDS, 0, 1) + b"ab", 5),
+        raw(layout.DATA, struct.pack("<HH4s4siI", 0, 16, *ENDS, 0, 1) + b"ab", 5),
         "payload of 2 bytes has no encapsulation header",
     ),
-    "inline QoS before its place": (raw(kinds.DATA_FRAG, fragment(inline=4)), "byte 8 is outside"),
-    "inline QoS after the end": (raw(kinds.DATA_FRAG, fragment(inline=99)), "byte 103 is outside"),
-    "fragment 0": (raw(kinds.DATA_FRAG, fragment(first=0)), "fragments 0 to 0 are not in"),
-    "no fragments": (raw(kinds.DATA_FRAG, fragment(count=0)), "fragments 1 to 0 are not in"),
-    "fragment 2 of 1": (raw(kinds.DATA_FRAG, fragment(first=2)), "fragments 2 to 2 are not in"),
-    "fragments of no bytes": (raw(kinds.DATA_FRAG, fragment(size=0)), "beyond the limits"),
+    "inline QoS before its place": (raw(layout.DATA_FRAG, fragment(inline=4)), "byte 8 is outside"),
+    "inline QoS after the end": (raw(layout.DATA_FRAG, fragment(inline=99)), "byte 103 is outside"),
+    "fragment 0": (raw(layout.DATA_FRAG, fragment(first=0)), "fragments 0 to 0 are not in"),
+    "no fragments": (raw(layout.DATA_FRAG, fragment(count=0)), "fragments 1 to 0 are not in"),
+    "fragment 2 of 1": (raw(layout.DATA_FRAG, fragment(first=2)), "fragments 2 to 2 are not in"),
+    "fragments of no bytes": (raw(layout.DATA_FRAG, fragment(size=0)), "beyond the limits"),
     "2^32 fragments": (
-        raw(kinds.DATA_FRAG, fragment(size=1, whole=2**32 - 1)),
+        raw(layout.DATA_FRAG, fragment(size=1, whole=2**32 - 1)),
         "sample of 4294967295 bytes in fragments of 1 is beyond the limits",
     ),
-    "missing bytes": (raw(kinds.DATA_FRAG, fragment(content=b"abc")), "have 3 of 8 bytes"),
+    "missing bytes": (raw(layout.DATA_FRAG, fragment(content=b"abc")), "have 3 of 8 bytes"),
     "a set of 257": (
-        raw(kinds.ACK_NACK, struct.pack("<4s4siII", *ENDS, 0, 1, 257) + bytes(44)),
+        raw(layout.ACK_NACK, struct.pack("<4s4siII", *ENDS, 0, 1, 257) + bytes(44)),
         "set of 257 numbers exceeds 256",
     ),
     "a GAP that goes back": (
-        raw(kinds.GAP, struct.pack("<4s4siIiII", *ENDS, 0, 9, 0, 8, 0)),
+        raw(layout.GAP, struct.pack("<4s4siIiII", *ENDS, 0, 9, 0, 8, 0)),
         "number 8 is not between 9",
     ),
-    "a short prefix": (raw(kinds.INFO_DST, bytes(8)), "destination is shorter than a prefix"),
+    "a short prefix": (raw(layout.INFO_DST, bytes(8)), "destination is shorter than a prefix"),
     "a million locators": (
-        raw(kinds.INFO_REPLY, struct.pack("<I", 10**6)),
+        raw(layout.INFO_REPLY, struct.pack("<I", 10**6)),
         "1000000 locators exceed 64",
     ),
     "endless parameters": (
         raw(
-            kinds.DATA,
+            layout.DATA,
             struct.pack("<HH4s4siI", 0, 16, *ENDS, 0, 1) + struct.pack("<HH", 5, 0) * 300,
             3,
         ),
@@ -266,7 +266,7 @@ INVALID = {
     ),
     "a long parameter": (
         raw(
-            kinds.DATA,
+            layout.DATA,
             struct.pack("<HH4s4siI", 0, 16, *ENDS, 0, 1) + struct.pack("<HH", 5, 99),
             3,
         ),

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from fibaction_transports.rtps.budgets import (
-    MOST_REPAIRS,
-    REPAIRS_AT_ONCE,
-    REPAIRS_PER_SECOND,
-    HostRates,
-    PeerBudget,
-)
-from fibaction_transports.rtps.discovery.endpoint_data import EndpointData, endpoint_payload
-from fibaction_transports.rtps.discovery.participant_data import (
+from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
+from fibaction_transports.rtps.discovery.remote_participant import (
     ParticipantData,
     participant_payload,
 )
-from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
+from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import DISPOSED, Sample
 from fibaction_transports.rtps.endpoints.writer_proxy import MOST_REQUESTS
 from fibaction_transports.rtps.events import (
@@ -26,7 +19,14 @@ from fibaction_transports.rtps.events import (
     ParticipantFound,
     ParticipantLost,
 )
-from fibaction_transports.rtps.limits import RtpsLimits
+from fibaction_transports.rtps.limits import (
+    MOST_REPAIRS,
+    REPAIRS_AT_ONCE,
+    REPAIRS_PER_SECOND,
+    HostRates,
+    PeerBudget,
+    RtpsLimits,
+)
 from fibaction_transports.rtps.messages.ids import (
     PUBLICATIONS_READER,
     PUBLICATIONS_WRITER,

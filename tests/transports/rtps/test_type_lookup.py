@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import pytest
 
-from fibaction_transports.rtps.discovery import participant_data
+from fibaction_transports.rtps.discovery import remote_participant
+from fibaction_transports.rtps.discovery.type_lookup import (
+    question_payload,
+    read_answer,
+    read_type_id,
+)
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import TypesAnswered
 from fibaction_transports.rtps.messages import ids
-from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.layout import InvalidPacket
 from fibaction_transports.rtps.messages.parameters import TYPE_INFORMATION, Parameters
-from fibaction_transports.rtps.messages.type_questions import (
-    question_payload,
-    read_answer,
-    read_type_id,
-)
 from fibaction_transports.rtps.outbox import PeerRoute
 from fibaction_transports.rtps.qos import Qos
 from tests.transports.rtps.world import Node, World
@@ -104,7 +104,7 @@ class Answers:
 
 @pytest.fixture
 def everybody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(participant_data, "ANSWERS_TYPES", 0)
+    monkeypatch.setattr(remote_participant, "ANSWERS_TYPES", 0)
 
 
 @pytest.mark.usefixtures("everybody_answers")

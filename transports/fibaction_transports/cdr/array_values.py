@@ -31,7 +31,8 @@ def octets_of(
         CdrError: They are not octets, or their number is not allowed.
     """
     octets = value if isinstance(value, bytes) else numbers_of(value, "B")
-    check_count(len(octets), size, bound)
+    if size is not None or bound is not None:
+        check_count(len(octets), size, bound)
     return octets
 
 
@@ -41,7 +42,7 @@ def numbers_of(value: Any, code: str) -> bytes | memoryview:
     Raises:
         CdrError: They are not numbers of this type.
     """
-    if not is_sequence(value):
+    if not isinstance(value, (list, tuple)):
         shown = _memory_of(value, code)
         if shown is not None:
             return shown
@@ -70,11 +71,6 @@ def _misfit(field: str, code: str, value: Any) -> CdrError | None:
     except UNFIT as exc:
         return CdrError(f"{excerpt(repr(value))} does not fit: {exc}", field=field)
     return None
-
-
-def is_sequence(value: Any) -> TypeGuard[Sequence[Any]]:
-    """Return whether the value is a list or a tuple."""
-    return isinstance(value, (list, tuple))
 
 
 def _is_collection(value: Any) -> TypeGuard[Collection[Any]]:

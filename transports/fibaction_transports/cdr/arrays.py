@@ -11,7 +11,6 @@ from typing import Any, Literal, NamedTuple, cast
 
 from fibaction_transports.cdr.array_values import (
     check_count,
-    is_sequence,
     numbers_of,
     octets_of,
     size_of,
@@ -53,7 +52,8 @@ class ArraySize(NamedTuple):
         Raises:
             CdrError: It is not allowed.
         """
-        check_count(count, self.size, self.bound)
+        if self.size is not None or self.bound is not None:
+            check_count(count, self.size, self.bound)
         if self.size is None:
             writer.put(pack_count(count), _WORD)
 
@@ -139,7 +139,7 @@ class ElementArray(CdrStep):
 
     def write(self, writer: CdrWriter, values: Sequence[Any], index: int) -> None:
         items = values[index]
-        if not is_sequence(items):
+        if not isinstance(items, (list, tuple)):
             raise CdrError(f"a list expected, found {type(items).__name__}")
         self._size.write(writer, len(items))
         self._element.write_many(writer, items)

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import starmap
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any, Final
 
 from fibaction.interfaces.definitions import FieldDefinition, FieldType
@@ -175,8 +175,14 @@ def _builder(
     Both are by the names of attributes: the indexes of values, and what makes the nested structs.
     """
 
+    names = [name for name, _ in leaves]
+    indexes = [index for _, index in leaves]
+    start, end = (indexes[0], indexes[-1] + 1) if indexes else (0, 0)
+    are_in_a_row = end - start == len(indexes)
+    pick: Any = itemgetter(slice(start, end)) if are_in_a_row else itemgetter(*indexes)
+
     def build(values: Sequence[Any]) -> Any:
-        fields = {name: values[index] for name, index in leaves}
+        fields = dict(zip(names, pick(values), strict=True))
         for name, part in messages:
             fields[name] = part(values)
         return cls(**fields)

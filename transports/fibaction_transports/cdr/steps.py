@@ -160,7 +160,9 @@ class PrimitiveRun(CdrStep):
         return found
 
     def read(self, reader: CdrReader, into: list[Any]) -> None:
-        packed = self.layout(reader.order, reader.at)
+        packed = self._structs[reader.order][reader.at % _PHASES]
+        if packed is None:
+            packed = self.layout(reader.order, reader.at)
         if reader.at + packed.size > reader.end:
             raise self._too_short(reader)
         into += packed.unpack_from(reader.data, reader.at)
@@ -187,7 +189,9 @@ class PrimitiveRun(CdrStep):
                 except CdrError as exc:
                     exc.put_under(self._names[place])
                     raise
-        packed = self.layout(LITTLE_ENDIAN, writer.at)
+        packed = self._structs[LITTLE_ENDIAN][writer.at % _PHASES]
+        if packed is None:
+            packed = self.layout(LITTLE_ENDIAN, writer.at)
         try:
             piece = packed.pack(*values)
         except UNFIT as exc:
@@ -201,7 +205,13 @@ def _check_of(item: RunItem) -> Callable[[Any], Any]:
     if item.code == "?":
         return checked_bool
     size = item.size
-    return lambda value: bytes(octets_of(value, size=size))
+
+    def checked_octets(value: Any) -> bytes:
+        if type(value) is bytes and len(value) == size:
+            return value
+        return bytes(octets_of(value, size=size))
+
+    return checked_octets
 
 
 def checked_bool(value: Any) -> bool:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import socket
+from collections import OrderedDict, deque
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, closing
 from time import perf_counter
 
 import anyio
-from msgspec import Struct
+from msgspec import Struct, field
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
@@ -16,10 +17,7 @@ from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import Event
 from fibaction_transports.rtps.limits import MIB
-from fibaction_transports.rtps.loops.driven import DrivingLoop
-from fibaction_transports.rtps.loops.fair_inbox import FairInbox
-from fibaction_transports.rtps.loops.on_anyio import AnyioLoop
-from fibaction_transports.rtps.loops.on_asyncio import AsyncioLoop, calls_for
+from fibaction_transports.rtps.loops import AnyioLoop, AsyncioLoop, DrivingLoop, calls_for
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.locators import Address, is_ipv6
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
@@ -44,6 +42,8 @@ CLOSING_TIME = 1.0
 """Seconds for which a participant that leaves waits for room to say so."""
 MOST_WAITING = 256
 """Submessages that wait for the end of a turn before they are sent."""
+OVERHEAD = 256
+"""Bytes that are counted for a datagram beside its content."""
 _LARGEST_DATAGRAM = 2**16
 _FAMILIES: dict[tuple[int, ...], socket.AddressFamily] = {
     (4,): socket.AF_INET,
@@ -63,6 +63,56 @@ class OwnAddresses(Struct, frozen=True, kw_only=True):
     """The addresses of the interfaces at which it has joined multicast."""
     peers: tuple[str, ...]
     """The addresses of the static peers, in their order."""
+
+
+class _SenderQueue(Struct):
+    """The datagrams of one sender."""
+
+    datagrams: deque[bytes] = field(default_factory=deque)
+    size: int = 0
+
+
+class FairInbox:
+    """Datagrams in the order in which they are taken.
+
+    A sender that floods the sockets fills its own queue only: a datagram of another one waits for
+    one of each sender, and not for all that came before it.
+    """
+
+    def __init__(self, limit: int, limit_of_one: int) -> None:
+        """Keep so many bytes, and so many of one sender."""
+        self._limit = limit
+        self._limit_of_one = limit_of_one
+        self._queues: OrderedDict[Address, _SenderQueue] = OrderedDict()
+        self._size = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._queues)
+
+    def put(self, datagram: bytes, source: Address) -> bool:
+        """Add a datagram; return False, and add none, if there is no room."""
+        queue = self._queues.get(source)
+        size = len(datagram) + OVERHEAD
+        if queue is None:
+            queue = _SenderQueue()
+        if queue.size + size > self._limit_of_one or self._size + size > self._limit:
+            return False
+        self._queues[source] = queue
+        queue.datagrams.append(datagram)
+        queue.size += size
+        self._size += size
+        return True
+
+    def take(self) -> tuple[bytes, Address]:
+        """Take the next datagram, of which there is one."""
+        source, queue = self._queues.popitem(last=False)
+        datagram = queue.datagrams.popleft()
+        size = len(datagram) + OVERHEAD
+        queue.size -= size
+        self._size -= size
+        if queue.datagrams:
+            self._queues[source] = queue
+        return datagram, source
 
 
 class ParticipantNetwork:
@@ -125,7 +175,7 @@ class ParticipantNetwork:
         """
         now = self._loop.time()
         number = writer.write(payload, now, inline_qos=inline_qos, time=time, only_to=only_to)
-        if self.participant.waiting < MOST_WAITING:
+        if self.participant.outbox.count < MOST_WAITING:
             self._loop.settle_soon()
         else:
             self.settle()
@@ -175,13 +225,15 @@ class ParticipantNetwork:
         """Take what was read, for a short time; return whether something is left."""
         self._send()  # the answer to a question is not to share a datagram with older samples
         end = perf_counter() + TURN
-        while self._inbox:
+        is_left = bool(self._inbox)
+        while is_left:
             # Not the time of the first one: many large ones take longer than some pauses.
             self.participant.receive(*self._inbox.take(), self._loop.time())
+            is_left = bool(self._inbox)
             if perf_counter() > end:
                 break
         self.settle()
-        return bool(self._inbox)
+        return is_left
 
     def on_deadline(self) -> None:
         """Do what is due."""
@@ -200,6 +252,8 @@ class ParticipantNetwork:
         self._send()
 
     def _send(self) -> None:
+        if self._unsent is None and not self.participant.outbox.count:
+            return
         while not self._is_blocked.is_set():
             if self._unsent is None:
                 self._unsent = next(self._sending, None)

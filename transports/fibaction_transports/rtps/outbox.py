@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 from msgspec import Struct, structs
 
-from fibaction_transports.rtps.budgets import PeerBudget
-from fibaction_transports.rtps.limits import RtpsCounters
+from fibaction_transports.rtps.limits import PeerBudget, RtpsCounters
 from fibaction_transports.rtps.messages.encoder import (
-    destination_bytes,
+    DESTINATION_HEAD,
     packet_head,
     submessage_bytes,
 )
@@ -135,7 +134,7 @@ class Outbox:
     def _packed(self, route: PeerRoute, entries: list[_Entry]) -> Iterator[bytes]:
         first = self._head
         if route.prefix != UNKNOWN_PREFIX:
-            first += destination_bytes(route.prefix)
+            first += DESTINATION_HEAD + route.prefix
         parts, size, time, samples = [first], len(first), None, 0
         for entry in entries:
             part = submessage_bytes(entry.submessage)

@@ -26,25 +26,24 @@ from collections.abc import Iterator, Sequence
 from msgspec import Struct
 
 from fibaction_transports.rtps.discovery.builtin_endpoints import BuiltinEndpoints
-from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
 from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointDiscovery
 from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
 from fibaction_transports.rtps.discovery.liveliness import Assertions, WriterLiveliness
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
 from fibaction_transports.rtps.discovery.matcher import Matcher
-from fibaction_transports.rtps.discovery.participant_data import ParticipantData
-from fibaction_transports.rtps.discovery.remote_endpoints import RemoteEndpoints
-from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
+from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, RemoteEndpoints
+from fibaction_transports.rtps.discovery.remote_participant import (
+    ParticipantData,
+    RemoteParticipant,
+)
 from fibaction_transports.rtps.discovery.type_lookup import TypeLookup
-from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
-from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.endpoints.reader import DataReader, EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import Event, SampleReceived
 from fibaction_transports.rtps.limits import RtpsCounters, RtpsLimits
 from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.ids import (
     KEYLESS_READER,
     KEYLESS_WRITER,
@@ -54,6 +53,7 @@ from fibaction_transports.rtps.messages.ids import (
     Guid,
     user_entity,
 )
+from fibaction_transports.rtps.messages.layout import InvalidPacket
 from fibaction_transports.rtps.messages.locators import Address, udp_locator
 from fibaction_transports.rtps.qos import Qos
 from fibaction_transports.rtps.router import MessageRouter
@@ -95,6 +95,8 @@ class Participant:
         self._shared = SharedParts(
             self.prefix, settings.limits, settings.fragment_size, self._events.append
         )
+        self.outbox = self._shared.outbox
+        """The submessages that wait to be sent."""
         self._entities = 0
         self._is_closed = False
         self._local = LocalEndpoints()
@@ -177,8 +179,7 @@ class Participant:
 
     def vendor_of(self, prefix: bytes) -> bytes | None:
         """Return the vendor of another participant; None if it is not known."""
-        remote = self._participants.get(prefix)
-        return None if remote is None else remote.data.vendor
+        return self._participants.vendors.get(prefix)
 
     def ask_types(self, prefix: bytes, type_ids: Sequence[bytes], now: float) -> int:
         """Ask another participant about types, as `TypeLookup.ask` describes."""
@@ -221,11 +222,11 @@ class Participant:
         """Take a datagram from an address."""
         if self._is_closed:
             return
-        self.counters.datagrams += 1
+        self._shared.counters.datagrams += 1
         try:
             self._router.route(read_packet(datagram), address, now)
         except InvalidPacket:
-            self.counters.invalid += 1
+            self._shared.counters.invalid += 1
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_deadline` is to be called; infinity if at none."""
@@ -235,14 +236,9 @@ class Participant:
         """Do what is due at this time; nothing if nothing is."""
         self._shared.timers.run(now)
 
-    @property
-    def waiting(self) -> int:
-        """Number of submessages that wait to be sent."""
-        return self._shared.outbox.count
-
     def datagrams_to_send(self) -> Iterator[tuple[bytes, Address]]:
         """Take the datagrams that are to be sent, with their addresses."""
-        return self._shared.outbox.datagrams()
+        return self.outbox.datagrams()
 
     def events(self) -> list[Event]:
         """Take the events since the last call, in order."""
@@ -281,7 +277,8 @@ class Participant:
         self._matcher.match_local(endpoint, now)
 
     def _deliver(self, reader: Guid, sample: Sample, now: float) -> None:
-        if sample.payload and not sample.is_key and not sample.is_ended:
+        is_ended = sample.inline_qos is not None and sample.is_ended
+        if sample.payload and not sample.is_key and not is_ended:
             self._events.append(SampleReceived(reader, sample))
 
     def _endpoint_announced(self, sample: Sample, now: float) -> None:

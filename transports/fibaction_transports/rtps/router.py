@@ -6,10 +6,11 @@ from fibaction_transports.rtps.discovery.known_participants import KnownParticip
 from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
 from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
-from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
+from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import received_sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.messages.ids import (
+    BUILTIN,
     SPDP_WRITER,
     UNKNOWN_PREFIX,
     Guid,
@@ -25,7 +26,6 @@ from fibaction_transports.rtps.messages.submessages import (
     Gap,
     Packet,
     SourceInfo,
-    Submessage,
     Timestamp,
     WriterHeartbeat,
 )
@@ -83,7 +83,7 @@ class MessageRouter:
                 continue
             elif is_forged:
                 self._counters.forged += 1
-            elif isinstance(submessage, Data) and is_builtin(submessage.writer):
+            elif isinstance(submessage, Data) and submessage.writer[3] & BUILTIN == BUILTIN:
                 of_discovery += 1
                 if of_discovery > DISCOVERY_AT_ONCE:
                     self._counters.over_limit += 1
@@ -93,25 +93,18 @@ class MessageRouter:
                     sender = self._participants.get(prefix)
                 elif sender is not None:
                     self._sample(prefix, submessage, time, now)
-            elif sender is not None:  # nothing of a stranger is matched
-                self._hand_over(sender, submessage, time, now)
-
-    def _hand_over(
-        self, sender: RemoteParticipant, submessage: Submessage, time: float | None, now: float
-    ) -> None:
-        prefix = sender.data.prefix
-        if isinstance(submessage, Data | DataFragment):
-            writer = self._sample(prefix, submessage, time, now)
-            if isinstance(submessage, Data) or not is_builtin(submessage.writer):
-                self._liveliness.hear(prefix, writer, now)
-        elif isinstance(submessage, WriterHeartbeat):
-            self._heartbeat(prefix, submessage, now)
-        elif isinstance(submessage, AckNack | FragmentNack):
-            self._nack(sender, submessage, now)
-        elif isinstance(submessage, Gap):
-            writer = Guid(prefix + submessage.writer)
-            for matched in self._endpoints.matched(submessage.reader, writer):
-                matched.receive_gap(submessage, now)
+            elif sender is None:
+                continue  # nothing of a stranger is matched
+            elif isinstance(submessage, Data | DataFragment):
+                self._sample(prefix, submessage, time, now)
+            elif isinstance(submessage, WriterHeartbeat):
+                self._heartbeat(prefix, submessage, now)
+            elif isinstance(submessage, AckNack | FragmentNack):
+                self._nack(sender, submessage, now)
+            elif isinstance(submessage, Gap):
+                writer = Guid(prefix + submessage.writer)
+                for matched in self._endpoints.matched(submessage.reader, writer):
+                    matched.receive_gap(submessage, now)
 
     def _nack(self, sender: RemoteParticipant, nack: AckNack | FragmentNack, now: float) -> None:
         writer = self._endpoints.writers.get(nack.writer)
@@ -127,7 +120,7 @@ class MessageRouter:
 
     def _sample(
         self, prefix: bytes, data: Data | DataFragment, time: float | None, now: float
-    ) -> Guid:
+    ) -> None:
         writer = Guid(prefix + data.writer)
         matched = self._endpoints.matched(data.reader, writer)
         for found in matched:
@@ -137,7 +130,8 @@ class MessageRouter:
                 found.receive_fragment(data, time, now)
         if not matched:
             self._early.note_sample(writer, data.number)
-        return writer
+        if data.writer[3] & BUILTIN != BUILTIN:
+            self._liveliness.hear(prefix, writer, now)
 
     def _heartbeat(self, prefix: bytes, heartbeat: WriterHeartbeat, now: float) -> None:
         writer = Guid(prefix + heartbeat.writer)

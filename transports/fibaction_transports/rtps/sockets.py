@@ -80,7 +80,7 @@ class ParticipantSockets:
             BlockingIOError: The system has no room at the moment.
         """
         senders = self._by_interface if address[0] in _ALL_GROUPS else self._by_version
-        for sender in senders.get(_version_of(address[0]), ()):
+        for sender in senders.get(_IPV6 if ":" in address[0] else 4, ()):
             try:
                 sender.sendto(datagram, address)
             except BlockingIOError:

@@ -131,9 +131,8 @@ class RosActionClient:
             TransportError: The server has other versions of the types.
         """
         await self.presence.needed()
-        self.presence.check_versions()
-        servers = self.presence.servers()
-        self._rivals.note(servers, self.presence.count())
+        servers = self.presence.check_versions()
+        self._rivals.note(servers, len(servers) - self.presence.silent)
         stream.is_counted = self._counts.come_from(servers)
         request = self.impl.SendGoalService.Request()
         request.goal_id.uuid = self.types.uuid(stream.goal_id)
@@ -291,7 +290,8 @@ class RosActionClient:
             if self._was_silent:
                 self._was_silent = False
                 self._resume()
-            self._rivals.note(self.presence.servers(), self.presence.count())
+            servers = self.presence.servers()
+            self._rivals.note(servers, len(servers) - self.presence.silent)
             await self._fail_gone()
         elif self.presence.may_return():
             if not self._was_silent:

@@ -32,9 +32,9 @@ from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.client.status_lists import ReceivedStatuses
 from fibaction_transports.ros2.convert.status_bytes import goal_of_feedback
 from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.node.status_list import ReceivedStatuses
 from fibaction_transports.ros2.qos import EndQos
 
 LATE = 0.5

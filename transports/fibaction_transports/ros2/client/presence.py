@@ -67,7 +67,8 @@ class Presence:
         self._settings = settings
         self._deadline = current_time() + settings.discovery_timeout
         self._alive: int = 0
-        self._not_alive: int = 0
+        self.silent: int = 0
+        """The number of servers that are known to be silent."""
         self._dead: bool = False
         self._left: bool = False
         """True if the last server that lived was not among those that fell silent."""
@@ -93,9 +94,11 @@ class Presence:
 
     def _look(self) -> bool:
         self._poll_liveliness()
-        matched = all(one.publisher_count() for one in self._subscriptions) and all(
-            client.is_available() for client in self._clients
-        )
+        matched = True
+        for subscription in self._subscriptions:
+            matched = matched and subscription.publisher_count() > 0
+        for client in self._clients:
+            matched = matched and client.is_available()
         self._note_look(matched)
         is_silent = matched and self._is_doubted() and self._all_have_leases()
         if not is_silent and matched:
@@ -112,7 +115,7 @@ class Presence:
 
     def _has_left(self) -> bool:
         """Return whether a server has left rather than fallen silent, and the graph is late."""
-        return self._dead and (self._left or not self._not_alive)
+        return self._dead and (self._left or not self.silent)
 
     def _note_look(self, matched: bool) -> None:
         """Note that a server is there without any sign of life: it may have died before its first
@@ -148,10 +151,6 @@ class Presence:
             self._servers = frozenset(one.gid for one in self._ros.publishers(self._names.status))
         return self._servers
 
-    def count(self) -> int:
-        """Return the number of servers, without those that are known to be silent."""
-        return len(self.servers()) - self._not_alive
-
     async def needed(self) -> None:
         """Return when there is a server. It is waited for only for `discovery_timeout` seconds
         after the beginning, in which it may still be discovered, and while it may return.
@@ -167,8 +166,8 @@ class Presence:
             await anyio.sleep(LOOK_PAUSE)
         self._deadline = -math.inf  # from now on, a server that leaves is missed at once
 
-    def check_versions(self) -> None:
-        """Check that the servers have the types that this client has.
+    def check_versions(self) -> frozenset[bytes]:
+        """Check that the servers have the types that this client has, and return them.
 
         Raises:
             TransportError: They have other versions of them.
@@ -178,6 +177,7 @@ class Presence:
             if problem := explain_versions(self._ros, self._names, self._impl):
                 raise TransportError(f"cannot use the action {self._action!r} in ROS: {problem}")
             self._checked = servers
+        return servers
 
     def _why_not_found(self) -> str:
         if mismatch := self._mismatch():
@@ -219,8 +219,8 @@ class Presence:
         if news is None:
             return
         # A server that was killed counts among those that do not live until its node's lease ends.
-        fell_silent = news.not_alive > self._not_alive
-        self._not_alive = news.not_alive
+        fell_silent = news.not_alive > self.silent
+        self.silent = news.not_alive
         if news.alive != self._alive:
             self._alive, self._dead = news.alive, news.alive == 0
             self._left = self._dead and not fell_silent

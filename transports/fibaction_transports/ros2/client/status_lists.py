@@ -1,8 +1,11 @@
-"""`StatusLists`: the status lists that a client has received, and the streams that follow them."""
+"""The status lists that a client has received: what has changed in each, and the streams that
+follow them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 
 import anyio
 
@@ -10,11 +13,107 @@ from fibaction.border.abc import Notifier
 from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.goals import GoalInfo
-from fibaction_transports.ros2.node.status_list import ReceivedStatuses
+from fibaction.words.statuses import TRANSITIONS, GoalStatus
+from fibaction_transports.ros2.convert.status_bytes import (
+    StatusLine,
+    differences,
+    info_of,
+    lines_in,
+)
 
 FIRST_LIST = 1.0
 """Seconds to wait for the first status list. It may never come: a server of rclpy or rclcpp that
 has never had a goal has published none."""
+
+
+def _shortest_ways() -> dict[tuple[GoalStatus, GoalStatus], tuple[GoalStatus, ...]]:
+    """Return the statuses from one to another; EXECUTING before CANCELING if both would do."""
+    ways: dict[tuple[GoalStatus, GoalStatus], tuple[GoalStatus, ...]] = {}
+    for start in GoalStatus:
+        todo: deque[tuple[GoalStatus, ...]] = deque([(start,)])
+        while todo:
+            way = todo.popleft()
+            for (before, _), after in TRANSITIONS.items():
+                if before is way[-1] and (start, after) not in ways:
+                    ways[start, after] = (*way[1:], after)
+                    todo.append((*way, after))
+    return ways
+
+
+_WAYS = _shortest_ways()
+
+
+class ReceivedStatuses:
+    """The goals of the last status list that was received.
+
+    Readers get the list in its latest version only, so some statuses are never seen. The statuses
+    that a goal must have had are reported anyway, so that every change is a legal one.
+    """
+
+    def __init__(
+        self, stamp_of: Callable[[bytes, int], int] = lambda goal_id, stamp: stamp
+    ) -> None:
+        """`stamp_of` translates the stamp of a goal from ROS."""
+        self._stamp_of = stamp_of
+        self._infos: dict[bytes, GoalInfo] = {}
+        self._lines = b""
+        self._first = True
+
+    def __iter__(self) -> Iterator[GoalInfo]:
+        return iter(self._infos.values())
+
+    def get(self, goal_id: bytes) -> GoalInfo | None:
+        """Return the last known status of a goal; None if the list does not have the goal."""
+        return self._infos.get(goal_id)
+
+    @property
+    def has_come(self) -> bool:
+        """True if a list has been received."""
+        return not self._first
+
+    def clear(self) -> None:
+        """Forget the list: its server has gone, and the next list is another server's."""
+        self._infos.clear()
+        self._lines = b""
+        self._first = True
+
+    def update(self, message: bytes) -> list[GoalInfo]:
+        """Take a list, and return the changes in order; UNKNOWN for a goal that has left the list.
+
+        Raises:
+            ProtocolError: The message is not a status list.
+        """
+        lines = lines_in(message)
+        gone, new = differences(self._lines, lines)
+        changed = [self._info(line) for line in new]
+        steps = list[GoalInfo]()
+        for info in changed:
+            steps += self._steps(info)
+        left = {line[0] for line in gone} - {line[0] for line in new}
+        for goal_id in left & self._infos.keys():  # an invalid list may have a goal twice
+            info = self._infos.pop(goal_id)
+            steps.append(GoalInfo(info.goal_id, info.stamp, GoalStatus.UNKNOWN))
+        for info in changed:
+            self._infos[info.goal_id] = info
+        self._lines = lines
+        self._first = False
+        return steps
+
+    def _info(self, line: StatusLine) -> GoalInfo:
+        info = info_of(line)
+        return GoalInfo(info.goal_id, self._stamp_of(info.goal_id, info.stamp), info.status)
+
+    def _steps(self, info: GoalInfo) -> list[GoalInfo]:
+        before = self._infos.get(info.goal_id)
+        if before is not None:
+            way = _WAYS.get((before.status, info.status), (info.status,))
+        elif self._first:
+            way = (info.status,)  # earlier statuses are older than this client
+        else:
+            way = (GoalStatus.ACCEPTED, *_WAYS.get((GoalStatus.ACCEPTED, info.status), ()))
+        if way == (info.status,):
+            return [info]
+        return [GoalInfo(info.goal_id, info.stamp, status) for status in way]
 
 
 class StatusLists:

@@ -6,7 +6,7 @@ a topic of its own: https://design.ros2.org/articles/Node_to_Participant_mapping
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from anyio import current_time
 from msgspec import Struct
@@ -30,11 +30,11 @@ from fibaction_transports.ros2.on_dds.names import (
     topic_name,
 )
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
+from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
-from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.ids import PREFIX_SIZE, READER_KINDS, WRITER_KINDS, Guid
 from fibaction_transports.rtps.network import ParticipantNetwork
 from fibaction_transports.rtps.qos import Durability, Qos, Reliability
 
@@ -194,11 +194,15 @@ class DdsGraph(GraphView):
 
     def writers(self, topic: str) -> Sequence[EndInfo]:
         """Return the writers of a topic of DDS."""
-        return [self._info(end) for end in self._ends(topic) if end.guid.is_writer]
+        return [self._info(end) for end in self._ends(topic) if end.guid[-1] in WRITER_KINDS]
 
     def readers(self, topic: str) -> Sequence[EndInfo]:
         """Return the readers of a topic of DDS."""
-        return [self._info(end) for end in self._ends(topic) if end.guid.is_reader]
+        return [self._info(end) for end in self._ends(topic) if end.guid[-1] in READER_KINDS]
+
+    def count(self, topic: str, kinds: Container[int]) -> int:
+        """Return the number of the ends of a topic of DDS that are of some kinds."""
+        return len([end for end in self._ends(topic) if end.guid[-1] in kinds])
 
     def _ends(self, topic: str) -> list[EndpointData | DataWriter | DataReader]:
         own = [end for end in self._own.values() if end.topic == topic]
@@ -208,7 +212,7 @@ class DdsGraph(GraphView):
         if end.guid in self._own:
             node = str(self._node)
         else:
-            node = self._nodes.get(end.guid.prefix, {}).get(bytes(end.guid), "")
+            node = self._nodes.get(end.guid[:PREFIX_SIZE], {}).get(bytes(end.guid), "")
         data, type_id = b"", b""
         if isinstance(end, EndpointData):
             data, type_id = end.user_data, end.type_id

@@ -58,7 +58,7 @@ from fibaction_transports.rtps.events import (
     SampleReceived,
     TypesAnswered,
 )
-from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.ids import READER_KINDS, WRITER_KINDS, Guid
 from fibaction_transports.rtps.network import ParticipantNetwork, open_network
 from fibaction_transports.rtps.ports import DomainSettings
 from fibaction_transports.rtps.qos import Qos
@@ -112,7 +112,13 @@ class DdsNode(RosNode):
     def handle(self, event: Event) -> None:
         """Handle an event of the participant."""
         if isinstance(event, SampleReceived):
-            self._handle_sample(event.reader, event.sample)
+            take = self._takers.get(event.reader)
+            if take is None:
+                return
+            try:
+                take(event.sample)
+            except Exception:
+                logger.exception("a message was dropped, because it could not be handled")
         elif isinstance(event, CaughtUp) and event.reader in self._subscriptions:
             self._subscriptions[event.reader].note_caught_up()
         elif isinstance(event, TypesAnswered):
@@ -121,15 +127,6 @@ class DdsNode(RosNode):
             self.graph.forget(event.prefix)
         elif isinstance(event, LivelinessChanged) and event.reader in self._watches:
             self._watches[event.reader].note(event)
-
-    def _handle_sample(self, reader: Guid, sample: Sample) -> None:
-        take = self._takers.get(reader)
-        if take is None:
-            return
-        try:
-            take(sample)
-        except Exception:
-            logger.exception("a message was dropped, because it could not be handled")
 
     # The node itself
 
@@ -284,7 +281,13 @@ class DdsNode(RosNode):
         return self.graph.writers(reply_topic(service))
 
     def count_callers(self, service: str) -> int:
-        return len(self.graph.writers(request_topic(service)))
+        return self.graph.count(request_topic(service), WRITER_KINDS)
+
+    def count_publishers(self, topic: str) -> int:
+        return self.graph.count(topic_name(topic), WRITER_KINDS)
+
+    def count_subscriptions(self, topic: str) -> int:
+        return self.graph.count(topic_name(topic), READER_KINDS)
 
 
 class _Inbox:
@@ -298,14 +301,11 @@ class _Inbox:
     def open(self, handle: Callable[[Event], Any]) -> None:
         """Handle the events that have come, and those that come."""
         self._handle = handle
-        self._handle_all()
+        self.put()
 
-    def put(self, event: Event) -> None:
-        """Handle an event now, or after those that are being handled."""
-        self._events.append(event)
-        self._handle_all()
-
-    def _handle_all(self) -> None:
+    def put(self, *events: Event) -> None:
+        """Handle events now, or after those that are being handled."""
+        self._events += events
         if self._is_busy or self._handle is None:
             return
         self._is_busy = True

@@ -11,8 +11,9 @@ from __future__ import annotations
 import struct
 from typing import Final
 
-from fibaction_transports.rtps.endpoints.sample import ENCAPSULATION, Sample
-from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, OWN_VENDOR, Guid
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.messages.ids import OWN_VENDOR, Guid
+from fibaction_transports.rtps.messages.layout import ENCAPSULATION
 from fibaction_transports.rtps.messages.parameters import (
     FAST_DDS_RELATED_SAMPLE_IDENTITY,
     RELATED_SAMPLE_IDENTITY,
@@ -25,26 +26,22 @@ UNKNOWN_NUMBER: Final = -(2**32)
 CLIENT_SIZE: Final = 8
 """Bytes of the ID of a client in a header."""
 _HEADER = struct.Struct("<8sq")
-_PIDS = (FAST_DDS_RELATED_SAMPLE_IDENTITY, RELATED_SAMPLE_IDENTITY)
-
-
-def uses_header(vendor: bytes | None) -> bool:
-    """Return whether a participant of this vendor has the identity in a header."""
-    return vendor == CYCLONE_DDS
 
 
 def identity_items(identity: SampleIdentity) -> list[tuple[int, bytes]]:
     """Return an identity as inline QoS."""
     value = identity_value(identity)
-    return [(pid, value) for pid in _PIDS]
+    return [(FAST_DDS_RELATED_SAMPLE_IDENTITY, value), (RELATED_SAMPLE_IDENTITY, value)]
 
 
 def identity_in(sample: Sample) -> SampleIdentity | None:
     """Return the identity in the inline QoS of a sample; None if there is none."""
     if sample.inline_qos is None:
         return None
-    found = (sample.inline_qos.identity(pid) for pid in reversed(_PIDS))
-    return next((identity for identity in found if identity is not None), None)
+    related = sample.inline_qos.identity(RELATED_SAMPLE_IDENTITY)
+    if related is None:
+        related = sample.inline_qos.identity(FAST_DDS_RELATED_SAMPLE_IDENTITY)
+    return related
 
 
 def header_of(client: bytes, number: int) -> bytes:

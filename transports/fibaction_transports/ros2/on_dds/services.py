@@ -42,14 +42,13 @@ from fibaction_transports.ros2.on_dds.service_identity import (
     identity_items,
     number_in,
     split_header,
-    uses_header,
     with_header,
 )
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
-from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, PREFIX_SIZE, Guid
 from fibaction_transports.rtps.messages.parameters import SampleIdentity
 from fibaction_transports.rtps.network import ParticipantNetwork
 
@@ -75,7 +74,7 @@ class ServiceEnds:
 
     def uses_header(self, guid: Guid) -> bool:
         """Return whether the participant of another end has identities in headers."""
-        return uses_header(self.network.participant.vendor_of(guid.prefix))
+        return self.network.participant.vendor_of(guid[:PREFIX_SIZE]) == CYCLONE_DDS
 
 
 class DdsCaller(ServiceCaller):
@@ -95,6 +94,8 @@ class DdsCaller(ServiceCaller):
         self._take = take
         self._take_unreadable = take_unreadable
         self._client = client_of(ends.reader.guid)
+        self._inline = identity_items(SampleIdentity(ends.reader.guid, UNKNOWN_NUMBER))
+        """The identity of each request without a header."""
         self._calls = 0
         self._open: OrderedDict[int, None] = OrderedDict()
         """The calls that have no answer yet."""
@@ -136,7 +137,7 @@ class DdsCaller(ServiceCaller):
         if in_header:
             payload = with_header(header_of(self._client, call), payload)
         else:
-            inline = identity_items(SampleIdentity(ends.reader.guid, UNKNOWN_NUMBER))
+            inline = self._inline
         number = ends.network.write(ends.writer, payload, inline_qos=inline, only_to=server)
         if not in_header:
             _put(self._of_sample, number, call)
@@ -144,8 +145,11 @@ class DdsCaller(ServiceCaller):
     def is_available(self) -> bool:
         # A server that has not found the reader yet would lose the first answers.
         ends = self.ends
-        answering = {writer.prefix for writer in ends.reader.confirmed_writers}
-        return any(reader.prefix in answering for reader in ends.writer.readers)
+        for reader in ends.writer.readers:
+            for writer in ends.reader.confirmed_writers:
+                if reader[:PREFIX_SIZE] == writer[:PREFIX_SIZE]:
+                    return True
+        return False
 
     def receive(self, sample: Sample) -> None:
         """Take an answer, which may be for another client."""

@@ -59,6 +59,7 @@ from fibaction_transports.ros2.node.feedback_counts import PublishedCounts
 from fibaction_transports.ros2.node.goal_info import goal_info_to_ros
 from fibaction_transports.ros2.node.rivals import warn_of_rivals
 from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
+from fibaction_transports.ros2.node.stamps import ServedStamps
 from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher, FeedbackTopic
 from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
 from fibaction_transports.ros2.server.served_statuses import ServedStatuses
@@ -135,7 +136,10 @@ class RosActionServer:
         self._feedback = FeedbackTopic(
             self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, settings
         )
-        self._statuses = ServedStatuses(self._ros, full.status, impl.GoalStatusMessage, settings)
+        profile = qos.published_status(settings.lease, settings.status_qos)
+        publisher = self._ros.publisher(full.status, impl.GoalStatusMessage, profile)
+        stamps = ServedStamps(self._ros.clock)
+        self._statuses = ServedStatuses(publisher.publish_bytes, stamps)
 
     def start(self) -> None:
         """Serve."""

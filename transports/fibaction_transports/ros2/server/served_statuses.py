@@ -1,56 +1,76 @@
-"""`ServedStatuses`: the status topic of a served action, with the stamps of its goals in ROS."""
+"""The status list that the server of an action publishes: every message has all goals that the
+server remembers.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
 
+import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
+from fibaction.border.abc import Notifier
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.ros2 import qos
-from fibaction_transports.ros2.convert.status_bytes import pack_statuses
-from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses, status_of
 from fibaction_transports.ros2.node.stamps import ServedStamps
-from fibaction_transports.ros2.node.status_list import PublishedStatuses
-from fibaction_transports.ros2.settings import RosSettings
+
+REPEAT = 0.1
+"""Seconds after an acceptance was answered at which the list is published again. A client of rclpy
+drops the status of a goal whose acceptance it has yet to handle; then `ros2 action send_goal` would
+not cancel at Ctrl-C, as it cancels only goals that it knows to be active."""
 
 
 class ServedStatuses:
-    """The goals of one action in the status list that its server publishes."""
+    """The goals that a server remembers. The list is published when one of them has changed.
 
-    def __init__(self, ros: RosNode, topic: str, message_type: Any, settings: RosSettings) -> None:
-        """Make the publisher, and publish nothing yet."""
-        profile = qos.published_status(settings.lease, settings.status_qos)
-        self._publisher = ros.publisher(topic, message_type, profile)
-        self._list = PublishedStatuses(self._publish)
-        self.stamps = ServedStamps(ros.clock)
+    Changes of one turn of the event loop are published together. No status of a goal is left out:
+    a second change of a goal is added after the first has been published.
+    """
+
+    def __init__(self, publish: Callable[[bytes], None], stamps: ServedStamps) -> None:
+        """`publish` is called with each list."""
+        self.stamps = stamps
         """The stamps of the goals in ROS."""
         self.published_at = -math.inf
         """The time at which a list was published last."""
-        self.flush = self._list.flush
-        self.repeat_later = self._list.repeat_later
+        self._publish_bytes = publish
+        self._lines: dict[GoalID, bytes] = {}
+        self._changed: set[GoalID] = set()
+        self._accepted: set[GoalID] = set()
+        """The goals for which the list is to be published again."""
+        self._news = Notifier()
+        self._acceptances = Notifier()
 
     def start(self, tasks: TaskGroup, action: str) -> None:
         """Publish the list without goals, so that clients need not wait for a list, and then each
         change.
         """
-        self._publish(pack_statuses(()))
-        tasks.start_soon(self._list.run, name=f"statuses of {action}")
-        tasks.start_soon(self._list.repeat, name=f"repeated statuses of {action}")
+        self._publish()
+        tasks.start_soon(self.run, name=f"statuses of {action}")
+        tasks.start_soon(self.repeat, name=f"repeated statuses of {action}")
 
     def __contains__(self, goal_id: GoalID) -> bool:
-        return goal_id in self._list
+        return goal_id in self._lines
 
     def update(self, info: GoalInfo) -> None:
-        """Set the status of a goal. UNKNOWN removes it; an earlier or equal status is ignored."""
-        if info.status is GoalStatus.UNKNOWN:
-            self.stamps.forget(info.goal_id)
-            self._list.update(info)
+        """Set the status of a goal; UNKNOWN removes it. An earlier or equal status is ignored."""
+        goal_id, status = info.goal_id, info.status
+        known = self._lines.get(goal_id)
+        published: int = GoalStatus.UNKNOWN if known is None else status_of(known)
+        if status == published or GoalStatus.UNKNOWN < status < published:
+            return
+        if goal_id in self._changed:
+            self.flush()
+        if status is GoalStatus.UNKNOWN:
+            self.stamps.forget(goal_id)
+            del self._lines[goal_id]
         else:
-            self._list.update(self.in_ros(info))
+            self._lines[goal_id] = pack_line(self.in_ros(info))
+        self._changed.add(goal_id)
+        self._news.notify()
 
     def in_ros(self, info: GoalInfo) -> GoalInfo:
         """Return the status of a goal with its stamp in ROS."""
@@ -58,9 +78,43 @@ class ServedStatuses:
 
     def clear(self) -> None:
         """Remove all goals: the endpoint was restarted, or cannot be reached."""
-        self._list.clear()
         self.stamps.clear()
+        if self._lines:
+            self._changed.update(self._lines)
+            self._lines.clear()
+            self._news.notify()
 
-    def _publish(self, message: bytes) -> None:
+    def flush(self) -> None:
+        """Publish the list now, if it has changed."""
+        if self._changed:
+            self._publish()
+
+    def _publish(self) -> None:
+        self._changed.clear()
         self.published_at = current_time()
-        self._publisher.publish_bytes(message)
+        self._publish_bytes(pack_statuses(self._lines.values()))
+
+    async def run(self) -> None:
+        """Publish the changes until canceled."""
+        while True:
+            while not self._changed:
+                await self._news.wait()
+            self.flush()
+
+    def repeat_later(self, goal_id: GoalID) -> None:
+        """Publish the list once more after `REPEAT` seconds, if this goal is active then."""
+        self._accepted.add(goal_id)
+        self._acceptances.notify()
+
+    async def repeat(self) -> None:
+        """Publish the list again as told by `repeat_later`, until canceled. Goals that are added
+        during a wait have their turn after the next one, so many goals cause few lists.
+        """
+        while True:
+            while not self._accepted:
+                await self._acceptances.wait()
+            accepted, self._accepted = self._accepted, set()
+            await anyio.sleep(REPEAT)
+            lines = [self._lines[goal_id] for goal_id in accepted if goal_id in self._lines]
+            if any(GoalStatus(status_of(line)).is_active for line in lines):
+                self._publish()

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
-from fibaction_transports.rtps.discovery import participant_data as bits
+from fibaction_transports.rtps.discovery import remote_participant as bits
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
-from fibaction_transports.rtps.discovery.participant_data import ParticipantData
-from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
+from fibaction_transports.rtps.discovery.remote_participant import (
+    ParticipantData,
+    RemoteParticipant,
+)
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.messages import ids
-from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.layout import InvalidPacket
 from fibaction_transports.rtps.qos import Durability, Qos
 
 SampleHandler: TypeAlias = Callable[[Sample, float], None]

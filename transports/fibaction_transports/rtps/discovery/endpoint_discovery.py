@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from fibaction_transports.rtps.discovery.endpoint_data import (
+from fibaction_transports.rtps.discovery.matcher import Matcher
+from fibaction_transports.rtps.discovery.remote_endpoints import (
     EndpointData,
+    RemoteEndpoints,
     endpoint_payload,
     read_endpoint,
 )
-from fibaction_transports.rtps.discovery.matcher import Matcher
-from fibaction_transports.rtps.discovery.payloads import list_payload, read_list
-from fibaction_transports.rtps.discovery.remote_endpoints import RemoteEndpoints
 from fibaction_transports.rtps.endpoints.history import StoredSample
 from fibaction_transports.rtps.endpoints.sample import DISPOSED, Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.messages import parameters as pids
-from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.ids import Guid
-from fibaction_transports.rtps.messages.parameters import Parameters
+from fibaction_transports.rtps.messages.layout import InvalidPacket
+from fibaction_transports.rtps.messages.parameters import Parameters, list_payload, read_list
 
 
 class EndpointDiscovery:

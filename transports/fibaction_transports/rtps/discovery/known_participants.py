@@ -5,27 +5,27 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from fibaction_transports.rtps.budgets import HostRates
-from fibaction_transports.rtps.discovery.participant_data import (
+from fibaction_transports.rtps.discovery.remote_participant import (
     ParticipantData,
+    RemoteParticipant,
     participant_payload,
+    reachable,
     read_participant,
 )
-from fibaction_transports.rtps.discovery.payloads import list_payload, read_list
-from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant, reachable
 from fibaction_transports.rtps.endpoints.sample import DISPOSED, Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.events import ParticipantFound, ParticipantLost
+from fibaction_transports.rtps.limits import HostRates
 from fibaction_transports.rtps.messages import parameters as pids
-from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.ids import (
     PARTICIPANT,
     SPDP_WRITER,
     UNKNOWN_ENTITY,
     Guid,
 )
+from fibaction_transports.rtps.messages.layout import InvalidPacket
 from fibaction_transports.rtps.messages.locators import Address
-from fibaction_transports.rtps.messages.parameters import Parameters
+from fibaction_transports.rtps.messages.parameters import Parameters, list_payload, read_list
 from fibaction_transports.rtps.messages.submessages import Data
 from fibaction_transports.rtps.outbox import PeerRoute
 
@@ -62,6 +62,8 @@ class KnownParticipants:
         self._on_found = on_found
         self._on_lost = on_lost
         self._found: dict[bytes, RemoteParticipant] = {}
+        self.vendors: dict[bytes, bytes] = {}
+        """The vendor of each known participant."""
         self._unproven: dict[bytes, RemoteParticipant] = {}
         self._hosts: Counter[str] = Counter()
         limits = shared.limits
@@ -184,6 +186,7 @@ class KnownParticipants:
         remote.budget.earn(size)
         self._found[data.prefix] = self._unproven[data.prefix] = remote
         self._shared.budgets[data.prefix] = remote.budget
+        self.vendors[data.prefix] = data.vendor
         self._hosts[source] += 1
         event = ParticipantFound(data.prefix, data.vendor, data.name, data.user_data)
         self._shared.emit(event)
@@ -215,6 +218,7 @@ class KnownParticipants:
             return
         self._unproven.pop(prefix, None)
         self._shared.budgets.pop(prefix)
+        del self.vendors[prefix]
         self._hosts[remote.source] -= 1
         if not self._hosts[remote.source]:
             del self._hosts[remote.source]

@@ -107,7 +107,9 @@ class WriterLiveliness:
             followed.heard = now
             if not followed.is_alive:
                 self._revive(participant, followed, now)
-        self._hear_all(participant, Liveliness.BY_PARTICIPANT, now)
+        participant.asserted[Liveliness.BY_PARTICIPANT] = now
+        if participant.silent:
+            self._hear_all(participant, Liveliness.BY_PARTICIPANT, now)
 
     def on_leases_due(self, now: float) -> None:
         """Tell of the writers that have been silent for their leases."""
@@ -131,9 +133,8 @@ class WriterLiveliness:
 
     def _hear_all(self, participant: _FollowedParticipant, kind: Liveliness, now: float) -> None:
         participant.asserted[kind] = now
-        if participant.silent:
-            for followed in [each for each in participant.silent.values() if each.kind == kind]:
-                self._revive(participant, followed, now)
+        for followed in [each for each in participant.silent.values() if each.kind == kind]:
+            self._revive(participant, followed, now)
 
     def _revive(self, participant: _FollowedParticipant, followed: _Followed, now: float) -> None:
         followed.heard = now

@@ -6,13 +6,11 @@ import math
 
 import msgspec
 
-from fibaction_transports.rtps.discovery.endpoint_data import EndpointData
 from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
 from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
-from fibaction_transports.rtps.discovery.remote_endpoints import RemoteEndpoints
-from fibaction_transports.rtps.endpoints.early_heartbeats import EarlyHeartbeats
-from fibaction_transports.rtps.endpoints.reader import DataReader
+from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, RemoteEndpoints
+from fibaction_transports.rtps.endpoints.reader import DataReader, EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import EndpointMatched, EndpointUnmatched, QosMismatch

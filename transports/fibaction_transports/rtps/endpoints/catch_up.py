@@ -1,4 +1,5 @@
-"""The question whether a reader has all samples of one writer.
+"""The requests of a reader to one writer: whether it has all samples (`CatchUp`), and, at a pace,
+those that it lacks (`RequestPace`).
 
 A sample that was lost is noticed by a later one, or by a heartbeat. If it was the last one, that is
 the next heartbeat of the writer, which may come seconds later. A reader that has to know it sooner
@@ -108,3 +109,68 @@ class CatchUp:
         self.is_open = False
         self._last = None
         self._on_end()
+
+
+OVERTAKEN = 0.006
+"""Seconds after which a sample is requested that a later one has overtaken. Sooner, a writer of
+this library does not answer, because the sample may be on its way."""
+SHORTEST_REPEAT, LONGEST_REPEAT = 0.01, 0.5
+"""The pause before a request is repeated because of a heartbeat, in seconds: it is twice the one
+before if nothing that was requested has come."""
+MARGIN = 1.5
+"""The pause, as a multiple of the time that the last answer took."""
+
+
+# The pace of requests: what was requested is on its way, however many heartbeats come meanwhile. It
+# is requested again after the time that the last answer took, and somewhat more, so that
+# participants that are slow to answer do not make each other slower by answering the same request
+# many times.
+
+
+class AnswerTime:
+    """The pause that a participant begins with at a new writer: that of its latest answer."""
+
+    def __init__(self) -> None:
+        self.pause = SHORTEST_REPEAT
+
+
+class RequestPace:
+    """The requests to one writer."""
+
+    def __init__(self, latest: AnswerTime) -> None:
+        self._latest = latest
+        self.requested = 0
+        """The last number that was requested."""
+        self._begun = -math.inf
+        """The time of the first request without an answer."""
+        self._at = -math.inf
+        self._pause: float | None = None
+
+    def just_requested(self, within: float, now: float) -> bool:
+        """Return whether something was requested within so many seconds."""
+        return now - self._at < within
+
+    def may_request(self, last: int, now: float) -> bool:
+        """Return whether numbers up to the last one may be requested because of a heartbeat. If
+        they were requested before, the next pause is twice as long.
+        """
+        if last > self.requested:
+            return True
+        pause = self._latest.pause if self._pause is None else self._pause
+        is_due = now - self._at >= pause
+        if is_due:
+            self._pause = min(2 * pause, LONGEST_REPEAT)
+        return is_due
+
+    def note_request(self, last: int, now: float) -> None:
+        """Note that numbers up to the last one are requested."""
+        if last > self.requested:
+            self._begun = now
+        self.requested, self._at = last, now
+
+    def note_sample(self, now: float) -> None:
+        """Note that a sample has come that was requested."""
+        if self._begun <= self._at:
+            taken = MARGIN * (now - self._begun)
+            self._pause = self._latest.pause = min(max(taken, SHORTEST_REPEAT), LONGEST_REPEAT)
+            self._begun = math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 
 from fibaction_transports.rtps.limits import RtpsLimits
-from fibaction_transports.rtps.messages.number_sets import MAX_BITS
+from fibaction_transports.rtps.messages.layout import MAX_BITS
 from fibaction_transports.rtps.messages.parameters import Parameters
 from fibaction_transports.rtps.messages.submessages import DataFragment, NumberSet
 

@@ -1,18 +1,74 @@
-"""The reader of a topic, reliable or best effort."""
+"""The reader of a topic, reliable or best effort, and heartbeats that come before it is matched."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import TypeAlias
+
+from msgspec.structs import replace
 
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
 from fibaction_transports.rtps.events import CaughtUp
+from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
 from fibaction_transports.rtps.outbox import PeerRoute
 from fibaction_transports.rtps.qos import Qos
+
+
+class EarlyHeartbeats:
+    """The newest heartbeat of each writer that no reader is matched with yet.
+
+    Fast DDS sends its first heartbeat before its discovery has told of the writer, and the next one
+    three seconds later. Its first sample may come before discovery, too, without a heartbeat of its
+    own: that sample counts as announced, so that it is requested when the writer is matched.
+    """
+
+    def __init__(self, limits: RtpsLimits) -> None:
+        self._limit = limits.early_heartbeats
+        self._limit_of_one = limits.early_heartbeats_of_one
+        self._of: OrderedDict[bytes, OrderedDict[Guid, WriterHeartbeat]] = OrderedDict()
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def keep(self, writer: Guid, heartbeat: WriterHeartbeat) -> None:
+        """Keep a heartbeat until its writer is matched, or too many others have come."""
+        of_one = self._of.setdefault(writer.prefix, OrderedDict())
+        self._count += writer not in of_one
+        of_one[writer] = heartbeat
+        of_one.move_to_end(writer)
+        self._of.move_to_end(writer.prefix)
+        if len(of_one) > self._limit_of_one:
+            self.take(next(iter(of_one)))
+        elif self._count > self._limit:
+            self.take(next(iter(next(iter(self._of.values())))))
+
+    def note_sample(self, writer: Guid, number: int) -> None:
+        """Note that a sample came which no reader could take yet."""
+        of_one = self._of.get(writer.prefix)
+        if of_one is not None and writer in of_one and of_one[writer].last < number:
+            of_one[writer] = replace(of_one[writer], last=number)
+
+    def take(self, writer: Guid) -> WriterHeartbeat | None:
+        """Return the heartbeat of a writer, and keep it no longer; None if there is none."""
+        of_one = self._of.get(writer.prefix)
+        if of_one is None or writer not in of_one:
+            return None
+        heartbeat = of_one.pop(writer)
+        self._count -= 1
+        if not of_one:
+            del self._of[writer.prefix]
+        return heartbeat
+
+    def forget_participant(self, prefix: bytes) -> None:
+        """Keep no heartbeat of a participant."""
+        self._count -= len(self._of.pop(prefix, ()))
+
 
 Deliver: TypeAlias = Callable[[Guid, Sample, float], None]
 """A callback for a reader's GUID, a sample and the time."""

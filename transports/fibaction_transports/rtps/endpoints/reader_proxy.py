@@ -107,7 +107,11 @@ class ReaderProxy:
         self._budget.write(len(sample.payload))
         if self._is_new:
             return
-        has_heartbeat = self._needs_heartbeat(number, now)
+        # One that waits is replaced at no cost, so it is told of the newest sample, too.
+        is_recent = now - self._told_at < HEARTBEAT_PAUSE and number - self._told < SAMPLES_WITHOUT
+        has_heartbeat = not (is_recent and self._is_current) or self._shared.outbox.has_heartbeat(
+            self._route, self._entity, self._writer
+        )
         if sample.only_to in (None, self.guid):
             self._send_sample(number, sample)
         elif self.is_reliable:
@@ -141,13 +145,6 @@ class ReaderProxy:
             for gap in self._gaps(left_out):
                 self._shared.outbox.add(self._route, gap)
             self.heartbeat(now)
-
-    def _needs_heartbeat(self, number: int, now: float) -> bool:
-        """Return whether a new sample has a heartbeat: one that waits is replaced at no cost."""
-        is_recent = now - self._told_at < HEARTBEAT_PAUSE and number - self._told < SAMPLES_WITHOUT
-        if not (is_recent and self._is_current):
-            return True
-        return self._shared.outbox.has_heartbeat(self._route, self._entity, self._writer)
 
     def heartbeat(self, now: float) -> None:
         """Tell the reader which samples there are."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from msgspec import Struct
 
 from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.layout import ENCAPSULATION
 from fibaction_transports.rtps.messages.parameters import STATUS_INFO, Parameters
 from fibaction_transports.rtps.messages.submessages import Data
 
-ENCAPSULATION = 4
-"""Size of the encapsulation header, with which each payload begins."""
 _PADDING_BITS = 0x03
 _ENDED_BITS = 0x03
 DISPOSED = b"\x00\x00\x00\x03"

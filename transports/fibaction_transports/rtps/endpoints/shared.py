@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fibaction_transports.rtps.budgets import PeerBudget
+from fibaction_transports.rtps.endpoints.catch_up import AnswerTime
 from fibaction_transports.rtps.endpoints.fragments import PartialSamples
-from fibaction_transports.rtps.endpoints.request_pace import AnswerTime
 from fibaction_transports.rtps.events import Event
-from fibaction_transports.rtps.limits import ByteAccount, RtpsCounters, RtpsLimits
+from fibaction_transports.rtps.limits import ByteAccount, PeerBudget, RtpsCounters, RtpsLimits
 from fibaction_transports.rtps.messages.ids import OWN_VENDOR
 from fibaction_transports.rtps.outbox import Outbox
 from fibaction_transports.rtps.timers import Timers

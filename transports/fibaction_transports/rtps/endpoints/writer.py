@@ -8,10 +8,10 @@ from collections.abc import Container, Sequence
 
 from fibaction.words.errors import LimitReached
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
-from fibaction_transports.rtps.endpoints.reader_proxy import ReaderProxy
+from fibaction_transports.rtps.endpoints.reader_proxy import SILENCE, ReaderProxy
 from fibaction_transports.rtps.endpoints.sample import padded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
-from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.ids import PREFIX_SIZE, Guid
 from fibaction_transports.rtps.messages.parameters import Parameters
 from fibaction_transports.rtps.messages.submessages import AckNack, FragmentNack
 from fibaction_transports.rtps.outbox import PeerRoute
@@ -99,12 +99,14 @@ class DataWriter:
         inline = None
         if inline_qos:
             inline = Parameters(tuple(inline_qos))
-            size = sum(len(value) for _, value in inline_qos)
+            size = 0
+            for _, value in inline_qos:
+                size += len(value)
             if size > MAX_INLINE_QOS:
                 raise ValueError(f"inline QoS of {size} bytes exceed {MAX_INLINE_QOS} bytes")
-        sample = StoredSample(
-            payload=padded(payload), inline_qos=inline, time=time, only_to=only_to
-        )
+        if len(payload) % 4 or not payload:
+            payload = padded(payload)
+        sample = StoredSample(payload=payload, inline_qos=inline, time=time, only_to=only_to)
         return self.write_sample(sample, now)
 
     def write_sample(
@@ -129,11 +131,13 @@ class DataWriter:
             self._expiries.append((now + self.qos.lifespan, number))
         is_awaited = False
         for guid, proxy in self._readers.items():
-            if only_at is None or guid.prefix in only_at:
+            if only_at is None or guid[:PREFIX_SIZE] in only_at:
                 proxy.write(number, sample, now)
             else:
                 proxy.skip(number)
-            is_awaited |= proxy.is_reliable and not proxy.is_silent(now)
+            is_awaited |= proxy.is_reliable and (
+                now - proxy.waits_since <= SILENCE or not proxy.has_unacknowledged(number)
+            )
         self._pause = FIRST_HEARTBEAT
         self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
         if not is_awaited:

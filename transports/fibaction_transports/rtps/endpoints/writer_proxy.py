@@ -21,14 +21,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fibaction_transports.rtps.endpoints.catch_up import CatchUp
+from fibaction_transports.rtps.endpoints.catch_up import OVERTAKEN, CatchUp, RequestPace
 from fibaction_transports.rtps.endpoints.fragments import PartialSample
-from fibaction_transports.rtps.endpoints.request_pace import OVERTAKEN, RequestPace
-from fibaction_transports.rtps.endpoints.sample import Sample, received_sample, unpadded
+from fibaction_transports.rtps.endpoints.sample import Sample, unpadded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.events import SamplesLost
 from fibaction_transports.rtps.messages.ids import FAST_DDS, Guid
-from fibaction_transports.rtps.messages.number_sets import MAX_BITS
+from fibaction_transports.rtps.messages.layout import MAX_BITS
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
@@ -135,7 +134,10 @@ class WriterProxy:
         if data.payload is not None and len(data.payload) > self._shared.limits.sample:
             self._shared.counters.over_limit += 1
             return
-        self._take(received_sample(self._guid, data, time), now)
+        content = b"" if data.payload is None else unpadded(data.payload)
+        self._take(
+            Sample(self._guid, data.number, content, data.inline_qos, time, data.is_key), now
+        )
 
     def receive_fragment(self, fragment: DataFragment, time: float | None, now: float) -> None:
         """Take fragments of a sample, and the sample if it is complete."""
@@ -260,7 +262,8 @@ class WriterProxy:
         if self._partials:
             self._give_up(number)
         self._requests = 0
-        self._pace.note_sample(number, now)
+        if number <= self._pace.requested:
+            self._pace.note_sample(now)
         self._catch_up.sampled_at = now
         if not self._is_reliable:
             self._advance(number, now)

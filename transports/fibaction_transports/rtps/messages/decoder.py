@@ -5,21 +5,21 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from fibaction_transports.rtps.messages import kinds
-from fibaction_transports.rtps.messages.errors import InvalidPacket
+from fibaction_transports.rtps.messages import layout
 from fibaction_transports.rtps.messages.ids import PREFIX_SIZE
 from fibaction_transports.rtps.messages.layout import (
     BIG,
     LITTLE,
     MAX_NUMBER,
     U32,
+    InvalidPacket,
     Order,
     checked_number,
     invalid_number,
+    read_bits,
     seconds_of,
 )
 from fibaction_transports.rtps.messages.locators import LOCATOR_SIZE, Locator, read_locator
-from fibaction_transports.rtps.messages.number_sets import read_bits
 from fibaction_transports.rtps.messages.parameters import Parameters, read_parameters
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
@@ -50,26 +50,26 @@ def read_packet(datagram: bytes) -> Packet:
     Raises:
         InvalidPacket: The datagram breaks the rules, or a limit. None of it is to be used.
     """
-    if len(datagram) < kinds.PACKET_HEAD or datagram[:4] != kinds.MAGIC:
+    if len(datagram) < layout.PACKET_HEAD or datagram[:4] != layout.MAGIC:
         raise InvalidPacket(f"datagram of {len(datagram)} bytes does not begin as RTPS does")
-    if datagram[4] != kinds.VERSION[0]:
-        raise InvalidPacket(f"version {datagram[4]} of RTPS is not {kinds.VERSION[0]}")
+    if datagram[4] != layout.VERSION[0]:
+        raise InvalidPacket(f"version {datagram[4]} of RTPS is not {layout.VERSION[0]}")
     try:
         submessages = tuple(_submessages(memoryview(datagram)))
     except struct.error as error:
         raise InvalidPacket("submessage is shorter than its kind") from error
-    prefix, vendor = datagram[8 : kinds.PACKET_HEAD], datagram[6:8]
+    prefix, vendor = datagram[8 : layout.PACKET_HEAD], datagram[6:8]
     return Packet(prefix, vendor, submessages, len(datagram))
 
 
 def _submessages(data: memoryview) -> list[Submessage]:
     found = list[Submessage]()
-    offset, end = kinds.PACKET_HEAD, len(data)
-    while offset + kinds.SUBMESSAGE_HEAD.size <= end:
-        order = LITTLE if data[offset + 1] & kinds.LITTLE_FLAG else BIG
-        kind, flags, size = kinds.SUBMESSAGE_HEAD[order].unpack_from(data, offset)
-        offset += kinds.SUBMESSAGE_HEAD.size
-        if size == 0 and kind not in (kinds.PAD, kinds.INFO_TS):
+    offset, end = layout.PACKET_HEAD, len(data)
+    while offset + layout.SUBMESSAGE_HEAD.size <= end:
+        order = LITTLE if data[offset + 1] & layout.LITTLE_FLAG else BIG
+        kind, flags, size = layout.SUBMESSAGE_HEAD[order].unpack_from(data, offset)
+        offset += layout.SUBMESSAGE_HEAD.size
+        if size == 0 and kind not in (layout.PAD, layout.INFO_TS):
             size = end - offset  # the last one may leave its length out
         if offset + size > end:
             raise InvalidPacket(f"submessage of {size} bytes is longer than its datagram")
@@ -81,12 +81,12 @@ def _submessages(data: memoryview) -> list[Submessage]:
 
 
 def _data(body: memoryview, flags: int, order: Order) -> Data:
-    _, distance, reader, writer, high, low = kinds.DATA_HEAD[order].unpack_from(body)
-    inline, place = None, kinds.TO_INLINE + distance
-    if flags & kinds.INLINE_FLAG or place != kinds.DATA_HEAD.size:
-        inline, place = _inline_qos(body, flags, order, place, kinds.DATA_HEAD.size)
-    is_key = bool(flags & kinds.KEY_FLAG)
-    payload = body[place:] if is_key or flags & kinds.PAYLOAD_FLAG else None
+    _, distance, reader, writer, high, low = layout.DATA_HEAD[order].unpack_from(body)
+    inline, place = None, layout.TO_INLINE + distance
+    if flags & layout.INLINE_FLAG or place != layout.DATA_HEAD.size:
+        inline, place = _inline_qos(body, flags, order, place, layout.DATA_HEAD.size)
+    is_key = bool(flags & layout.KEY_FLAG)
+    payload = body[place:] if is_key or flags & layout.PAYLOAD_FLAG else None
     if payload is not None and len(payload) < U32.size:
         raise InvalidPacket(f"payload of {len(payload)} bytes has no encapsulation header")
     number = (high << 32) | low
@@ -96,10 +96,10 @@ def _data(body: memoryview, flags: int, order: Order) -> Data:
 
 
 def _fragment(body: memoryview, flags: int, order: Order) -> DataFragment:
-    fields = kinds.FRAGMENT_HEAD[order].unpack_from(body)
+    fields = layout.FRAGMENT_HEAD[order].unpack_from(body)
     _, distance, reader, writer, high, low, first, count, size, whole = fields
-    least = kinds.FRAGMENT_HEAD.size
-    inline, place = _inline_qos(body, flags, order, kinds.TO_INLINE + distance, least)
+    least = layout.FRAGMENT_HEAD.size
+    inline, place = _inline_qos(body, flags, order, layout.TO_INLINE + distance, least)
     if size == 0 or whole < U32.size or -(-whole // size) > MAX_FRAGMENTS:
         raise InvalidPacket(f"sample of {whole} bytes in fragments of {size} is beyond the limits")
     last = first + count - 1
@@ -118,7 +118,7 @@ def _fragment(body: memoryview, flags: int, order: Order) -> DataFragment:
         whole,
         body[place : place + expected],
         inline,
-        bool(flags & kinds.FRAGMENT_KEY_FLAG),
+        bool(flags & layout.FRAGMENT_KEY_FLAG),
     )
 
 
@@ -128,46 +128,46 @@ def _inline_qos(
     """Return the inline QoS, which begin at a place, and the place of the payload."""
     if not least <= place <= len(body):
         raise InvalidPacket(f"inline QoS at byte {place} is outside its submessage")
-    return read_parameters(body, order, place) if flags & kinds.INLINE_FLAG else (None, place)
+    return read_parameters(body, order, place) if flags & layout.INLINE_FLAG else (None, place)
 
 
 def _heartbeat(body: memoryview, flags: int, order: Order) -> WriterHeartbeat:
-    reader, writer, *numbers, count = kinds.HEARTBEAT_BODY[order].unpack_from(body)
+    reader, writer, *numbers, count = layout.HEARTBEAT_BODY[order].unpack_from(body)
     first, last = (numbers[0] << 32) | numbers[1], (numbers[2] << 32) | numbers[3]
     if not 0 < first < MAX_NUMBER:
         raise invalid_number(first, 1)
     if not first - 1 <= last < MAX_NUMBER:
         raise invalid_number(last, first - 1)
-    is_final, is_alive = bool(flags & kinds.FINAL_FLAG), bool(flags & kinds.ALIVE_FLAG)
+    is_final, is_alive = bool(flags & layout.FINAL_FLAG), bool(flags & layout.ALIVE_FLAG)
     return WriterHeartbeat(reader, writer, first, last, count, is_final, is_alive)
 
 
 def _fragment_heartbeat(body: memoryview, _: int, order: Order) -> FragmentHeartbeat:
-    reader, writer, high, low, last, count = kinds.HEARTBEAT_FRAG_BODY[order].unpack_from(body)
+    reader, writer, high, low, last, count = layout.HEARTBEAT_FRAG_BODY[order].unpack_from(body)
     return FragmentHeartbeat(reader, writer, checked_number(high, low), last, count)
 
 
 def _acknack(body: memoryview, flags: int, order: Order) -> AckNack:
-    reader, writer, high, low = kinds.ACK_NACK_HEAD[order].unpack_from(body)
+    reader, writer, high, low = layout.ACK_NACK_HEAD[order].unpack_from(body)
     base = checked_number(high, low, least=0)  # Fast DDS begins with 0
-    numbers, place = read_bits(body, order, kinds.ACK_NACK_HEAD.size, base)
-    (count,) = kinds.COUNT[order].unpack_from(body, place)
+    numbers, place = read_bits(body, order, layout.ACK_NACK_HEAD.size, base)
+    (count,) = layout.COUNT[order].unpack_from(body, place)
     missing = NumberSet(base, tuple(number for number in numbers if number))
-    return AckNack(reader, writer, missing, count, bool(flags & kinds.FINAL_FLAG))
+    return AckNack(reader, writer, missing, count, bool(flags & layout.FINAL_FLAG))
 
 
 def _fragment_nack(body: memoryview, _: int, order: Order) -> FragmentNack:
-    reader, writer, high, low, base = kinds.NACK_FRAG_HEAD[order].unpack_from(body)
-    numbers, place = read_bits(body, order, kinds.NACK_FRAG_HEAD.size, base)
-    (count,) = kinds.COUNT[order].unpack_from(body, place)
+    reader, writer, high, low, base = layout.NACK_FRAG_HEAD[order].unpack_from(body)
+    numbers, place = read_bits(body, order, layout.NACK_FRAG_HEAD.size, base)
+    (count,) = layout.COUNT[order].unpack_from(body, place)
     return FragmentNack(reader, writer, checked_number(high, low), NumberSet(base, numbers), count)
 
 
 def _gap(body: memoryview, _: int, order: Order) -> Gap:
-    reader, writer, *numbers = kinds.GAP_HEAD[order].unpack_from(body)
+    reader, writer, *numbers = layout.GAP_HEAD[order].unpack_from(body)
     start = checked_number(numbers[0], numbers[1])
     base = checked_number(numbers[2], numbers[3], start)
-    found, _ = read_bits(body, order, kinds.GAP_HEAD.size, base)
+    found, _ = read_bits(body, order, layout.GAP_HEAD.size, base)
     return Gap(reader, writer, start, NumberSet(base, found))
 
 
@@ -178,19 +178,19 @@ def _destination(body: memoryview, _: int, order: Order) -> Destination:
 
 
 def _timestamp(body: memoryview, flags: int, order: Order) -> Timestamp:
-    if flags & kinds.INVALID_FLAG:
+    if flags & layout.INVALID_FLAG:
         return Timestamp(None)
-    return Timestamp(seconds_of(*kinds.TIME_BODY[order].unpack_from(body)))
+    return Timestamp(seconds_of(*layout.TIME_BODY[order].unpack_from(body)))
 
 
 def _source(body: memoryview, _: int, order: Order) -> SourceInfo:
-    _, vendor, prefix = kinds.SOURCE_BODY[order].unpack_from(body)
+    _, vendor, prefix = layout.SOURCE_BODY[order].unpack_from(body)
     return SourceInfo(vendor, prefix)
 
 
 def _reply(body: memoryview, flags: int, order: Order) -> ReplyLocators:
     unicast, place = _locators(body, order, 0)
-    if not flags & kinds.MULTICAST_FLAG:
+    if not flags & layout.MULTICAST_FLAG:
         return ReplyLocators(unicast)
     return ReplyLocators(unicast, _locators(body, order, place)[0])
 
@@ -205,15 +205,15 @@ def _locators(body: memoryview, order: Order, place: int) -> tuple[tuple[Locator
 
 
 _READERS: dict[int, Callable[[memoryview, int, Order], Submessage]] = {
-    kinds.ACK_NACK: _acknack,
-    kinds.HEARTBEAT: _heartbeat,
-    kinds.GAP: _gap,
-    kinds.INFO_TS: _timestamp,
-    kinds.INFO_SRC: _source,
-    kinds.INFO_DST: _destination,
-    kinds.INFO_REPLY: _reply,
-    kinds.NACK_FRAG: _fragment_nack,
-    kinds.HEARTBEAT_FRAG: _fragment_heartbeat,
-    kinds.DATA: _data,
-    kinds.DATA_FRAG: _fragment,
+    layout.ACK_NACK: _acknack,
+    layout.HEARTBEAT: _heartbeat,
+    layout.GAP: _gap,
+    layout.INFO_TS: _timestamp,
+    layout.INFO_SRC: _source,
+    layout.INFO_DST: _destination,
+    layout.INFO_REPLY: _reply,
+    layout.NACK_FRAG: _fragment_nack,
+    layout.HEARTBEAT_FRAG: _fragment_heartbeat,
+    layout.DATA: _data,
+    layout.DATA_FRAG: _fragment,
 }

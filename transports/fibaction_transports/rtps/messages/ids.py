@@ -22,9 +22,10 @@ KEYLESS_WRITER = 0x03
 """The kind of a user's writer whose topic has no key, as all topics of ROS."""
 KEYLESS_READER = 0x04
 """The kind of a user's reader whose topic has no key."""
-_WRITER_KINDS = (0x02, 0x03)
-_READER_KINDS = (0x04, 0x07)
-_BUILTIN = 0xC0
+WRITER_KINDS = (0x02, 0x03)
+READER_KINDS = (0x04, 0x07)
+BUILTIN = 0xC0
+"""The bits of the kind of an entity of discovery."""
 
 FAST_DDS = b"\x01\x0f"
 CYCLONE_DDS = b"\x01\x10"
@@ -50,12 +51,12 @@ class Guid(bytes):
     @property
     def is_writer(self) -> bool:
         """True for a writer of a user's topic."""
-        return self[-1] in _WRITER_KINDS
+        return self[-1] in WRITER_KINDS
 
     @property
     def is_reader(self) -> bool:
         """True for a reader of a user's topic."""
-        return self[-1] in _READER_KINDS
+        return self[-1] in READER_KINDS
 
     def __repr__(self) -> str:
         return f"Guid({self.hex()})"
@@ -65,7 +66,7 @@ class Guid(bytes):
 
 def is_builtin(entity: bytes) -> bool:
     """Return whether an entity belongs to discovery, and not to a topic of a user."""
-    return entity[3] & _BUILTIN == _BUILTIN
+    return entity[3] & BUILTIN == BUILTIN
 
 
 def user_entity(number: int, kind: int) -> bytes:

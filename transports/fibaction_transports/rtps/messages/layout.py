@@ -1,16 +1,24 @@
-"""The binary layouts of RTPS in both byte orders, and the numbers in them."""
+"""The binary layouts of RTPS in both byte orders: numbers, sets of numbers, and submessages."""
 
 from __future__ import annotations
 
+import struct
 from struct import Struct
 from typing import Literal, TypeAlias
 
-from fibaction_transports.rtps.messages.errors import InvalidPacket
+from fibaction.words.errors import ProtocolError
+
+
+class InvalidPacket(ProtocolError):
+    """A datagram, or a list of parameters in it, that breaks the rules or the limits of RTPS."""
+
 
 Order: TypeAlias = Literal["<", ">"]
 LITTLE: Order = "<"
 BIG: Order = ">"
 
+ENCAPSULATION = 4
+"""Size of the encapsulation header, with which each payload begins."""
 MAX_NUMBER = 2**62
 """The bound of sequence numbers: sums with those that are believed fit into the wire's 64 bits."""
 
@@ -77,3 +85,87 @@ def read_duration(value: bytes, order: Order) -> float:
     """Read a duration of a parameter: infinity for the endless one, and no less than 0."""
     whole, fraction = _PAIR[order].unpack_from(value)
     return float("inf") if whole == _ENDLESS_SECONDS else max(0.0, seconds_of(whole, fraction))
+
+
+MAX_BITS = 256
+"""The most numbers that a set spans."""
+_WORD = 32
+_BITS = tuple(tuple(at for at in range(8) if byte >> (7 - at) & 1) for byte in range(256))
+"""The places of the bits that are set in each byte, from the highest on."""
+
+
+def bits_bytes(base: int, numbers: tuple[int, ...], order: Order) -> bytes:
+    """Return the bits of ascending numbers, which are within 256 from the base on."""
+    count = numbers[-1] - base + 1 if numbers else 0
+    words = [0] * -(-count // _WORD)
+    for number in numbers:
+        word, bit = divmod(number - base, _WORD)
+        words[word] |= 1 << (_WORD - 1 - bit)
+    return struct.pack(f"{order}I{len(words)}I", count, *words)
+
+
+def read_bits(
+    data: memoryview, order: Order, offset: int, base: int
+) -> tuple[tuple[int, ...], int]:
+    """Read the numbers of a set; return them and the place after them.
+
+    Raises:
+        InvalidPacket: The set spans too many numbers.
+        struct.error: There are too few bytes.
+    """
+    (count,) = U32[order].unpack_from(data, offset)
+    if count > MAX_BITS:
+        raise InvalidPacket(f"set of {count} numbers exceeds {MAX_BITS} numbers")
+    words = struct.unpack_from(f"{order}{-(-count // _WORD)}I", data, offset + U32.size)
+    end = base + count
+    numbers = tuple(
+        number
+        for first, byte in enumerate(struct.pack(f">{len(words)}I", *words))
+        if byte
+        for bit in _BITS[byte]
+        if (number := base + 8 * first + bit) < end
+    )
+    return numbers, offset + U32.size * (1 + len(words))
+
+
+MAGIC = b"RTPS"
+VERSION = b"\x02\x03"
+PACKET_HEAD = 20
+"""Size of the head of a packet: magic, version, vendor and prefix."""
+SUBMESSAGE_HEAD = Layout("BBH")
+
+PAD = 0x01
+ACK_NACK = 0x06
+HEARTBEAT = 0x07
+GAP = 0x08
+INFO_TS = 0x09
+INFO_SRC = 0x0C
+INFO_DST = 0x0E
+INFO_REPLY = 0x0F
+NACK_FRAG = 0x12
+HEARTBEAT_FRAG = 0x13
+DATA = 0x15
+DATA_FRAG = 0x16
+
+LITTLE_FLAG = 0x01
+FINAL_FLAG = 0x02
+ALIVE_FLAG = 0x04
+INLINE_FLAG = 0x02
+PAYLOAD_FLAG = 0x04
+KEY_FLAG = 0x08
+FRAGMENT_KEY_FLAG = 0x04
+INVALID_FLAG = 0x02
+MULTICAST_FLAG = 0x02
+
+DATA_HEAD = Layout("HH4s4siI")
+FRAGMENT_HEAD = Layout("HH4s4siIIHHI")
+TO_INLINE = 4
+"""Bytes before the place from which the distance to the inline QoS counts."""
+HEARTBEAT_BODY = Layout("4s4siIiIi")
+HEARTBEAT_FRAG_BODY = Layout("4s4siIIi")
+ACK_NACK_HEAD = Layout("4s4siI")
+NACK_FRAG_HEAD = Layout("4s4siII")
+GAP_HEAD = Layout("4s4siIiI")
+SOURCE_BODY = Layout("4x2s2s12s")
+TIME_BODY = Layout("II")
+COUNT = Layout("i")

@@ -8,14 +8,16 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from fibaction_transports.rtps.messages.errors import InvalidPacket
 from fibaction_transports.rtps.messages.ids import GUID_SIZE, Guid
 from fibaction_transports.rtps.messages.layout import (
+    BIG,
+    ENCAPSULATION,
     LITTLE,
+    LOW,
     U32,
+    InvalidPacket,
     Layout,
     Order,
-    halves,
     read_duration,
 )
 from fibaction_transports.rtps.messages.locators import Locator, locator_bytes, read_locator
@@ -86,10 +88,11 @@ class Parameters(Struct, frozen=True):
 
     def octets(self, pid: int, size: int) -> bytes | None:
         """Return the first bytes of a parameter; None if it is absent."""
-        for value in self.all(pid):
-            if len(value) < size:
-                raise InvalidPacket(f"parameter {pid:#x} has {len(value)} of {size} bytes")
-            return value[:size]
+        for found, value in self.items:
+            if found == pid:
+                if len(value) < size:
+                    raise InvalidPacket(f"parameter {pid:#x} has {len(value)} of {size} bytes")
+                return value[:size]
         return None
 
     def u32(self, pid: int, default: int) -> int:
@@ -207,9 +210,30 @@ def text_value(text: str) -> bytes:
 
 def identity_value(identity: SampleIdentity) -> bytes:
     """Return the value of a parameter that names a sample."""
-    return identity.writer + struct.pack("<iI", *halves(identity.number))
+    return identity.writer + struct.pack("<iI", identity.number >> 32, identity.number & LOW)
 
 
 def locator_items(pid: int, locators: Iterable[Locator]) -> Sequence[tuple[int, bytes]]:
     """Return a parameter for each locator."""
     return [(pid, locator_bytes(locator)) for locator in locators]
+
+
+_LITTLE_LIST = b"\x00\x03\x00\x00"
+_ORDERS: dict[bytes, Order] = {b"\x00\x02": BIG, b"\x00\x03": LITTLE}
+
+
+def list_payload(parameters: Parameters) -> bytes:
+    """Return a little-endian list of parameters as a payload."""
+    return _LITTLE_LIST + parameters_bytes(parameters)
+
+
+def read_list(payload: bytes | memoryview) -> Parameters:
+    """Read a payload that is a list of parameters.
+
+    Raises:
+        InvalidPacket: It is something else, or the list is broken.
+    """
+    order = _ORDERS.get(bytes(payload[:2]))
+    if order is None:
+        raise InvalidPacket(f"encapsulation {bytes(payload[:2]).hex()} is not a list of parameters")
+    return read_parameters(payload, order, ENCAPSULATION)[0]

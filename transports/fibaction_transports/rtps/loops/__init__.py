@@ -1,1 +1,0 @@
-"""Event loops that drive a participant, and the order in which datagrams are taken."""
