@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, settings
 
 from fibaction._runtime import log
 from tests.tools import second_try
+from tests.tools.elsewhere import Elsewhere
 
 settings.register_profile(
     "fibaction",
@@ -45,6 +46,8 @@ log.QUOTA = sys.maxsize
 def pytest_configure(config: pytest.Config) -> None:
     """Let failed tests that start processes have a second try, where `.ci/run` asks for it."""
     second_try.register(config)
+    if "FIBACTION_ELSEWHERE" in os.environ and "PYTEST_CURRENT_TEST" not in os.environ:
+        config.pluginmanager.register(Elsewhere(config))
 
 
 @pytest.hookimpl(wrapper=True)

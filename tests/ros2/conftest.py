@@ -90,7 +90,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """Give a test with a timeout of its own as much time.
 
     Another test that hangs in Python fails by a signal, as everywhere. A test that hangs in C,
-    where no signal is handled, is ended a little later by the Makefile's `faulthandler_timeout`,
+    where no signal is handled, is ended a little later by `faulthandler_timeout` of check.sh,
     which prints the stacks.
     """
     if item.get_closest_marker("timeout") is not None:

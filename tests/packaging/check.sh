@@ -1,0 +1,23 @@
+#!/bin/sh
+# Check the sdist and the wheel, and run tests against the wheel: `check.sh VERSION...`, with the other
+# versions of Python to install it with.
+#
+# The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The code is
+# that of `make test`, so what runs against it is what a wheel can lack: modules, entry points, files.
+set -e
+rm -rf dist build/checkout build/consumer* build/wheel
+.venv/bin/python -m build --quiet --outdir dist .
+.venv/bin/python -m build --quiet --outdir build/checkout --wheel .
+.venv/bin/python -m twine check --strict dist/*
+tests/tools/venv.sh build/consumer dist/*.whl
+for version in "$@"; do
+    PYTHON=$(tests/tools/find_python.sh "$version") tests/tools/venv.sh "build/consumer$version" dist/*.whl
+done
+FIBACTION_BUILT=1 .venv/bin/python -m pytest tests/packaging
+tests/tools/venv.sh build/wheel dist/*.whl --group test
+cd build
+FIBACTION_ELSEWHERE=1 wheel/bin/python -m pytest -q -n auto --dist worksteal \
+    -c ../pyproject.toml --rootdir .. -o pythonpath= -o cache_dir=build/.pytest_cache \
+    ../tests/contract/test_accepting.py ../tests/contract/test_scheduling.py \
+    ../tests/test_examples.py ../tests/test_init.py ../tests/test_main.py ../tests/test_stories.py \
+    ../tests/transports/web/test_assets.py
