@@ -39,9 +39,31 @@ def test_no_docstring_begins_with_a_question_word() -> None:
     assert {name: texts for name, texts in found.items() if texts} == {}
 
 
+NOUNS = ("testing", "greeting", "string", "setting", "heading", "warning", "recording", "mapping")
+"""Words in -ing that name things, and not what is done."""
+
+
 def test_no_module_is_named_by_a_gerund() -> None:
-    gerunds = {module.stem.strip("_") for module in modules() if module.stem.endswith("ing")}
-    assert gerunds == {"testing"}
+    named = {module.stem.strip("_") for module in modules()}
+    assert {name for name in named if name.endswith("ing") and not name.endswith(NOUNS)} == set()
+
+
+def duty(text: str) -> str:
+    """Return the first paragraph of a docstring."""
+    return text.partition("\n\n")[0].replace("\n", " ")
+
+
+def test_each_module_has_one_duty_which_its_first_sentence_tells() -> None:
+    duties = {
+        str(module.relative_to(ROOT)): duty(ast.get_docstring(ast.parse(module.read_text())) or "")
+        for module in modules()
+    }
+    wrong = {
+        name: text
+        for name, text in duties.items()
+        if not re.fullmatch(r"[^.!?]+(?:[.!?]\S[^.!?]*)*\.", text)
+    }
+    assert wrong == {}, "one sentence, and then an empty line"
 
 
 FOREIGN = {

@@ -25,8 +25,6 @@ FeedbackT = TypeVar("FeedbackT")
 ResultT = TypeVar("ResultT")
 T = TypeVar("T")
 
-# ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
-# served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
 NO_VALUE: Any = object()
 """The default of a goal that a caller does not give."""
 LARGE = 2**16
@@ -35,6 +33,8 @@ LARGE = 2**16
 NIL, EMPTY_MAP = b"\xc0", b"\x80"  # in msgpack
 _FROM_SERVERS = ("feedback", "the result")
 _UNTYPED: frozenset[Any] = frozenset({Any, object, dict, Mapping, msgspec.Raw})
+# ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
+# served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
 _NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 

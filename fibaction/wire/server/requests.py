@@ -1,6 +1,7 @@
-"""`RequestHandlers`: the requests of a client beside goals. A task works on each.
+"""`RequestHandlers`: the requests of a client beside goals.
 
-They know neither connections nor permissions: `find` checks permissions, and `say` sends.
+A task works on each of them. They know neither connections nor permissions: `find` checks
+permissions, and `say` sends.
 
 Some requests concern all goals, all actions or all clients, and may be answered at length: a cancel
 of several goals, and the lists. One client could send a thousand of them at once. So each client

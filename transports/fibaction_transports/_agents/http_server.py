@@ -1,4 +1,4 @@
-"""The HTTP server for agents: uvicorn, which the extras bring. It runs on asyncio only."""
+"""The HTTP server for agents: uvicorn, which the extras bring, and which runs on asyncio only."""
 
 from __future__ import annotations
 

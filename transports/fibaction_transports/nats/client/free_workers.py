@@ -1,5 +1,4 @@
-"""`RoomFinder`: finds workers that have room for the new goals of a client. `Placement`: the
-workers that one goal was sent to.
+"""The search for workers that have room for the new goals of a client.
 
 A client that has new goals asks all workers of the action at once (`RoomQuestion`), and one of
 those that have room answers with the number of goals that it takes (`RoomOffer`): by chance, one of

@@ -1,4 +1,4 @@
-"""Packets from datagrams. Nothing of a datagram is believed before its bounds are checked."""
+"""Packets from datagrams, of which nothing is believed before its bounds are checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Submessages as bytes. Each is a multiple of four bytes long if its payload is."""
+"""Submessages as bytes, each a multiple of four bytes long if its payload is."""
 
 from __future__ import annotations
 
