@@ -157,7 +157,7 @@ class StatusCursor(StatusStream):
         return goal.info
 
     def _next_change(self) -> GoalInfo | None:
-        if self._cursor == self._last:
+        if self._cursor == (self._changes.count if self._end is None else self._end):
             self._listed_at.clear()
             return None
         missed = self._missed

@@ -44,7 +44,7 @@ class Published(list[list[GoalStatus]]):
         self.append([info_of(line).status for line in lines_of(message)])
 
 
-def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() -> None:
+async def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() -> None:
     published = Published()
     statuses = ServedStatuses(published, ServedStamps(DdsClock()))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
@@ -57,7 +57,7 @@ def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() ->
     assert published == [[1, 1], [2, 1]]
 
 
-def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
+async def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
     published = Published()
     statuses = ServedStatuses(published, ServedStamps(DdsClock()))
     statuses.update(GoalInfo(TWO, 2, GoalStatus.UNKNOWN))
@@ -69,7 +69,7 @@ def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
 
 
 @pytest.mark.promise("STATUS-8")
-def test_a_forgotten_goal_leaves_the_list() -> None:
+async def test_a_forgotten_goal_leaves_the_list() -> None:
     published = Published()
     statuses = ServedStatuses(published, ServedStamps(DdsClock()))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))

@@ -1,8 +1,8 @@
 """The way of one goal: every call inside fibaction and its transports, in order.
 
-`python -m tests.tools.goal_way` prints it in-process, over TCP, and in-process with a store, one
-line for each function that begins. `--figures` prints the figures only, `--modules` the modules in
-the order of their calls.
+`python -m tests.tools.goal_way` prints it in-process, over TCP, over `dds://`, and in-process with
+a store, one line for each function that begins. `--figures` prints the figures only, `--modules`
+the modules in the order of their calls.
 
 How it is counted:
 
@@ -17,6 +17,8 @@ How it is counted:
 - The modules are the files with a call; a change is a call in another file than the call before.
 - On a busy machine messages arrive in parts, which adds calls, or together, which saves some; a
   heartbeat adds some. So the way that most of many goals go counts.
+- Over `dds://`, the clock stands still meanwhile, so no acknowledgement and no repeated list of
+  statuses is due; before, everything that was due is waited for.
 """
 
 from __future__ import annotations
@@ -26,9 +28,10 @@ import dis
 import gc
 import inspect
 import sys
+import time
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -44,18 +47,25 @@ import fibaction_transports
 from fibaction import ActionClient, ActionServer, SqliteStore
 from fibaction.border.goal_store import GoalStore
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.ros_domain import own_domain
 
+DDS = "dds"
 STORE = "in-process with a store"
 WAYS = {
     "in-process": "inproc://goal-way",
     "TCP": "tcp://127.0.0.1:0",
+    DDS: "dds://goal_way",
     STORE: "inproc://goal-way",
 }
 """The URL that each way is served at."""
+INTERFACES = Path(__file__).parents[2] / "examples" / "ros2"
+"""The folder with the type of the action, for `dds://`."""
 ORDER = 3
 """The goal whose executor sends two feedback messages."""
 RUNS, AGREEING = 60, 10
 """The goals that are counted at most, and the number of ways with equal figures that is enough."""
+DUE = 0.3
+"""Seconds in which everything is sent that is due after a goal over `dds://`."""
 QUIET_TURNS = 20
 """The turns of the event loop without a call after which a goal has gone its way."""
 
@@ -180,14 +190,30 @@ async def settle(way: Way) -> None:
         calls = len(way)
 
 
+@contextmanager
+def frozen_clock() -> Generator[None, None, None]:
+    """Stop the clock of asyncio's event loops until the block ends."""
+    now, clock = time.monotonic(), time.monotonic
+    time.monotonic = lambda: now
+    try:
+        yield
+    finally:
+        time.monotonic = clock
+
+
 async def count(url: str, store: GoalStore | None) -> Way:
     """Return the way of a goal over the transport of a URL."""
     server = ActionServer(FIBONACCI, fibonacci, store=store)
     ways: defaultdict[Figures, list[Way]] = defaultdict(list)
     async with fibaction.serve(server, url) as (at,), fibaction.connect(at, FIBONACCI) as client:
+        await client.wait_for_server()
         for _ in range(RUNS):
             await send_goal(client)
-            with recorded() as way:
+            with ExitStack() as stack:
+                if url == WAYS[DDS]:
+                    await anyio.sleep(DUE)
+                    stack.enter_context(frozen_clock())
+                way = stack.enter_context(recorded())
                 await send_goal(client)
                 await settle(way)
             equal = ways[way.figures]
@@ -199,7 +225,8 @@ async def count(url: str, store: GoalStore | None) -> Way:
 
 def way_of_a_goal(name: str) -> Way:
     """Return one of the ways, on asyncio's own event loop."""
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, own_domain() as environment:
+        environment.setenv("FIBACTION_SEARCH", str(INTERFACES))
         store = SqliteStore(f"{folder}/goals.db") if name == STORE else None
         return anyio.run(count, WAYS[name], store)
 

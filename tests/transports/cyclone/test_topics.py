@@ -35,7 +35,7 @@ async def test_samples_of_every_size_arrive_at_cyclone_in_order() -> None:
     async with partner("topics") as cyclone, rtps_end() as ours:
         await cyclone.ask("read", topic=name)
         writer = await ours.writer(name, ALL)
-        assert ours.network.participant.vendor_of(writer.readers[0].prefix) == CYCLONE_DDS
+        assert ours.network.participant.vendor_of(next(iter(writer.readers)).prefix) == CYCLONE_DDS
         for letter, times in SIZES:
             ours.network.write(writer, text(letter * times))
         heard = await cyclone.ask("heard", count=len(SIZES))

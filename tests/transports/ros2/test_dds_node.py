@@ -349,7 +349,7 @@ async def test_a_request_that_cannot_be_answered_is_logged(
         answers = Answers(other, f"/{name}/list_parameters", messages.LIST_PARAMETERS)
         await answers.call(messages.ListRequest())
         for writer in node.network.participant._local.user_writers():
-            writer._readers.clear()  # as if the answer's reader was not discovered yet
+            writer.readers.clear()  # as if the answer's reader was not discovered yet
         answers._caller.send(messages.ListRequest())
         await until(lambda: "an answer cannot reach its client, and is lost" in caplog.text, True)
 

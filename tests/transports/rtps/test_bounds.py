@@ -511,7 +511,7 @@ def test_the_times_of_sent_samples_are_forgotten_with_them() -> None:
     for number in range(1000):
         victim.writer.write(payload(str(number)), victim.world.now)
         victim.answer()
-    (proxy,) = victim.writer._readers.values()
+    (proxy,) = victim.writer.readers.values()
     assert len(proxy._sent) <= 2 * victim.writer.kept + 2
     assert victim.writer.kept == 5
 

@@ -358,7 +358,7 @@ def test_gaps_are_answered_as_far_as_the_budget_goes() -> None:
     for _ in range(600):
         victim.writer.write(payload("x"), victim.world.now, only_to=Guid(bytes(16)))
     victim.answer()
-    (proxy,) = (each for each in victim.writer._readers.values())
+    (proxy,) = (each for each in victim.writer.readers.values())
     proxy._budget = PeerBudget(victim.world.now)
     odd = NumberSet(700, tuple(range(700, 956, 2)))
     sent = sum(victim.receive(AckNack(reader, writer, odd, count)) for count in range(2000))
@@ -463,7 +463,7 @@ def test_a_request_for_a_fragment_of_a_gap_costs_the_budget() -> None:
     for _ in range(6):
         victim.writer.write(payload("x"), victim.world.now)
     victim.answer()
-    (proxy,) = victim.writer._readers.values()
+    (proxy,) = victim.writer.readers.values()
     reader, writer = victim.peer_reader.guid.entity, victim.writer.guid.entity
     nack = FragmentNack(reader, writer, 1, NumberSet(1, (1,)), 9)
     assert victim.receive(nack) > 0

@@ -9,7 +9,8 @@ from fibaction_transports.rtps.messages.layout import ENCAPSULATION
 from fibaction_transports.rtps.messages.parameters import STATUS_INFO, Parameters
 from fibaction_transports.rtps.messages.submessages import Data
 
-_PADDING_BITS = 0x03
+PADDING_BITS = 0x03
+"""The bits of the encapsulation header that count the padding."""
 _ENDED_BITS = 0x03
 DISPOSED = b"\x00\x00\x00\x03"
 """The status of a sample that says: disposed and unregistered."""
@@ -56,15 +57,15 @@ def padded(payload: bytes) -> bytes:
     if not padding:
         return payload
     return b"".join(
-        (payload[:3], bytes([payload[3] & ~_PADDING_BITS | padding]), payload[4:], bytes(padding))
+        (payload[:3], bytes([payload[3] & ~PADDING_BITS | padding]), payload[4:], bytes(padding))
     )
 
 
 def unpadded(payload: bytes | bytearray | memoryview) -> bytes:
     """Return a received payload without its padding, and with none in its header."""
-    padding = payload[3] & _PADDING_BITS
+    padding = payload[3] & PADDING_BITS
     if not padding or len(payload) < ENCAPSULATION + padding:
         return bytes(payload)
     view = memoryview(payload)
     end = len(payload) - padding
-    return b"".join((view[:3], bytes([payload[3] & ~_PADDING_BITS]), view[4:end]))
+    return b"".join((view[:3], bytes([payload[3] & ~PADDING_BITS]), view[4:end]))

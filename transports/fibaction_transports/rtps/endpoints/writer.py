@@ -41,14 +41,10 @@ class DataWriter:
         self.qos = qos
         self._shared = shared
         self._history = History(qos.depth, shared.limits)
-        self._readers: dict[Guid, ReaderProxy] = {}
+        self.readers: dict[Guid, ReaderProxy] = {}
+        """The matched readers of other participants."""
         self._pause = FIRST_HEARTBEAT
         self._expiries: deque[tuple[float, int]] = deque()
-
-    @property
-    def readers(self) -> list[Guid]:
-        """The matched readers of other participants."""
-        return list(self._readers)
 
     @property
     def last(self) -> int:
@@ -65,7 +61,7 @@ class DataWriter:
         return min(
             (
                 proxy.acknowledged
-                for proxy in self._readers.values()
+                for proxy in self.readers.values()
                 if proxy.is_reliable and not proxy.is_silent(now)
             ),
             default=self.last,
@@ -75,7 +71,7 @@ class DataWriter:
         """Return whether every reader has all samples but the newest ones, up to the margin; one
         that is best effort does not tell.
         """
-        proxies, least = self._readers.values(), self.last - margin
+        proxies, least = self.readers.values(), self.last - margin
         return all(proxy.is_reliable and proxy.acknowledged >= least for proxy in proxies)
 
     def write(
@@ -130,7 +126,7 @@ class DataWriter:
         if self.qos.lifespan < math.inf:
             self._expiries.append((now + self.qos.lifespan, number))
         is_awaited = False
-        for guid, proxy in self._readers.items():
+        for guid, proxy in self.readers.items():
             if only_at is None or guid[:PREFIX_SIZE] in only_at:
                 proxy.write(number, sample, now)
             else:
@@ -152,7 +148,7 @@ class DataWriter:
         proxy = ReaderProxy(reader, route, self.guid.entity, self._history, self._shared)
         before = 0 if is_late else self.last
         proxy.start(before, is_reliable=is_reliable, is_late=is_late, now=now)
-        self._readers[reader] = proxy
+        self.readers[reader] = proxy
         if is_reliable:
             proxy.heartbeat(now)
             self._pause = FIRST_HEARTBEAT
@@ -162,26 +158,26 @@ class DataWriter:
 
     def unmatch(self, reader: Guid, now: float) -> bool:
         """Forget a reader; return whether it was matched."""
-        found = self._readers.pop(reader, None) is not None
+        found = self.readers.pop(reader, None) is not None
         self._forget(now)
         return found
 
     def receive_acknack(self, reader: Guid, nack: AckNack, now: float) -> None:
         """Note what a reader has, and send what it misses."""
-        proxy = self._readers.get(reader)
+        proxy = self.readers.get(reader)
         if proxy is not None and proxy.is_reliable and nack.missing.base <= self.last + 1:
             proxy.receive_acknack(nack, now)
             self._forget(now)
 
     def receive_fragment_nack(self, reader: Guid, nack: FragmentNack, now: float) -> None:
         """Send the fragments that a reader misses."""
-        proxy = self._readers.get(reader)
+        proxy = self.readers.get(reader)
         if proxy is not None and proxy.is_reliable:
             proxy.receive_fragment_nack(nack, now)
 
     def on_heartbeat_due(self, now: float) -> None:
         """Ask the readers again that have not acknowledged everything."""
-        waiting = [p for p in self._readers.values() if p.has_unacknowledged(self.last)]
+        waiting = [p for p in self.readers.values() if p.has_unacknowledged(self.last)]
         for proxy in waiting:
             proxy.heartbeat(now)
         self._pause = min(self._pause * 2, LONGEST_HEARTBEAT)
@@ -191,7 +187,7 @@ class DataWriter:
 
     def close(self) -> None:
         """Forget all readers, and send nothing any more."""
-        self._readers.clear()
+        self.readers.clear()
         self._shared.timers.cancel(self.on_heartbeat_due)
 
     def _forget(self, now: float) -> None:

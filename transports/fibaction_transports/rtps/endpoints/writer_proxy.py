@@ -23,7 +23,7 @@ from collections.abc import Callable
 
 from fibaction_transports.rtps.endpoints.catch_up import OVERTAKEN, CatchUp, RequestPace
 from fibaction_transports.rtps.endpoints.fragments import PartialSample
-from fibaction_transports.rtps.endpoints.sample import Sample, unpadded
+from fibaction_transports.rtps.endpoints.sample import PADDING_BITS, Sample, unpadded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.events import SamplesLost
 from fibaction_transports.rtps.messages.ids import FAST_DDS, Guid
@@ -134,7 +134,9 @@ class WriterProxy:
         if data.payload is not None and len(data.payload) > self._shared.limits.sample:
             self._shared.counters.over_limit += 1
             return
-        content = b"" if data.payload is None else unpadded(data.payload)
+        content = data.payload or b""
+        if content:  # most have no padding
+            content = unpadded(content) if content[3] & PADDING_BITS else bytes(content)
         self._take(
             Sample(self._guid, data.number, content, data.inline_qos, time, data.is_key), now
         )
