@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from fibaction.border.goal_store import StoredGoal, Then
+from fibaction_transports.nats.worker import fleet_limits
 from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.key_entry import next_entry
 from fibaction_transports.nats.worker.lease import Membership, Term
-from fibaction_transports.nats.worker.limits import key_turns
-from fibaction_transports.nats.worker.limits.key_entry import next_entry
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from tests.fleet_simulation import __main__ as program
 from tests.fleet_simulation.world import simulate
@@ -107,14 +107,14 @@ def gives_a_place_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
     def next_one(entry: Any, demand: Any, gone: Any, most: int, *, gives: bool) -> Any:
         return next_entry(entry, demand, gone, most + 1, gives=gives)
 
-    monkeypatch.setattr(key_turns, "next_entry", next_one)
+    monkeypatch.setattr(fleet_limits, "next_entry", next_one)
 
 
 def leaves_places_to_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     def next_one(entry: Any, demand: Any, gone: Any, most: int, *, gives: bool) -> Any:
         return next_entry(entry, demand, set(), most, gives=gives)
 
-    monkeypatch.setattr(key_turns, "next_entry", next_one)
+    monkeypatch.setattr(fleet_limits, "next_entry", next_one)
 
 
 @pytest.mark.timeout(180)  # many seeds, on a busy machine

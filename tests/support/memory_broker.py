@@ -23,6 +23,7 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import (
+    NO_RESPONDERS,
     Broker,
     BrokerAway,
     BrokerRecord,
@@ -367,7 +368,7 @@ class MemoryBroker(Broker):
             if self._is_away:
                 return
             if not self.shared.deliver(Message(subject, data, reply)) and reply:
-                self.shared.deliver(Message(reply, b"", "", has_no_responders=True))
+                self.shared.deliver(Message(reply, b"", "", {"Status": NO_RESPONDERS}))
 
         self._send(deliver)
 

@@ -26,6 +26,7 @@ from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournal
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.takeover import Takeover
+from fibaction_transports.nats.worker.worker import FleetStore
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.support.memory_broker import MemoryBrokers
 
@@ -115,18 +116,17 @@ async def member(
         lost = LostWorkers(made.broker, NAMES, made.membership, workers)
         takeover = made.takeover = Takeover(made.journals, workers, lost)
         await takeover.open()
+        store = FleetStore(made.journals, takeover, key_places)
         made.journal = await stack.enter_async_context(
-            made.journals.open(
+            store.open(
                 "count",
                 max_results=9,
                 claim=made.claim,
                 lose=made.lost.append,
                 obstacle=made.obstacle,
-                key_places=key_places,
+                ends_unreadable=ends_unreadable,
             )
         )
-        of_journal = await stack.enter_async_context(Background())
-        takeover.start(made.journal, of_journal, ends_unreadable=ends_unreadable)
         made.journal.set_room(running, 9)
         await made.broker.flush()
         yield made

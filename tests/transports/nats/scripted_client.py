@@ -8,8 +8,12 @@ from typing import Any
 import msgspec
 
 from fibaction._runtime.notify import Notifier
-from fibaction_transports.nats.broker.answers import OnRaw, RawMessage
-from fibaction_transports.nats.broker.broker import BrokerSubscription, NoResponders
+from fibaction_transports.nats.broker.broker import (
+    BrokerSubscription,
+    Message,
+    NoResponders,
+    OnMessage,
+)
 from fibaction_transports.nats.broker.login import BrokerInfo
 
 NO_RESPONDERS = None
@@ -42,14 +46,14 @@ class ScriptedClient:
         self.info = BrokerInfo()
         self.connections = 1
         self.to_notify: set[Notifier] = set()
-        self.on_message: OnRaw = lambda _message: None
+        self.on_message: OnMessage = lambda _message: None
         self.on_publish: Callable[[str], None] = lambda _subject: None
 
     def new_inbox(self) -> str:
         return "_INBOX.one"
 
     async def subscribe(
-        self, subject: str, on_message: OnRaw, queue: str = ""
+        self, subject: str, on_message: OnMessage, queue: str = ""
     ) -> BrokerSubscription:
         self.on_message = on_message
         return _Subscribed()
@@ -58,7 +62,7 @@ class ScriptedClient:
         self.asked.append((subject, data))
         self.on_publish(subject)
 
-    async def request(self, subject: str, data: bytes, timeout: float) -> RawMessage:
+    async def request(self, subject: str, data: bytes, timeout: float) -> Message:
         self.asked.append((subject, msgspec.json.decode(data) if data else None))
         self.timeouts.append(timeout)
         found = next(found for name, found in self.answers.items() if name in subject)
@@ -67,9 +71,9 @@ class ScriptedClient:
             raise answer
         if answer is NO_RESPONDERS:
             raise NoResponders(subject)
-        if isinstance(answer, RawMessage):
+        if isinstance(answer, Message):
             return answer
-        return RawMessage("", msgspec.json.encode(answer), "", {})
+        return Message("", msgspec.json.encode(answer), "", {})
 
     def bodies(self, name: str) -> list[Any]:
         """The bodies of the requests of one part of the API."""

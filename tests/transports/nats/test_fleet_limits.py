@@ -22,12 +22,12 @@ from fibaction_transports.nats.broker.broker import (
     PutError,
     PutFailure,
 )
-from fibaction_transports.nats.worker.lease import MemberPart, Membership
-from fibaction_transports.nats.worker.limits.fleet_limits import FleetLimits, FleetPlaces
-from fibaction_transports.nats.worker.limits.key_entry import (
+from fibaction_transports.nats.worker.fleet_limits import FleetLimits, FleetPlaces
+from fibaction_transports.nats.worker.key_entry import (
     KeyEntry,
     key_entry,
 )
+from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.support.memory_broker import (

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import AsyncGenerator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from anyio import create_task_group, fail_after, sleep, wait_all_tasks_blocked
@@ -20,7 +22,6 @@ from fibaction.border.goal_store import (
     StoredGoal,
     StoreFull,
     Then,
-    no_obstacle,
 )
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import Sender
@@ -30,6 +31,7 @@ from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker import record_writes
 from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
+from fibaction_transports.nats.worker.worker import FleetStore
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.members import no_places
@@ -99,13 +101,9 @@ class Member:
                 yield tasks
 
     def open(self, max_results: int = 9) -> AbstractAsyncContextManager[FleetJournal]:
-        return self.journals.open(
-            "count",
-            max_results=max_results,
-            claim=self.claimed.append,
-            lose=self.lost.append,
-            obstacle=no_obstacle,
-            key_places=no_places,
+        takeover: Any = Mock()  # no goals of others come
+        return FleetStore(self.journals, takeover, no_places).open(
+            "count", max_results=max_results, claim=self.claimed.append, lose=self.lost.append
         )
 
 
@@ -147,14 +145,14 @@ async def test_a_goal_is_kept_from_its_acceptance_to_its_end() -> None:
         assert found is not None
         assert found.incarnation == robot.membership.incarnation
         assert found.goal == replace(one, worker="robot")
-        assert len(robot.journals) == 1
+        assert len(robot.journal) == 1
         robot.write("end", ended(one))
         await robot.answered(2)
         assert robot.errors == [None, None]
         found = entry(shared, one)
         assert found is not None
         assert found.goal == replace(ended(one), worker="robot", ended_at=found.goal.ended_at)
-        assert len(robot.journals) == 0
+        assert len(robot.journal) == 0
         assert one.worker == "", "the server's own goal is as it was"
 
 
@@ -197,7 +195,7 @@ async def test_a_goal_of_another_worker_is_taken() -> None:
         b.write("end", ended(one))
         await b.answered(2)
         assert b.errors == [GoalTaken, GoalTaken]
-        assert len(b.journals) == 0
+        assert len(b.journal) == 0
         found = entry(shared, one)
         assert found is not None
         assert found.goal.worker == "a"
@@ -342,7 +340,7 @@ async def test_all_goals_are_lost_when_the_lease_ends() -> None:
         await sleep(LEASE)
         assert set(robot.lost) == {one.goal_id, two.goal_id}
         assert robot.errors == [None, GoalTaken]
-        assert len(robot.journals) == 0
+        assert len(robot.journal) == 0
         robot.write("end", ended(one))
         robot.write("accept", goal(3))
         assert robot.errors[2:] == [GoalTaken, GoalTaken]
@@ -386,7 +384,7 @@ async def test_what_is_too_large_concerns_its_goal_alone() -> None:
         await robot.answered(5)
         assert robot.errors == [RecordTooLarge, None, RecordTooLarge, RecordTooLarge, None]
         assert "and the brokers take 1048576 at most" in str(robot.answers[0][1])
-        assert len(robot.journals) == 0
+        assert len(robot.journal) == 0
 
 
 async def test_a_full_stream_takes_no_new_goals_and_all_of_the_others_when_there_is_room() -> None:

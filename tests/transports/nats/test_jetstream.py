@@ -10,11 +10,12 @@ import msgspec
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.nats.broker.answers import PendingAnswers, RawMessage
+from fibaction_transports.nats.broker.answers import PendingAnswers
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerRecord,
     BrokerStream,
+    Message,
     PutFailure,
 )
 from fibaction_transports.nats.broker.client import NatsClient
@@ -69,13 +70,13 @@ def test_the_subject_of_a_delivery_is_read_with_and_without_an_account() -> None
     assert delivery("$JS.ACK.domain.hash.stream.consumer.1.7.3.1700.2.x") == (7, 3, 2)
 
 
-def delivered(number: int, pending: int = 0) -> RawMessage:
-    return RawMessage("s", b"x", f"$JS.ACK.stream.consumer.1.{number + 6}.{number}.1.{pending}", {})
+def delivered(number: int, pending: int = 0) -> Message:
+    return Message("s", b"x", f"$JS.ACK.stream.consumer.1.{number + 6}.{number}.1.{pending}", {})
 
 
-def control(reply: str = "", **headers: str) -> RawMessage:
+def control(reply: str = "", **headers: str) -> Message:
     named = {name.replace("_", "-"): text for name, text in headers.items()}
-    return RawMessage("inbox", b"", reply, {"Status": "100", **named})
+    return Message("inbox", b"", reply, {"Status": "100", **named})
 
 
 @pytest.fixture
@@ -134,7 +135,7 @@ async def test_flow_control_is_answered_when_records_are_taken(watch: RecordWatc
 
 @pytest.mark.asyncio
 async def test_a_consumer_that_is_gone_is_broken(watch: RecordWatch) -> None:
-    watch._on_message(RawMessage("inbox", b"", "", {"Status": "409"}))
+    watch._on_message(Message("inbox", b"", "", {"Status": "409"}))
     assert watch._is_broken
     watch.close()
 
@@ -147,9 +148,9 @@ async def test_a_late_answer_is_nobodys() -> None:
     pending = PendingAnswers("inbox")
     answer = pending.expect("1")
     answer.cancel()
-    pending.on_answer(RawMessage("inbox.1", b"", "", {}))
+    pending.on_answer(Message("inbox.1", b"", "", {}))
     pending.forget("1")
-    pending.on_answer(RawMessage("inbox.1", b"", "", {}))
+    pending.on_answer(Message("inbox.1", b"", "", {}))
     assert "1" not in pending
 
 
@@ -378,7 +379,7 @@ async def test_a_record_of_a_stream_that_is_missing_is_missing() -> None:
     [
         (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [MADE]}),
         (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [NO_RESPONDERS]}),
-        (1, {"DIRECT_GET": [RawMessage("", b"", "", {"Status": "408"})]}),
+        (1, {"DIRECT_GET": [Message("", b"", "", {"Status": "408"})]}),
         (3, {"STREAM_MSG_GET": [failed(NO_LEADER, 503)]}),
         (3, {"STREAM_MSG_GET": [NO_RESPONDERS], "STREAM_INFO": [NO_RESPONDERS]}),
     ],
@@ -450,8 +451,8 @@ async def test_flow_control_holds_the_broker_back_until_the_reader_comes() -> No
 NEXT = "CONSUMER.MSG.NEXT"
 
 
-def note(data: bytes) -> RawMessage:
-    return RawMessage("s", data, f"ack.{data.decode()}", {})
+def note(data: bytes) -> Message:
+    return Message("s", data, f"ack.{data.decode()}", {})
 
 
 @pytest.fixture
@@ -460,7 +461,7 @@ def client() -> Any:
     return ScriptedClient(CONSUMER_CREATE=[{}])
 
 
-def answering(client: Any, *answers: RawMessage | None) -> None:
+def answering(client: Any, *answers: Message | None) -> None:
     """Answer to each request for a note in turn; None is another connection."""
     left = list(answers)
 
@@ -481,14 +482,14 @@ def answering(client: Any, *answers: RawMessage | None) -> None:
 @pytest.mark.parametrize(
     ("answer", "consumers"),
     [
-        (RawMessage("", b"", "", {"Status": "404"}), 1),
-        (RawMessage("", b"", "", {"Status": "408"}), 1),
-        (RawMessage("", b"", "", {"Status": "409"}), 2),
+        (Message("", b"", "", {"Status": "404"}), 1),
+        (Message("", b"", "", {"Status": "408"}), 1),
+        (Message("", b"", "", {"Status": "409"}), 2),
         (None, 2),
     ],
 )
 async def test_a_consumer_that_is_gone_is_made_again(
-    client: Any, answer: RawMessage | None, consumers: int
+    client: Any, answer: Message | None, consumers: int
 ) -> None:
     answering(client, answer, note(b"one"))
     notes = NoteQueue(client, NAMES.want("a")).notes()

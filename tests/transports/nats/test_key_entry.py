@@ -6,7 +6,7 @@ import pytest
 
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.nats.records import encode
-from fibaction_transports.nats.worker.limits.key_entry import (
+from fibaction_transports.nats.worker.key_entry import (
     Demand,
     KeyEntry,
     KeyShare,

@@ -324,7 +324,7 @@ async def test_a_lost_piece_breaks_the_line(shared_broker: NatsServer, fleet: st
         assert await ends.worker.lost() == "a piece of the line to nats client c was lost"
         line = ends.worker.line
         assert isinstance(line, PieceLine)
-        line.handle(Message("", piece(0, b"\0\0\0\1x"), "", has_no_responders=False))
+        line.handle(Message("", piece(0, b"\0\0\0\1x"), ""))
         assert ends.worker.frames == []
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fibaction_transports.nats.broker.answers import RawMessage
+from fibaction_transports.nats.broker.broker import Message
 from fibaction_transports.nats.broker.broker_socket import (
     LONGEST_LINE,
     MISSED_PINGS,
@@ -24,11 +24,11 @@ STREAM = (
     b"MSG e 5 0\r\n\r\n"
 ) % (len(HEADERS), len(HEADERS) + 5, HEADERS)
 MESSAGES = [
-    (1, RawMessage("a", b"one", "", {})),
-    (2, RawMessage("a.b", b"t\r\nwo", "back", {})),
-    (3, RawMessage("c", b"three", "", {"Nats-Sequence": "7"})),
-    (4, RawMessage("d", b"", "back.d", {"Status": "503"})),
-    (5, RawMessage("e", b"", "", {})),
+    (1, Message("a", b"one", "", {})),
+    (2, Message("a.b", b"t\r\nwo", "back", {})),
+    (3, Message("c", b"three", "", {"Nats-Sequence": "7"})),
+    (4, Message("d", b"", "back.d", {"Status": "503"})),
+    (5, Message("e", b"", "", {})),
 ]
 
 
@@ -58,12 +58,12 @@ class Opened:
 
     def __init__(self, early: bytes = b"") -> None:
         self.transport = Transport()
-        self.messages: list[tuple[int, RawMessage]] = []
+        self.messages: list[tuple[int, Message]] = []
         self.changes = 0
         self.socket = BrokerSocket(self.transport, BrokerInfo(), self._deliver, self._change)
         self.socket.begin(early)
 
-    def _deliver(self, number: int, message: RawMessage) -> None:
+    def _deliver(self, number: int, message: Message) -> None:
         self.messages.append((number, message))
         if message.data == b"bad":
             raise RuntimeError("bad")

@@ -1,41 +1,19 @@
-"""`RawMessage`: a message of a broker, and `PendingAnswers`: the requests that wait for one."""
+"""`PendingAnswers`: the requests of one client that wait for an answer."""
 
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # each answer is a callback, which anyio has not
-from collections.abc import Callable, Collection, Mapping
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Collection
+from typing import TypeAlias
 
 import anyio
 
 from fibaction.border.abc import Notifier
-from fibaction_transports.nats.broker.broker import BrokerAway
+from fibaction_transports.nats.broker.broker import BrokerAway, Message
 
 ACK_TIMEOUT = 2.0
 """Seconds within which a broker answers to a write."""
-NO_RESPONDERS = "503"
-"""The status of the broker's answer to a message whose subject has no subscriber."""
-
-NO_HEADERS: Mapping[str, str] = {}
-"""The headers of most messages."""
-
-
-class RawMessage(NamedTuple):
-    """A message with its headers."""
-
-    subject: str
-    data: bytes
-    reply: str
-    headers: Mapping[str, str]
-
-    @property
-    def status(self) -> str:
-        """The status that the broker gives by itself, for example 503; mostly empty."""
-        return self.headers.get("Status", "")
-
-
-OnRaw: TypeAlias = Callable[[RawMessage], None]
-OnAnswer: TypeAlias = Callable[[RawMessage | None], None]
+OnAnswer: TypeAlias = Callable[[Message | None], None]
 """Takes an answer; None if there was none in time."""
 
 
@@ -52,7 +30,7 @@ class PendingAnswers:
         self._last = 0
         self._acks: dict[str, tuple[float, OnAnswer]] = {}
         self._has_acks = Notifier()
-        self._answers: dict[str, asyncio.Future[RawMessage]] = {}
+        self._answers: dict[str, asyncio.Future[Message]] = {}
 
     def __contains__(self, number: str) -> bool:
         return number in self._acks or number in self._answers
@@ -71,7 +49,7 @@ class PendingAnswers:
         self._acks[number] = asyncio.get_running_loop().time() + ACK_TIMEOUT, then
         self._has_acks.notify()
 
-    def expect(self, number: str) -> asyncio.Future[RawMessage]:
+    def expect(self, number: str) -> asyncio.Future[Message]:
         """Return a future for the answer; `forget` it in the end."""
         answer = self._answers[number] = asyncio.get_running_loop().create_future()
         return answer
@@ -80,7 +58,7 @@ class PendingAnswers:
         """Wait for the answer to a request no longer."""
         del self._answers[number]
 
-    def on_answer(self, message: RawMessage) -> None:
+    def on_answer(self, message: Message) -> None:
         """Take a message to the inbox."""
         number = message.subject.rpartition(".")[2]
         ack = self._acks.pop(number, None)

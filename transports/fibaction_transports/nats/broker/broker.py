@@ -18,7 +18,7 @@ No exception of a library crosses this interface.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 from enum import Enum
 from typing import NamedTuple, TypeAlias
@@ -26,6 +26,11 @@ from typing import NamedTuple, TypeAlias
 from fibaction.border.abc import Notifier
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.names import FleetNames
+
+NO_RESPONDERS = "503"
+"""The status of the broker's answer to a message whose subject has no subscriber."""
+NO_HEADERS: Mapping[str, str] = {}
+"""The headers of most messages."""
 
 
 class Message(NamedTuple):
@@ -35,8 +40,17 @@ class Message(NamedTuple):
     data: bytes
     reply: str
     """The subject for an answer; empty if none is expected."""
-    has_no_responders: bool = False
-    """True if it is the broker's answer to a message whose subject has no subscriber."""
+    headers: Mapping[str, str] = NO_HEADERS
+
+    @property
+    def status(self) -> str:
+        """The status that the broker gives by itself, for example 503; mostly empty."""
+        return self.headers.get("Status", "")
+
+    @property
+    def has_no_responders(self) -> bool:
+        """True if it is the broker's answer to a message whose subject has no subscriber."""
+        return self.headers.get("Status") == NO_RESPONDERS
 
 
 class BrokerRecord(NamedTuple):

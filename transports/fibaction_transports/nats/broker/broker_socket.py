@@ -16,7 +16,7 @@ import anyio
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import CHUNK
-from fibaction_transports.nats.broker.answers import NO_HEADERS, RawMessage
+from fibaction_transports.nats.broker.broker import NO_HEADERS, Message
 from fibaction_transports.nats.broker.login import BrokerInfo
 
 MISSED_PINGS = 2
@@ -64,7 +64,7 @@ class BrokerSocket(asyncio.BufferedProtocol):
         self,
         transport: Any,
         info: BrokerInfo,
-        deliver: Callable[[int, RawMessage], None],
+        deliver: Callable[[int, Message], None],
         on_change: Callable[[], None],
     ) -> None:
         """Take over a connection.
@@ -180,14 +180,14 @@ class BrokerSocket(asyncio.BufferedProtocol):
                 block = start + int(words.pop(-2))
                 headers, start = headers_of(data[start:block]), block
             reply = words[3] if len(words) > 4 else ""
-            message = RawMessage(words[1], data[start:after], reply, headers)
+            message = Message(words[1], data[start:after], reply, headers)
             self._hand_over(int(words[2]), message)
             at = after + 2
         if end - at > LONGEST_LINE:
             raise ValueError("a line is too long")
         return at
 
-    def _hand_over(self, number: int, message: RawMessage) -> None:
+    def _hand_over(self, number: int, message: Message) -> None:
         try:
             self._deliver(number, message)
         except Exception:

@@ -32,15 +32,15 @@ from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import CHUNK
 from fibaction.words.errors import TransportError
-from fibaction_transports.nats.broker.answers import (
-    ACK_TIMEOUT,
+from fibaction_transports.nats.broker.answers import ACK_TIMEOUT, OnAnswer, PendingAnswers
+from fibaction_transports.nats.broker.broker import (
     NO_RESPONDERS,
-    OnAnswer,
-    OnRaw,
-    PendingAnswers,
-    RawMessage,
+    BrokerAway,
+    BrokerSubscription,
+    Message,
+    NoResponders,
+    OnMessage,
 )
-from fibaction_transports.nats.broker.broker import BrokerAway, BrokerSubscription, NoResponders
 from fibaction_transports.nats.broker.broker_socket import BrokerSocket, published
 from fibaction_transports.nats.broker.dial import Dialer
 from fibaction_transports.nats.broker.login import BrokerInfo
@@ -111,7 +111,7 @@ class NatsClient:
         self._pending = PendingAnswers(self.new_inbox())
         self._numbers = itertools.count(ANSWERS)
         self._subscribed: dict[int, _Subscribed] = {}
-        self._receivers: dict[int, OnRaw] = {}
+        self._receivers: dict[int, OnMessage] = {}
         self._add_subscription(f"{self._pending.inbox}.*", self._pending.on_answer, "")
         self._changed = Notifier()  # the connection may be lost
         self._dialer = Dialer(settings, self._deliver, self._on_change)
@@ -149,7 +149,7 @@ class NatsClient:
         self._pending.call_back(number, then)
         self._send(_Outgoing(subject, data, self._pending.subject(number), headers, number))
 
-    async def request(self, subject: str, data: bytes, timeout: float) -> RawMessage:
+    async def request(self, subject: str, data: bytes, timeout: float) -> Message:
         """Send a message, and return the first answer.
 
         Raises:
@@ -173,7 +173,7 @@ class NatsClient:
         command = _Outgoing(self._pending.subject(number), b"", "", None, number)
         await self._answer_to(command, timeout)
 
-    async def _answer_to(self, command: _Outgoing, timeout: float) -> RawMessage:
+    async def _answer_to(self, command: _Outgoing, timeout: float) -> Message:
         answer = self._pending.expect(command.number)
         self._send(command)
         try:
@@ -185,7 +185,7 @@ class NatsClient:
             self._pending.forget(command.number)
 
     async def subscribe(
-        self, subject: str, on_message: OnRaw, queue: str = ""
+        self, subject: str, on_message: OnMessage, queue: str = ""
     ) -> BrokerSubscription:
         """Get the messages of a subject, from when this returns on.
 
@@ -201,7 +201,7 @@ class NatsClient:
             raise
         return made
 
-    def _add_subscription(self, subject: str, on_message: OnRaw, queue: str) -> _Subscribed:
+    def _add_subscription(self, subject: str, on_message: OnMessage, queue: str) -> _Subscribed:
         number = next(self._numbers)
         made = self._subscribed[number] = _Subscribed(self, number, subject, queue)
         self._receivers[number] = on_message
@@ -212,7 +212,7 @@ class NatsClient:
         del self._subscribed[one.number], self._receivers[one.number]
         self._send(one)
 
-    def _deliver(self, number: int, message: RawMessage) -> None:
+    def _deliver(self, number: int, message: Message) -> None:
         receiver = self._receivers.get(number)
         if receiver is not None:
             receiver(message)

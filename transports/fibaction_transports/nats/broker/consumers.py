@@ -34,12 +34,12 @@ import msgspec
 
 from fibaction.border.abc import Notifier
 from fibaction_transports.nats.broker import jetstream
-from fibaction_transports.nats.broker.answers import RawMessage
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerRecord,
     BrokerSubscription,
     BrokerWatch,
+    Message,
     NoResponders,
     Note,
 )
@@ -189,7 +189,7 @@ class RecordWatch(BrokerWatch):
         if not (answer.get("num_pending") or answer["delivered"]["consumer_seq"]):
             self._is_complete = True
 
-    def _on_message(self, message: RawMessage) -> None:
+    def _on_message(self, message: Message) -> None:
         self._heard = anyio.current_time()
         if message.status == "100":
             if message.reply:  # flow control
@@ -239,7 +239,7 @@ def _heads_since(time: int) -> dict[str, object]:
     return {**begin, "headers_only": True}
 
 
-def _head_of(message: RawMessage) -> bytes:
+def _head_of(message: Message) -> bytes:
     """Return the head of a record; empty if it has none that can be read."""
     try:
         return base64.b64decode(message.headers.get(HEAD, ""), validate=True)
@@ -284,7 +284,7 @@ class NoteQueue:
         self._maker = _ConsumerMaker(client, self._stream, subject)
         self._consumer = "_".join(subject.split(".")[2:])
         self._connection = 0  # the one on which the consumer is known to be there
-        self._found: deque[RawMessage] = deque()
+        self._found: deque[Message] = deque()
         self._is_answered = True
         self._news = Notifier()
 
@@ -341,7 +341,7 @@ class NoteQueue:
         }
         await self._maker.make(self._consumer, config)
 
-    def _on_message(self, message: RawMessage) -> None:
+    def _on_message(self, message: Message) -> None:
         if not message.status:
             self._found.append(message)
         else:
@@ -350,5 +350,5 @@ class NoteQueue:
                 self._connection = 0
         self._news.notify()
 
-    def _note(self, message: RawMessage) -> Note:
+    def _note(self, message: Message) -> Note:
         return Note(message.data, lambda: self._client.publish(message.reply, b"+ACK"))

@@ -30,7 +30,7 @@ from fibaction.border.event_loop import asyncio_loop
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction_transports._socket_lines.tls import rejection, tls_reason
-from fibaction_transports.nats.broker.answers import RawMessage
+from fibaction_transports.nats.broker.broker import Message
 from fibaction_transports.nats.broker.broker_socket import CRLF, LONGEST_LINE, BrokerSocket
 from fibaction_transports.nats.broker.login import (
     BrokerInfo,
@@ -53,7 +53,7 @@ class Dialer:
     def __init__(
         self,
         settings: FleetSettings,
-        deliver: Callable[[int, RawMessage], None],
+        deliver: Callable[[int, Message], None],
         on_change: Callable[[], None],
     ) -> None:
         """Give these functions to each `BrokerSocket`."""

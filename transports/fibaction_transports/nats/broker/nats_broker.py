@@ -14,7 +14,7 @@ import msgspec
 from fibaction.border.event_loop import Background
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker import jetstream
-from fibaction_transports.nats.broker.answers import ACK_TIMEOUT, NO_RESPONDERS, RawMessage
+from fibaction_transports.nats.broker.answers import ACK_TIMEOUT
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
@@ -68,10 +68,7 @@ class NatsBroker(Broker):
     async def subscribe(
         self, subject: str, on_message: OnMessage, queue: str = ""
     ) -> BrokerSubscription:
-        def on_raw(raw: RawMessage) -> None:
-            on_message(Message(raw.subject, raw.data, raw.reply, raw.status == NO_RESPONDERS))
-
-        return await self._client.subscribe(subject, on_raw, queue)
+        return await self._client.subscribe(subject, on_message, queue)
 
     async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
         return (await self._client.request(subject, data, timeout)).data
@@ -162,7 +159,7 @@ class NatsBroker(Broker):
         self._add_note(subject, data, FIRST_PAUSE)
 
     def _add_note(self, subject: str, data: bytes, pause: float) -> None:
-        def then(answer: RawMessage | None) -> None:
+        def then(answer: Message | None) -> None:
             if isinstance(_outcome(answer), PutError):
                 self._tasks.start_soon(again)
 
@@ -197,7 +194,7 @@ class NatsBroker(Broker):
             tasks.start_soon(task)
 
 
-def _outcome(answer: RawMessage | None) -> int | PutError:
+def _outcome(answer: Message | None) -> int | PutError:
     """Return the sequence of a stored record, or the error."""
     if answer is None:
         return PutError(PutFailure.UNKNOWN, f"the broker did not answer within {ACK_TIMEOUT:g} s")

@@ -14,15 +14,13 @@ that other workers find it: see `takeover`.
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
 
-from anyio import CancelScope, sleep
+from anyio import sleep
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
 from fibaction.border.goal_store import GoalJournal, KeyPlaces, StoredGoal, Then
-from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (
@@ -379,45 +377,9 @@ class WorkerJournals(MemberPart):
         """The number of goals without a worker that this one cannot run, by their actions."""
         membership.add(self)
 
-    def __len__(self) -> int:
-        """Return the number of goals of all journals."""
-        return sum(map(len, self.by_action.values()))
-
-    @asynccontextmanager
-    async def open(
-        self,
-        action: str,
-        *,
-        max_results: int,
-        claim: Callable[[StoredGoal], None],
-        lose: Callable[[GoalID], None],
-        obstacle: Callable[[StoredGoal], str],
-        key_places: Callable[[str, int], Awaitable[KeyPlaces]],
-    ) -> AsyncGenerator[FleetJournal, None]:
-        """Open the journal of an action for as long as the block lasts; then release its goals.
-
-        The callbacks are those of `GoalStore.open`, and `GoalJournal.key_places`.
-
-        Raises:
-            StoreError: It is open already.
-        """
-        if action in self.by_action:
-            raise StoreError(f"this worker serves the action {excerpt(action)!r} already")
-        journal = FleetJournal(self, action, max_results, claim, lose, obstacle, key_places)
-        self.by_action[action] = journal
-        try:
-            yield journal
-        finally:
-            with CancelScope(shield=True):
-                await journal.release_rest()
-                await self.history.settle()
-            self.has_goals_left = self.has_goals_left or len(journal) > 0
-            del self.by_action[action]
-            self.room.notify()
-
     def describe(self, entry: LeaseEntry) -> None:
         """See `MemberPart.describe`."""
-        entry.goals = len(self)
+        entry.goals = sum(map(len, self.by_action.values()))
 
     def fenced(self) -> None:
         """See `MemberPart.fenced`."""

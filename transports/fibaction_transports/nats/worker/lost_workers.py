@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ProtocolError
+from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, goal_entry, lease_entry
@@ -29,10 +30,19 @@ def entry_of(record: BrokerRecord) -> GoalEntry | None:
         return None
 
 
-def active_entry(record: BrokerRecord) -> GoalEntry | None:
-    """Return the entry of an active goal; None if the goal has ended, or cannot be read."""
-    entry = entry_of(record)
-    return entry if entry is not None and entry.goal.status.is_active else None
+async def active_record(
+    broker: Broker, names: FleetNames, action: str, goal_id: GoalID
+) -> tuple[BrokerRecord, GoalEntry] | None:
+    """Return the record of an active goal, and the entry in it; None if there is none.
+
+    Raises:
+        BrokerAway: The brokers do not answer.
+    """
+    record = await broker.get(names.goals, names.goal(action, goal_id))
+    entry = None if record is None else entry_of(record)
+    if record is None or entry is None or not entry.goal.status.is_active:
+        return None
+    return record, entry
 
 
 class LostWorkers:

@@ -52,7 +52,7 @@ from fibaction_transports.nats.records import (
 )
 from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, MemberPart
-from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry, entry_of
+from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_record, entry_of
 from fibaction_transports.nats.worker.record_writes import KeptOutcome
 from fibaction_transports.nats.worker.unreadable_goals import NotesForOthers, UnreadableGoals
 from fibaction_transports.nats.workers import FleetWorkers
@@ -281,12 +281,10 @@ class Takeover(MemberPart):
             BrokerAway: The brokers do not answer.
         """
         try:
-            subject = self._names.goal(journal.action, GoalID(note.data))
+            goal_id = GoalID(note.data)
         except ValueError:
             return None
-        record = await self._broker.get(self._names.goals, subject)
-        entry = None if record is None else active_entry(record)
-        return None if record is None or entry is None else (record, entry)
+        return await active_record(self._broker, self._names, journal.action, goal_id)
 
     async def _take(self, journal: FleetJournal, record: BrokerRecord, entry: GoalEntry) -> bool:
         """Take a goal over, unless another worker is faster; return whether it is taken."""
@@ -318,10 +316,8 @@ class Takeover(MemberPart):
     async def _look_at(self, journal: FleetJournal, goal_id: GoalID) -> None:
         """Let go of a goal if its record has another owner."""
         try:
-            subject = self._names.goal(journal.action, goal_id)
-            record = await self._broker.get(self._names.goals, subject)
+            found = await active_record(self._broker, self._names, journal.action, goal_id)
         except BrokerAway:
             return  # the begin of the goal will be refused
-        entry = None if record is None else active_entry(record)
-        if entry is not None and entry.incarnation != self._membership.incarnation:
+        if found is not None and found[1].incarnation != self._membership.incarnation:
             journal.lose(goal_id)

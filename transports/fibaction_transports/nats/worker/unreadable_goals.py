@@ -49,7 +49,7 @@ from fibaction_transports.nats.broker.broker import (
 )
 from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
-from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_entry
+from fibaction_transports.nats.worker.lost_workers import LostWorkers, active_record
 from fibaction_transports.nats.workers import FleetWorkers
 
 HOLD, LONGEST_HOLD = 1.0, 4.0
@@ -197,11 +197,10 @@ class UnreadableGoals:
 
     async def _is_left(self, goal_id: GoalID, since: float) -> bool:
         """Return whether a goal has no worker, and this one cannot run it; end it if it is time."""
-        subject = self._names.goal(self._journal.action, goal_id)
-        record = await self._broker.get(self._names.goals, subject)
-        entry = None if record is None else active_entry(record)
-        if record is None or entry is None or not await self._lost.is_gone(entry):
+        found = await active_record(self._broker, self._names, self._journal.action, goal_id)
+        if found is None or not await self._lost.is_gone(found[1]):
             return False
+        record, entry = found
         if not self._journal.obstacle(entry.goal):
             return False
         is_due = self._ends and current_time() >= since + LEASES * self._membership.lease
@@ -247,12 +246,11 @@ class UnreadableGoals:
     async def _answer(self, message: Message) -> None:
         """Answer the question of another worker whether this one can run a goal."""
         try:
-            subject = self._names.goal(self._journal.action, GoalID(message.data))
-            record = await self._broker.get(self._names.goals, subject)
+            goal_id = GoalID(message.data)
+            found = await active_record(self._broker, self._names, self._journal.action, goal_id)
         except (ValueError, BrokerAway):
             return
-        entry = None if record is None else active_entry(record)
-        can_run = entry is not None and not self._journal.obstacle(entry.goal)
+        can_run = found is not None and not self._journal.obstacle(found[1].goal)
         self._broker.publish(message.reply, CAN_RUN if can_run else CANNOT_RUN)
 
     async def _can_run_elsewhere(self, goal_id: GoalID) -> bool:

@@ -8,7 +8,7 @@ again, is in that part (`MemberPart`).
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable, Iterable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from anyio import CancelScope
@@ -17,18 +17,19 @@ from msgspec.structs import replace
 
 from fibaction.border.abc import Endpoint
 from fibaction.border.event_loop import Background
-from fibaction.border.goal_store import GoalStore, StoredGoal, no_obstacle
+from fibaction.border.goal_store import GoalStore, KeyPlaces, StoredGoal, no_obstacle
+from fibaction.border.peer_text import excerpt
 from fibaction.wire.wire_server import open_server
-from fibaction.words.errors import ConnectionLost, TransportError
+from fibaction.words.errors import ConnectionLost, StoreError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
 from fibaction_transports.nats.lines import WorkerLines
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, ServedAction
 from fibaction_transports.nats.settings import FleetSettings
+from fibaction_transports.nats.worker.fleet_limits import FleetLimits
 from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
-from fibaction_transports.nats.worker.limits.fleet_limits import FleetLimits
 from fibaction_transports.nats.worker.lost_streams import LostStreams
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.offers import Offers
@@ -41,10 +42,16 @@ class FleetStore(GoalStore):
 
     tells_statuses = True
 
-    def __init__(self, journals: WorkerJournals, takeover: Takeover, limits: FleetLimits) -> None:
+    def __init__(
+        self,
+        journals: WorkerJournals,
+        takeover: Takeover,
+        places: Callable[[str, int], Awaitable[KeyPlaces]],
+    ) -> None:
+        """Take the function for `GoalJournal.key_places`."""
         self._journals = journals
         self._takeover = takeover
-        self._limits = limits
+        self._places = places
 
     @asynccontextmanager
     async def open(
@@ -57,18 +64,28 @@ class FleetStore(GoalStore):
         obstacle: Callable[[StoredGoal], str] = no_obstacle,
         ends_unreadable: bool = False,
     ) -> AsyncGenerator[FleetJournal, None]:
-        """See `GoalStore.open`. Goals are claimed from when the block begins."""
-        opened = self._journals.open(
-            action,
-            max_results=max_results,
-            claim=claim,
-            lose=lose,
-            obstacle=obstacle,
-            key_places=self._limits.places,
-        )
-        async with opened as journal, Background() as tasks:
-            self._takeover.start(journal, tasks, ends_unreadable=ends_unreadable)
-            yield journal
+        """See `GoalStore.open`. Goals are claimed from when the block begins, and those that are
+        left after it are released.
+
+        Raises:
+            StoreError: It is open already.
+        """
+        journals = self._journals
+        if action in journals.by_action:
+            raise StoreError(f"this worker serves the action {excerpt(action)!r} already")
+        journal = FleetJournal(journals, action, max_results, claim, lose, obstacle, self._places)
+        journals.by_action[action] = journal
+        try:
+            async with Background() as tasks:
+                self._takeover.start(journal, tasks, ends_unreadable=ends_unreadable)
+                yield journal
+        finally:
+            with CancelScope(shield=True):
+                await journal.release_rest()
+                await journals.history.settle()
+            journals.has_goals_left = journals.has_goals_left or len(journal) > 0
+            del journals.by_action[action]
+            journals.room.notify()
 
 
 class Worker(MemberPart):
@@ -101,7 +118,7 @@ class Worker(MemberPart):
             has_ended=lost.has_ended,
             open_stream=self._streams.open_keys,
         )
-        self.store = FleetStore(self._journals, self._takeover, limits)
+        self.store = FleetStore(self._journals, self._takeover, limits.places)
         """The store for the servers of this worker."""
         self._offers = Offers(self._journals)
         self._served: tuple[ServedAction, ...] = ()
