@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from page_parts import table
 from states_picture import STORED
 
-from fibaction.exceptions import ActionError
-from fibaction.states import TRANSITIONS, GoalEvent
 from fibaction.words import errors
+from fibaction.words.errors import ActionError
+from fibaction.words.statuses import TRANSITIONS, GoalEvent
 
 
 def states_part() -> str:

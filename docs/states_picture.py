@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from fibaction.states import TRANSITIONS, GoalEvent, GoalStatus
+from fibaction.words.statuses import TRANSITIONS, GoalEvent, GoalStatus
 
 STORED = [status for status in GoalStatus if status is not GoalStatus.UNKNOWN]
 """The statuses that a goal can have."""

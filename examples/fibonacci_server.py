@@ -15,7 +15,7 @@ import anyio
 from fibonacci import FIBONACCI, URL, make_server
 
 from fibaction import GoalStatus, TransportError, serve
-from fibaction.abc import StatusStream
+from fibaction.border.abc import StatusStream
 
 logger = logging.getLogger("fibonacci")
 

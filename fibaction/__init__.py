@@ -4,7 +4,7 @@ A client sends a goal; the server accepts or rejects it, streams feedback, and e
 result; a client may cancel at any time. This package exports all names that programs need for that.
 
 `fibaction.testing` has helpers for tests, `fibaction.action_files` has `load_action`, which makes
-an action from an `.action` file of ROS 2, and `fibaction.abc` is for authors of transports.
+an action from an `.action` file of ROS 2, and `fibaction.border.abc` is for authors of transports.
 
 A name is imported from its module when it is used first: so a client does not wait for the import
 of the server.

@@ -26,18 +26,11 @@ import pytest
 
 import fibaction
 import fibaction._runtime.notify
-import fibaction.abc
 import fibaction.action_files
 import fibaction.blocking
-import fibaction.json_payload
-import fibaction.log_records
-import fibaction.metrics
-import fibaction.metrics_server
-import fibaction.monitor
-import fibaction.otel
-import fibaction.recorder
-import fibaction.recording_file
-import fibaction.replay
+import fibaction.border.abc
+import fibaction.observe
+import fibaction.schema.payload
 import fibaction.testing
 import fibaction.wire
 import fibaction.wire.channel
@@ -48,10 +41,10 @@ import fibaction_transports.tcp
 from fibaction import CancelCode, GoalStatus, connect, serve
 from fibaction.border.urls import GROUP
 from fibaction.server.life import LIFE
-from fibaction.states import TRANSITIONS
 from fibaction.testing import ScriptedServer
 from fibaction.wire import codec, messages
 from fibaction.wire.frames import MAX_FRAME
+from fibaction.words.statuses import TRANSITIONS
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.golden import GOLDEN
 from tests.support.pages import FENCED, NOT_RUN, Block
@@ -440,16 +433,9 @@ def resolve(dotted: str) -> object:
         (fibaction, "connect"),
         (fibaction.action_files, "load_action"),
         (fibaction.blocking, "BlockingGoal"),
-        (fibaction.json_payload, "JsonCodec"),
-        (fibaction.log_records, "GoalFilter"),
-        (fibaction.metrics, "Metrics"),
-        (fibaction.metrics_server, "serve_metrics"),
-        (fibaction.monitor, "Monitor"),
-        (fibaction.otel, "Tracing"),
-        (fibaction.recorder, "Recorder"),
-        (fibaction.recording_file, "read_records"),
-        (fibaction.replay, "replayed"),
-        (fibaction.abc, "GoalStream"),
+        (fibaction.schema.payload, "JsonCodec"),
+        (fibaction.observe, "Metrics"),
+        (fibaction.border.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._runtime.notify, "Notifier"),
         (fibaction.wire, "Permission"),

@@ -123,9 +123,9 @@ hide(*json.loads(sys.argv[1]))
 CALLS = """
 from fibaction.border.urls import transport_for
 from fibaction.action_files import load_action
-from fibaction.mcap_export import export_mcap
-from fibaction.metrics import Metrics
-from fibaction.otel import Tracing
+from fibaction.observe import export_mcap
+from fibaction.observe import Metrics
+from fibaction.observe import Tracing
 from fibaction_transports.nats.broker.login import NatsCredentials
 told = []
 for call in json.loads(sys.argv[2]):

@@ -197,7 +197,7 @@ def connect(
     notebook, write `client = await connect(...)`, and later, in any task, `await client.aclose()`.
     With an action, the value is an `ActionClient`, without one a `ClientConnection`. `settings` are
     those of the transport's constructor, for example `reconnect=False`. `tracing` makes a span for
-    each goal that is sent: see `fibaction.otel`.
+    each goal that is sent: see `fibaction.observe.Tracing`.
 
     Raises:
         TransportError: The URL cannot be used; the text says why.

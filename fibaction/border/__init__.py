@@ -2,7 +2,7 @@
 
 The transports that come with fibaction use the same modules, and nothing that is private.
 
-The interfaces, whose names are exported by `fibaction.abc` and `fibaction`:
+The interfaces, whose names are exported by `abc` and by `fibaction`:
 
 - `abc`, `endpoints`, `goal_request`, `streams`: endpoints, transports, and the streams of goals;
 - `goal_store`, `watchers`: places where goals outlive their server, and objects that see them;

@@ -38,9 +38,9 @@ class GoalRequest(msgspec.Struct, frozen=True):
     not enforce it. A goal that is sent again keeps its first deadline. To another process, send the
     seconds that are left: its clock is another one."""
     meta: Meta | None = None
-    """A small text map that goes with the goal, for traces: see `fibaction.otel`; None is the same
-    as an empty one. It has at most 8 keys and 4096 bytes. Watchers of the server get it; ROS 2 does
-    not carry it."""
+    """A small text map that goes with the goal, for traces: see `fibaction.observe.Tracing`; None
+    is the same as an empty one. It has at most 8 keys and 4096 bytes. Watchers of the server get
+    it; ROS 2 does not carry it."""
     checked: bool = False
     """True if the client has the types of the action, or has compared the goal with its schema. The
     server then ignores a field that its own type does not have, since the client may be of a newer

@@ -35,7 +35,7 @@ NO_SPAN = GoalSpan()
 
 
 class GoalTracer(Protocol):
-    """A maker of spans for goals that are sent, such as `fibaction.otel.Tracing`."""
+    """A maker of spans for goals that are sent, such as `fibaction.observe.Tracing`."""
 
     @abstractmethod
     def sending(self, action: str, goal_id: GoalID, parent: Parent | None = None) -> GoalSpan:

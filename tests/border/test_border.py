@@ -20,13 +20,12 @@ INTERFACES = {
     *("abc", "endpoints", "goal_request", "goal_store", "streams", "urls", "watchers"),
     "gateway",
 }
-"""The modules whose names are public in `fibaction`, in `fibaction.abc`, or not yet."""
+"""The modules whose names are public in `fibaction`, in `fibaction.border.abc`, or not yet."""
 HELPERS = sorted(MODULES - INTERFACES)
 OPEN = {
     *("border", "feeds", "schema", "types", "wire", "words"),
     # The public names of modules in these.
-    *("abc", "exceptions", "json_payload", "ros_types", "states"),
-    "metrics",  # a server of HTTP shows them at /metrics
+    "ros_types",
 }
 """The modules of fibaction that a transport may import."""
 

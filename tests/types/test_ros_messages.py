@@ -20,8 +20,8 @@ from msgspec import Meta
 
 from fibaction import Action
 from fibaction.interfaces.ros_types import struct
-from fibaction.json_payload import JsonCodec
 from fibaction.ros_types import from_ros, to_ros
+from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import Codec
 from fibaction.types.ros_classes import INTERFACES, message_class, ros_type_of
 from fibaction.words.errors import ProtocolError

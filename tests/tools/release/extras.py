@@ -75,8 +75,7 @@ def _cli() -> None:
 
 
 def _mcap() -> None:
-    from fibaction.mcap_export import export_mcap
-    from fibaction.recorder import Recorder
+    from fibaction.observe import Recorder, export_mcap
 
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "drives.jsonl"
@@ -94,7 +93,7 @@ def _mcp() -> None:
 
 
 def _metrics() -> None:
-    from fibaction.metrics import Metrics
+    from fibaction.observe import Metrics
 
     anyio.run(_drives, ActionServer(drive, watchers=[Metrics()]), "inproc://robot")
 
@@ -106,7 +105,7 @@ def _nats() -> None:
 
 
 def _otel() -> None:
-    from fibaction.otel import Tracing
+    from fibaction.observe import Tracing
 
     anyio.run(_drives, ActionServer(drive, watchers=[Tracing()]), "inproc://robot")
 
