@@ -24,9 +24,9 @@ from collections.abc import Sequence
 from typing import Any
 from weakref import ref
 
-from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import GoalStream, GoalUpdate
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.feeds.feedback_window import (
     NOTHING,
     UNLIMITED,

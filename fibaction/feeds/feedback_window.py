@@ -36,9 +36,9 @@ from typing import Generic, Protocol, TypeAlias, TypeVar
 
 import anyio
 
-from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.feeds.followed_goal import FollowedGoal
 from fibaction.feeds.hold_time import HoldTime
 from fibaction.words.errors import ActionError

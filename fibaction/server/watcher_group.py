@@ -11,9 +11,9 @@ from inspect import iscoroutinefunction
 from time import perf_counter
 from typing import Any, TypeAlias
 
-from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.log import clean_logger
 from fibaction.border.abc import FeedbackItem
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.border.watchers import Watcher
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord

@@ -12,7 +12,7 @@ from fibaction.feeds.feedback_log import FeedbackLog
 if TYPE_CHECKING:
     from contextvars import Context
 
-    from fibaction._runtime.budget import ByteBudget
+    from fibaction.border.byte_budgets import ByteBudget
     from fibaction.border.watchers import Watcher
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import ActionInfo

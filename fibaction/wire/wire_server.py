@@ -10,12 +10,12 @@ from functools import partial
 import anyio
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.connection_counts import CONNECTIONS
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.channel import Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader

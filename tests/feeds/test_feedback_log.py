@@ -12,8 +12,8 @@ import pytest
 import trio.testing
 from hypothesis import example, given, strategies
 
-from fibaction._runtime.budget import ByteBudget, CountedBytes
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.feeds.hold_time import MOST, SHARE

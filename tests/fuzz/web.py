@@ -17,7 +17,7 @@ import anyio
 from anyio.abc import ByteStream, SocketAttribute
 
 from fibaction import ActionServer
-from fibaction._runtime.http_rules import rules
+from fibaction.border.http_access import rules
 from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.web.http.application import WebApplication

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from fibaction._runtime.http_rules import rules
+from fibaction.border.http_access import rules
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.messages import Goodbye, Ping

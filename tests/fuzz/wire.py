@@ -15,7 +15,7 @@ from contextlib import suppress
 import anyio
 
 from fibaction import ActionServer
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.channel import Channel
 from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.frames import FrameReader, header

@@ -35,8 +35,8 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusStream
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server import goal_logs, parts
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.runs import Runs

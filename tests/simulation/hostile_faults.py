@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction._runtime import text as text_module
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.wire.auth import AccessPolicy, Peer, Permission

@@ -8,7 +8,7 @@ from contextlib import suppress
 import pytest
 from hypothesis import assume, given, strategies
 
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.frames import (
     _OTHERS,
     FIRST_FRAME,

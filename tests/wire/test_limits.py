@@ -18,8 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import GoalRequest
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.feeds import hold_time
 from fibaction.server import ActionServer, GoalHandle
 from fibaction.testing import ScriptedServer

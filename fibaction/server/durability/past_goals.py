@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from fibaction._runtime.budget import ByteBudget, CountedBytes
 from fibaction._runtime.log import clean_logger
+from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.border.goal_store import StoredGoal
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts

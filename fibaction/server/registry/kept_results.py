@@ -31,7 +31,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from weakref import ReferenceType, WeakValueDictionary, ref
 
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.words.goals import GoalID, Sender
 
 MOST_LOST = 200

@@ -39,7 +39,7 @@ import math
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server.registry.cancellation import Cancellation, cancellation_of
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
 from fibaction.server.registry.kept_results import ExpiringMap, HeldBytes, KeptResults

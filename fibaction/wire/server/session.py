@@ -41,10 +41,10 @@ from collections.abc import Callable, Mapping
 from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.codec import decode_from_client, encode
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.frames import FIRST_FRAME

@@ -34,10 +34,10 @@ from typing import Any, TypeAlias
 from anyio import get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import SLICE
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.auth import Permission
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.deadlines import deadline_after

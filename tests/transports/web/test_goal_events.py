@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction._runtime.http_rules import Refused
+from fibaction.border.http_access import Refused
 from fibaction_transports.web.rest.goal_events import Cursor, cursor_of, event
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fibaction._runtime.http_rules import rules
+from fibaction.border.http_access import rules
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import Goodbye, Ping, Why
 from fibaction.words.errors import (

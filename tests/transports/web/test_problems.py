@@ -7,7 +7,7 @@ import json
 import pytest
 
 from fibaction import GoalID, GoalRejected, RejectionCode, TransportError
-from fibaction._runtime.http_rules import Refused
+from fibaction.border.http_access import Refused
 from fibaction.schema.payload import PayloadError
 from fibaction.words.errors import ActionError, ConnectionLost, GoalKept, LimitReached, UnknownGoal
 from fibaction.words.goals import ID_IN_USE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fibaction import GoalID
-from fibaction._runtime.http_rules import Refused
+from fibaction.border.http_access import Refused
 from fibaction_transports.web.rest.routes import Resource, Route, route_of
 
 ID = "0123456789abcdef0123456789abcdef"

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from wsproto.connection import Connection, ConnectionType
 from wsproto.events import BytesMessage, CloseConnection, Event, Ping, Pong, TextMessage
 
-from fibaction._runtime.budget import ByteBudget
-from fibaction._runtime.http_rules import rules
+from fibaction.border.byte_budgets import ByteBudget
+from fibaction.border.http_access import rules
 from fibaction.wire.frames import FrameMemory, FrameReader, framed, header
 from fibaction.words.errors import ActionError, ConnectionLost, LimitReached, ProtocolError
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake

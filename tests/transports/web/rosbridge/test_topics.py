@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from fibaction import GoalStatus, Peer, Permission
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.codec import FromClient, decode_from_client, decode_from_server, encode
 from fibaction.wire.frames import FrameMemory
 from fibaction.wire.messages import (

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.codec import FromClient, decode_from_client, encode
 from fibaction.wire.frames import FrameMemory
 from fibaction.wire.messages import (

@@ -1,4 +1,4 @@
-"""`fibaction._runtime.http_rules`: which requests are let in."""
+"""`fibaction.border.http_access`: which requests are let in."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from fibaction._runtime.http_rules import HttpRules, Refused, bearer_in, headers_in, rules
+from fibaction.border.http_access import HttpRules, Refused, bearer_in, headers_in, rules
 
 
 def made(

@@ -1,6 +1,6 @@
 """A number of bytes that many parts share."""
 
-from fibaction._runtime.budget import ByteBudget, CountedBytes
+from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 
 
 def test_a_budget_has_room_up_to_its_limit() -> None:
