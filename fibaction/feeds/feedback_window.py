@@ -10,11 +10,11 @@ reader that does not read costs no memory.
 
 Back-pressure: only a reader that *holds* makes the executor wait. The window is full when the
 slowest holding reader is a whole window behind. That position is computed when a reader moves
-(`make_room`) and not at each feedback, which makes feedback 1.2 times as fast (`python -m
-tests.tools.benchmarks.parts`). A reader that has not been read for the stall timeout, or that has
-used up its `HoldTime`, is stalled: it does not hold until it has caught up. The goal's own client
-holds, others do not, and with `feedback="latest"` nobody does: who does not hold loses the oldest
-messages. A window has 64 messages, and the stall timeout is 10 s, if the server sets no others.
+(`make_room`) and not at each feedback, which makes feedback 1.2 times as fast. A reader that has
+not been read for the stall timeout, or that has used up its `HoldTime`, is stalled: it does not
+hold until it has caught up. The goal's own client holds, others do not, and with
+`feedback="latest"` nobody does: who does not hold loses the oldest messages. A window has 64
+messages, and the stall timeout is 10 s, if the server sets no others.
 
 Costs: anyone who may observe a goal may follow it thousands of times. So to begin, to take and to
 leave each cost the same however many readers there are; only a feedback costs a notification for

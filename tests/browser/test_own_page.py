@@ -18,7 +18,6 @@ from tests.support.pages import blocks_of
 
 GUIDE = ROOT / "docs/howto/in_the_browser.md"
 CLIENT = Path(str(files("fibaction_transports.web"))) / "javascript" / "fibaction.js"
-IN_GUIDE = "http://127.0.0.1:8080"
 
 
 class Quiet(SimpleHTTPRequestHandler):

@@ -7,7 +7,6 @@ from typing import Any
 from unittest.mock import patch
 
 from fibaction.border.goal_store import StoredGoal
-from fibaction.server.admission.admission import Admission
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GoalKeeper
@@ -24,7 +23,6 @@ from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 from tests.simulation.faults import mistake
 
-AnyAdmission = Admission[Any, Any, Any]
 AnyRecovery = Recovery[Any, Any, Any]
 AnyLostAttempts = LostAttempts[Any, Any, Any]
 AnyRuns = Runs[Any, Any, Any]

@@ -4,8 +4,7 @@ Theory of operation
 -------------------
 
 Creating a task costs more than running a short goal, so idle tasks are reused. With the pool, a
-server runs short goals 1.6 times as fast as with a new task for each goal
-(`python -m tests.tools.benchmarks.parts`).
+server runs short goals 1.6 times as fast as with a new task for each goal.
 
 Jobs wait in a `FairQueue`, where the clients take turns. At most one task at a time is on its way
 to the next job (`_is_coming`), so jobs begin in their order. Tasks that finish a job continue with

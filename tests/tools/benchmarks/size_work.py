@@ -7,11 +7,13 @@ is measured, as its runs come at any moment, and their cost grows with all objec
 from __future__ import annotations
 
 import gc
+import os
+import time
 from collections.abc import AsyncGenerator, Awaitable, Sequence
 from contextlib import AsyncExitStack
 from statistics import median
 from time import process_time
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import anyio
 
@@ -26,7 +28,6 @@ from fibaction import (
     serve,
 )
 from tests.fleet.servers import Servers, servers
-from tests.tools.benchmarks.fleet_limits import Clock
 from tests.tools.benchmarks.timing import Work, seconds_each
 
 TCP = "tcp://127.0.0.1:0"
@@ -57,6 +58,37 @@ ENDLESS = 1
 Client: TypeAlias = ActionClient[int, str, int]
 Measured: TypeAlias = AsyncGenerator[Sequence[float | None], None]
 """The values of each series, for one size after another; None for one that says nothing there."""
+
+
+class Spent(NamedTuple):
+    """Seconds: those that have passed, and those of the processor."""
+
+    passed: float
+    here: float
+    broker: float
+
+
+class Clock:
+    """Measures what a part of the program costs here and at the brokers."""
+
+    def __init__(self, running: Servers) -> None:
+        self._pids = [one.pid for one in running.by_name.values()]
+        self._began = self._now()
+
+    def _now(self) -> Spent:
+        broker = sum(_processor(pid) for pid in self._pids)
+        return Spent(time.perf_counter(), time.process_time(), broker)
+
+    def spent(self) -> Spent:
+        """Return what was spent since the beginning."""
+        return Spent(*(now - began for now, began in zip(self._now(), self._began, strict=True)))
+
+
+def _processor(pid: int) -> float:
+    """Return the seconds of the processor that a process has had."""
+    with open(f"/proc/{pid}/stat") as stat:
+        fields = stat.read().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 async def work(goal: GoalHandle[int]) -> AsyncGenerator[int, None]:

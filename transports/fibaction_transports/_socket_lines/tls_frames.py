@@ -11,11 +11,11 @@ waits, and no layer keeps bytes: what OpenSSL holds is at most one record that i
 What TLS has to say by itself (an alert, the answer to a change of keys) is the answer that the next
 `encode` returns. The end: each side sends its close, and `goodbye` returns ours.
 
-Why not asyncio's TLS: it is another protocol between the socket and the line, with a buffer of
-256 KiB for each connection. Why not anyio's: it needs a task for each direction, which wakes up for
-each piece. Measured in turns over loopback (`python -m tests.tools.benchmarks.lines`; Python 3.11,
-median of 7): a frame there and back takes 0.06 ms here and 0.21 ms there, 3.3 times as much; of 64
-frames at once each takes 2.2 us and 4.9 us, 2.2 times as much.
+Why not asyncio's TLS: it is another protocol between the socket and the line, with a buffer of 256
+KiB for each connection. Why not anyio's: it needs a task for each direction, which wakes up for
+each piece. Measured in turns over loopback (Python 3.11, median of 7): a frame there and back takes
+0.06 ms here and 0.21 ms there, 3.3 times as much; of 64 frames at once each takes 2.2 us and 4.9
+us, 2.2 times as much.
 """
 
 from __future__ import annotations

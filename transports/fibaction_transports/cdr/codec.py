@@ -18,9 +18,8 @@ busy cores:
 | 1 MB of uint8 | 32, 49 | 46, 3 |
 | a point cloud of 1 MB | 47, 68 | 70, 12 |
 
-rosbags returns views of the payload, and here bytes are copied. The command
-`python -m tests.tools.benchmarks.cdr` measures it. A list of a million numbers takes 18 ms to
-encode, so a large grid should be an array, which takes as long as bytes.
+rosbags returns views of the payload, and here bytes are copied. A list of a million numbers takes
+18 ms to encode, so a large grid should be an array, which takes as long as bytes.
 """
 
 from __future__ import annotations
