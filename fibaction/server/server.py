@@ -45,7 +45,7 @@ from fibaction.server.functions.executor_check import (
 from fibaction.server.parts import Parts
 from fibaction.server.registry.goal_record import Offer
 from fibaction.server.scheduling.dispatcher import Dispatcher
-from fibaction.server.scheduling.fleet_dispatcher import dispatcher_of
+from fibaction.server.scheduling.goal_dispatcher import dispatcher_of
 from fibaction.server.settings import ActionServerKeywords, ActionServerSettings, check_is_store
 from fibaction.server.watcher_group import WatcherGroup
 from fibaction.server.watchers import Watchers

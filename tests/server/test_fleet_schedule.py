@@ -23,9 +23,8 @@ from fibaction import (
     SqliteStore,
 )
 from fibaction.border.goal_store import KeyPlaces, NoFleet
-from fibaction.server.scheduling.fleet_dispatcher import portable
-from fibaction.server.scheduling.fleet_scheduler import NO_KEY, FleetScheduler
-from fibaction.server.scheduling.orders import Act, Busy, Order
+from fibaction.server.scheduling.fleet_scheduler import NO_KEY, FleetScheduler, portable
+from fibaction.server.scheduling.scheduled_goals import Act, Busy, Order
 from tests.support.memory_store import MemoryJournal, MemoryStore
 from tests.support.virtual_time import in_virtual_time
 

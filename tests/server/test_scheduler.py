@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from fibaction import GoalID, Schedule
-from fibaction.server.scheduling.orders import Act, Busy, Order
+from fibaction.server.scheduling.scheduled_goals import Act, Busy, Order
 from fibaction.server.scheduling.scheduler import EXPIRED, Scheduler
 
 KILL_AFTER = 3.0
@@ -334,7 +334,7 @@ class Fleet(RuleBasedStateMachine):
 
     def carry_out(self, order: Order) -> None:
         """Carry out an order whose time has come in the model, after a check that it has."""
-        rules, (act, goal_id, reason) = self.limits, order
+        rules, (act, goal_id, reason, _) = self.limits, order
         if act is Act.END:
             assert self.now >= self.since[goal_id] + rules.queue_timeout
             assert reason == "waited for 5 s"
@@ -526,7 +526,7 @@ def test_a_goal_that_is_not_known_gives_no_place_back() -> None:
 
 
 def test_a_start_has_no_reason() -> None:
-    assert Scheduler(Schedule()).offer(ONE, now=0) == [(Act.START, ONE, "")]
+    assert Scheduler(Schedule()).offer(ONE, now=0) == [Order(Act.START, ONE)]
 
 
 def test_a_goal_without_an_urgency_is_as_urgent_as_zero() -> None:

@@ -87,7 +87,6 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
             "goals with successors": scheduler._timed.told,
             "goals that clean up": scheduler._timed.interrupted,
             "waits for successors": dispatcher._successor_news,
-            "owners of places": dispatcher._shared._owners,
         }
         yield from (f"{count} goals run" for count in (scheduler._running,) if count)
     yield from (f"{len(table)} {name}" for name, table in tables.items() if len(table))

@@ -11,8 +11,7 @@ from fibaction.server.execution.runs import Runs
 from fibaction.server.life import Event, Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
-from fibaction.server.scheduling.group import Entry, Group, busy_text
-from fibaction.server.scheduling.orders import Act, Busy, Order
+from fibaction.server.scheduling.scheduled_goals import Act, Busy, Entry, Group, Order, busy_text
 from fibaction.server.scheduling.scheduler import Scheduler
 from tests.simulation.faults import mistake
 

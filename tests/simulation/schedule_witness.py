@@ -10,7 +10,7 @@ from fibaction.server.execution.executor import Execution, Run
 from fibaction.server.execution.runs import Runs
 from fibaction.server.registry.goal_record import Ending
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
-from fibaction.server.scheduling.orders import Busy
+from fibaction.server.scheduling.scheduled_goals import Busy
 from fibaction.words.goals import Sender
 from tests.simulation.facts import Life, Truth
 from tests.simulation.invariants import Record

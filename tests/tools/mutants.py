@@ -58,7 +58,7 @@ MODULES = {
     "server/registry/cancellation": "server/test_registry.py",
     "server/registry/registry": "server/test_registry.py",
     "server/scheduling/scheduler": "server/test_scheduler.py",
-    "server/scheduling/group": "server/test_scheduler.py",
+    "server/scheduling/scheduled_goals": "server/test_scheduler.py",
     "server/execution/turns": "server/test_turns.py",
     "stores/journal_rows": "stores/test_journal_rows.py",
     "stores/_sqlite_journal": "stores/test_sqlite_store.py",

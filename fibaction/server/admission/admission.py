@@ -46,7 +46,7 @@ from fibaction.server.life import Effect, Event
 from fibaction.server.registry.goal_record import GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
-from fibaction.server.scheduling.orders import Busy
+from fibaction.server.scheduling.scheduled_goals import Busy
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import (

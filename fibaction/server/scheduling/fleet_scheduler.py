@@ -24,11 +24,14 @@ from __future__ import annotations
 
 import math
 from heapq import heappop
+from typing import Any
 
+import msgspec
+
+from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import KeyPlaces
-from fibaction.server.scheduling.group import Entry, Group
-from fibaction.server.scheduling.orders import Act, Order
 from fibaction.server.scheduling.schedule import Schedule
+from fibaction.server.scheduling.scheduled_goals import Act, Entry, Group, Order
 from fibaction.server.scheduling.scheduler import Scheduler
 
 NO_KEY = b""
@@ -36,8 +39,8 @@ NO_KEY = b""
 
 
 class FleetScheduler(Scheduler):
-    """The goals of one worker that run and wait. Their keys are bytes, and not empty; None is the
-    key of all goals of a schedule without keys.
+    """The goals of one worker that run and wait. Their keys are `portable`; None is the key of all
+    goals of a schedule without keys.
     """
 
     def __init__(
@@ -113,3 +116,20 @@ class FleetScheduler(Scheduler):
         self._asked -= surplus
         assert isinstance(group.key, bytes | None)
         self.key_places.note(group.key or NO_KEY, len(group.running), group.asked)
+
+
+def portable(key: Any) -> bytes:
+    """Return a key as bytes, which are the same in each process, and not empty.
+
+    Raises:
+        TypeError, ValueError: It cannot be, or it is not equal to itself.
+    """
+    if isinstance(key, float) and math.isnan(key):
+        raise ValueError("it returned nan, which is not equal to itself")
+    try:
+        return msgspec.msgpack.encode(key, order="deterministic")
+    except (TypeError, ValueError, OverflowError) as exc:
+        raise TypeError(
+            f"it returned {excerpt(repr(key))}, and a key for a fleet is a text, a number, or a"
+            f" tuple of them"
+        ) from exc

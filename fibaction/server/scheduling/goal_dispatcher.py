@@ -43,8 +43,9 @@ from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
-from fibaction.server.scheduling.orders import Act, Order
+from fibaction.server.scheduling.fleet_scheduler import portable
 from fibaction.server.scheduling.schedule import Schedule
+from fibaction.server.scheduling.scheduled_goals import Act, Order
 from fibaction.server.scheduling.shared_scheduler import SharedScheduler
 from fibaction.types.action import GoalT
 from fibaction.words.errors import GoalRejected, text_of
@@ -58,6 +59,13 @@ MOST_AT_ONCE = 200
 
 MANY, PLACES_TIME = 1000, 0.1
 """If more goals wait than that, the seconds for which their places are not computed again."""
+
+
+def dispatcher_of(action: str, schedule: Schedule | None, kill_after: float) -> Dispatcher[GoalT]:
+    """Return what carries out a schedule, if there is one, for the goals of an action."""
+    if schedule is None:
+        return Dispatcher()
+    return GoalDispatcher(schedule, action=action, kill_after=kill_after)
 
 
 class GoalDispatcher(Dispatcher[GoalT]):
@@ -79,7 +87,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
             or min(schedule.queue_timeout, schedule.run_timeout) < math.inf
         )
         self._skips_expired = schedule.skip_expired
-        self._as_key = _hashable
+        self._as_key: Callable[[Any], Hashable] = portable if schedule.fleet_limit else _hashable
         self._successor_news: dict[GoalID, Notifier] = {}
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
@@ -96,17 +104,22 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._shared = await self._join(key_places)
         tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
 
-    async def _join(self, _key_places: OpenKeyPlaces) -> SharedScheduler:
+    async def _join(self, key_places: OpenKeyPlaces) -> SharedScheduler:
         """Return the scheduler of all servers with this schedule."""
-        return SharedScheduler.join(self._schedule, self)
+        schedule = self._schedule
+        if not schedule.fleet_limit:
+            return SharedScheduler.join(schedule, self)
+        assert schedule.concurrency is not None
+        places = await key_places(schedule.fleet_limit, schedule.concurrency)
+        return SharedScheduler.join(schedule, self, places)
 
     # Goals
 
     def offer(self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float) -> bool:
         key, urgency = self._rank(request, sender)
-        orders = self._shared.offer(
-            self,
+        orders = self._shared.scheduler.offer(
             goal_id,
+            owner=self,
             key=key,
             urgency=urgency,
             now=self._now(),
@@ -119,9 +132,9 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self, goal_id: GoalID, request: GoalT, sender: Sender, deadline: float, waited: float
     ) -> None:
         key, urgency = self._rank(request, sender)
-        orders = self._shared.restore(
-            self,
+        orders = self._shared.scheduler.restore(
             goal_id,
+            owner=self,
             key=key,
             urgency=urgency,
             now=self._now(),
@@ -171,7 +184,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         """Carry out an order for a goal of this server."""
         if self._is_closed:
             return
-        act, goal_id, reason = order
+        act, goal_id, reason, _ = order
         if self._held and goal_id in self._held:
             self._held[goal_id].append(order)
         elif act is Act.START:
@@ -185,9 +198,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
                 self._overdue.add(goal_id)
         else:
             self._goals.interrupt(goal_id, reason)
-            if act is Act.END:
-                self._shared.forget(goal_id)
-            elif self._overdue and goal_id in self._overdue:
+            if act is Act.INTERRUPT and self._overdue and goal_id in self._overdue:
                 self._kill(goal_id)
 
     def _kill(self, goal_id: GoalID) -> None:
@@ -263,8 +274,6 @@ class GoalDispatcher(Dispatcher[GoalT]):
         successor = self._shared.scheduler.successor(goal_id)
         if successor is None or successor in self._held:
             return None
-        if not self._shared.owns(self, successor):
-            return None  # it is of another action, for which this executor is not made
         return self._goals.handle_of(successor)
 
     def news_of(self, goal_id: GoalID) -> Notifier:
@@ -276,7 +285,6 @@ class GoalDispatcher(Dispatcher[GoalT]):
             raise RuntimeError(f"goal {goal_id} has no successor that it may take over")
         self._goals.take_over(goal_id, successor.goal_id)
         self._shared.scheduler.take_over(goal_id, current_time())
-        self._shared.forget(goal_id)
         self._tell(goal_id)
         self._shared.carry_out(())
         return successor

@@ -43,11 +43,18 @@ import math
 from collections.abc import Hashable
 from heapq import heapify, heappop, heappush
 
-from fibaction.server.scheduling.group import Entry, Group, Urgency, busy_text
-from fibaction.server.scheduling.orders import Act, Busy, Order
 from fibaction.server.scheduling.schedule import Schedule
-from fibaction.server.scheduling.timed_goals import TimedGoals
-from fibaction.server.scheduling.waiting_goals import WaitingGoals
+from fibaction.server.scheduling.scheduled_goals import (
+    Act,
+    Busy,
+    Entry,
+    Group,
+    Order,
+    TimedGoals,
+    Urgency,
+    WaitingGoals,
+    busy_text,
+)
 from fibaction.words.goals import GoalID
 
 EXPIRED = "its client's timeout was over before its turn came"
@@ -79,18 +86,21 @@ class Scheduler:
         urgency: float = 0,
         now: float,
         expires: float = math.inf,
+        owner: object = None,
     ) -> list[Order]:
         """Take a goal that was accepted: it runs, waits, or makes another one give way. If it has
-        no turn before it `expires`, it ends instead.
+        no turn before it `expires`, it ends instead. The `owner` carries out the orders for it.
 
         Raises:
-            Busy: It can do none of these, and was not taken.
+            Busy: It can do none of these, and was not taken; or another owner has a goal of the
+                same ID.
         """
+        self._check_is_free(goal_id, owner)
         if goal_id in self._entries:
             raise Busy(f"busy: an earlier goal {goal_id} was killed, and has not ended yet")
         group = self._groups.get(key) or Group(key)
         self._arrivals += 1
-        entry = Entry(goal_id, group, (urgency, self._arrivals), now, expires)
+        entry = Entry(goal_id, group, (urgency, self._arrivals), now, expires, owner)
         orders: list[Order] = []
         has_room = len(group.queue) < self._schedule.queue
         if self._has_place(group):
@@ -118,25 +128,37 @@ class Scheduler:
         now: float,
         waited: float = 0.0,
         expires: float = math.inf,
+        owner: object = None,
     ) -> list[Order]:
-        """Take a goal that has `waited` in an earlier process: it runs, waits, or ends by that."""
+        """Take a goal that has `waited` in an earlier process: it runs, waits, or ends by that.
+
+        Raises:
+            Busy: Another owner has a goal of the same ID.
+        """
+        self._check_is_free(goal_id, owner)
         if waited >= self._schedule.queue_timeout:
-            return [Order(Act.END, goal_id, self._overdue)]
+            return [Order(Act.END, goal_id, self._overdue, owner)]
         if expires <= now:
-            return [Order(Act.END, goal_id, EXPIRED)]
+            return [Order(Act.END, goal_id, EXPIRED, owner)]
         group = self._groups.setdefault(key, Group(key))
         self._arrivals += 1
         rank = urgency, self._arrivals
-        entry = self._entries[goal_id] = Entry(goal_id, group, rank, now - waited, expires)
+        entry = Entry(goal_id, group, rank, now - waited, expires, owner)
+        self._entries[goal_id] = entry
         if self._has_place(group):
             return [self._start(entry, now)]
         self._wait(entry)
         return []
 
-    def leave(self, goal_id: GoalID, now: float) -> list[Order]:
-        """Give back the place of a goal that has ended; of an unknown one, nothing."""
+    def _check_is_free(self, goal_id: GoalID, owner: object) -> None:
+        known = self._entries.get(goal_id)
+        if known is not None and known.owner is not owner:
+            raise Busy("busy: another action of the same schedule has a goal of this ID")
+
+    def leave(self, goal_id: GoalID, now: float, owner: object = None) -> list[Order]:
+        """Give back the place of a goal of an owner that has ended; of an unknown one, nothing."""
         entry = self._entries.get(goal_id)
-        if entry is None:
+        if entry is None or entry.owner is not owner:
             return []
         self._remove(entry)
         successor = entry.successor
@@ -216,7 +238,13 @@ class Scheduler:
     def successor(self, goal_id: GoalID) -> GoalID | None:
         """Return the goal that this one may take over; None if there is none."""
         entry = self._timed.told.get(goal_id)
-        return entry.successor.goal_id if entry and entry.successor else None
+        if entry is None or entry.successor is None or entry.successor.owner is not entry.owner:
+            return None  # an executor is not made for the goals of another owner
+        return entry.successor.goal_id
+
+    def goals_of(self, owner: object) -> list[GoalID]:
+        """Return the goals of an owner."""
+        return [goal_id for goal_id, entry in self._entries.items() if entry.owner is owner]
 
     def places(self) -> dict[GoalID, tuple[int, int]]:
         """Return the place of each waiting goal, from 1, and the number that wait for its key."""
@@ -242,7 +270,7 @@ class Scheduler:
         entry.since = now
         self._running += 1
         self._push_head(group)
-        return Order(Act.START, entry.goal_id)
+        return entry.order(Act.START)
 
     def _wait(self, entry: Entry) -> None:
         entry.group.add(entry)
@@ -251,7 +279,7 @@ class Scheduler:
 
     def _give_way(self, entry: Entry, reason: str) -> Order:
         self._remove(entry)
-        return Order(Act.END, entry.goal_id, reason)
+        return entry.order(Act.END, reason)
 
     def _remove(self, entry: Entry) -> None:
         goal_id, group = entry.goal_id, entry.group
