@@ -15,6 +15,10 @@ from typing import Any, TypeGuard
 from fibaction.border.peer_text import excerpt
 from fibaction_transports.cdr.cdr_error import CdrError
 
+LISTS: Any = (list, tuple)
+"""The types of lists that are taken as they are. `Any`, since a check by them tells nothing of the
+items."""
+
 UNFIT = (struct.error, OverflowError, TypeError)
 """The errors of `struct` for a value that it cannot pack."""
 
@@ -42,7 +46,7 @@ def numbers_of(value: Any, code: str) -> bytes | memoryview:
     Raises:
         CdrError: They are not numbers of this type.
     """
-    if not isinstance(value, (list, tuple)):
+    if not isinstance(value, LISTS):
         shown = _memory_of(value, code)
         if shown is not None:
             return shown

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, cast
 
 from fibaction_transports.cdr.array_values import (
+    LISTS,
     check_count,
     numbers_of,
     octets_of,
@@ -139,7 +140,7 @@ class ElementArray(CdrStep):
 
     def write(self, writer: CdrWriter, values: Sequence[Any], index: int) -> None:
         items = values[index]
-        if not isinstance(items, (list, tuple)):
+        if not isinstance(items, LISTS):
             raise CdrError(f"a list expected, found {type(items).__name__}")
         self._size.write(writer, len(items))
         self._element.write_many(writer, items)

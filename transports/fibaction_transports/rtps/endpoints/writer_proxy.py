@@ -131,12 +131,13 @@ class WriterProxy:
         """Take a sample."""
         if data.number != self._next and not self._wants(data.number):
             return
-        if data.payload is not None and len(data.payload) > self._shared.limits.sample:
-            self._shared.counters.over_limit += 1
-            return
-        content = data.payload or b""
-        if content:  # most have no padding
-            content = unpadded(content) if content[3] & PADDING_BITS else bytes(content)
+        payload, content = data.payload, b""
+        if payload:
+            if len(payload) > self._shared.limits.sample:
+                self._shared.counters.over_limit += 1
+                return
+            # Most have no padding.
+            content = unpadded(payload) if payload[3] & PADDING_BITS else bytes(payload)
         self._take(
             Sample(self._guid, data.number, content, data.inline_qos, time, data.is_key), now
         )
