@@ -62,7 +62,7 @@ BENDS: dict[tuple[frozenset[Phase], Event], list[tuple[float, float]]] = {
     (frozenset({Phase.REJECTED}), Event.LOSE): [(96, 340), (96, 570), (1110, 570), (1110, 530)],
     (INNER, Event.RELEASE): [(430, 318), (430, 380)],
     (INNER, Event.END): [(780, 318), (780, 380)],
-    (OUTER, Event.LET_GO): [(600, 446), (600, 500), (508, 500)],
+    (OUTER, Event.RELEASE_UNWRITTEN): [(600, 446), (600, 500), (508, 500)],
     (OUTER, Event.LOSE): [(900, 446), (900, 500), (1012, 500)],
 }
 """The points of each arrow that is not a straight line between two boxes."""

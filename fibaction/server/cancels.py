@@ -16,7 +16,7 @@ from typing import Generic
 from anyio import Semaphore, create_task_group, current_time
 
 from fibaction._runtime.slices import Slices
-from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.life import Phase
@@ -73,7 +73,7 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         self._keeper.check()
         for goal in cancellation.candidates:
             if goal.phase is Phase.LOST:
-                cancellation.forget(goal)
+                cancellation.leave_out(goal)
         return cancellation.answer()
 
     async def _cancel_together(self, cancellation: Cancellation) -> None:

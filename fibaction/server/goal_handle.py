@@ -10,7 +10,7 @@ from fibaction.words.goal_steps import GoalStep, GoalSteps
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.server.durability.checkpoints import Checkpoints
+    from fibaction.server.durability.keeper import Checkpoints
     from fibaction.server.execution.running_goal import RunningGoal
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import GoalID, Sender

@@ -29,9 +29,25 @@ the phase: the executor may still clean up, or yield its result.
 A goal may be taken over by the executor of another one, which runs already. It is *running ahead*
 until its begin is kept; that has an event of its own, because the goal may have ended by then.
 
-A goal may also leave without an end here. It is *released* to be run again later, or because the
+A goal may also go without an end here. It is *released* to be run again later, or because the
 store or the server has stopped; or it is *lost*, because another server has it. Only the first of
 these is written.
+
+In all of the server, these words mean:
+
+| Word | What happens |
+| --- | --- |
+| end | The outcome of a goal is fixed, and clients are told when it is kept. |
+| give up | A goal ends in place of another attempt. |
+| withdraw | A goal is not decided, and is decided again if it is sent again. |
+| release | A goal goes without an end: the store has it, to be run again. |
+| lose | A goal goes without an end: another server has it. |
+| leave | The executor of a goal is gone, and the goal has no part in the schedule any more. |
+| forget | The outcome of a goal that has ended is not remembered any more. |
+| drop | An outcome that was forgotten is not kept for its reader either. |
+| kill | Each `await` of an executor is canceled. |
+| abandon | An executor that survives this is not awaited any more. |
+| close | A part takes nothing new. |
 
 The status itself has a table of its own: see `fibaction.words.statuses`.
 """
@@ -102,7 +118,7 @@ class Event(IntEnum):
     RELEASE = 14
     """The goal is to be run again later."""
     RELEASE_KEPT = 15
-    LET_GO = 16
+    RELEASE_UNWRITTEN = 16
     """The store has failed, or the server has stopped before it has answered."""
     LOSE = 17
     """Another server turns out to have the goal."""
@@ -141,7 +157,7 @@ class Effect(IntEnum):
     """End the streams of the goal with an error, and forget it."""
     LEAVE = 19
     """Give back the goal's place in the schedule."""
-    PART = 20
+    STOP_LOST = 20
     """Stop the executor of a lost goal; without one, give back the place."""
     RUN_AHEAD = 21
     """Execute the goal, and hide all that its executor yields until the begin is told."""
@@ -269,14 +285,20 @@ LIFE: Final[Mapping[tuple[Phase, Event], Step]] = MappingProxyType(
             Effect.REMOVE,
             Effect.TELL_GONE,
         )
-        | _to(Phase.RELEASED, (*_OPEN, *_IN_WRITING), Event.LET_GO, Effect.REMOVE, Effect.TELL_GONE)
+        | _to(
+            Phase.RELEASED,
+            (*_OPEN, *_IN_WRITING),
+            Event.RELEASE_UNWRITTEN,
+            Effect.REMOVE,
+            Effect.TELL_GONE,
+        )
         | _to(
             Phase.LOST,
             (*_OPEN, *_IN_WRITING),
             Event.LOSE,
             Effect.REMOVE,
             Effect.TELL_GONE,
-            Effect.PART,
+            Effect.STOP_LOST,
         )
         # A write about a goal may be refused when it is not here any more.
         | _to(Phase.LOST, (Phase.ENDED, Phase.RELEASED, Phase.LOST, Phase.REJECTED), Event.LOSE)

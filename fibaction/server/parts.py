@@ -33,7 +33,7 @@ from fibaction._runtime.own_thread import HomeLoop
 from fibaction._runtime.slices import Slices
 from fibaction._runtime.tasks import Background
 from fibaction.server.admission.admission import Admission
-from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.keeper import STORE_IS_LATE, Keeper, KeeperEvents
 from fibaction.server.durability.past_goals import PastGoals
@@ -135,13 +135,13 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             obstacle=self.recovery.readable.obstacle,
             ends_unreadable=self._settings.unreadable == "abort",
             refuse=self._lose_record,
-            fail=self._give_up,
-            look_at_room=self.capacity.update,
+            fail=self._fail,
+            look_at_capacity=self.capacity.update,
         )
         await stack.enter_async_context(self.keeper.open(tasks, events))
         await self.recovery.check()
         keeper = self.keeper
-        await self.dispatcher.open(tasks, self.runs, keeper.look_at_room, keeper.key_places)
+        await self.dispatcher.open(tasks, self.runs, keeper.look_at_capacity, keeper.key_places)
         self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail from here on
         self.keeper.start(tasks, self.recovery.open, self.capacity.watch)
 
@@ -191,7 +191,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             await self.keeper.settled_within(patience)
         finally:
             self.keeper.close()
-            self.runs.let_go(STORE_IS_LATE)
+            self.runs.release(STORE_IS_LATE)
             self.admission.wake()
             self.logs.close()
 
@@ -234,7 +234,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
 
     def _lose(self, goal_id: GoalID) -> None:
         """Let go of a goal that another server has taken over; of an unknown one, nothing."""
-        self.recovery.forget(goal_id)
+        self.recovery.lose(goal_id)
         goal = self.admission.writing(goal_id) or self.runs.record_of(goal_id)
         if goal is not None:
             self._lose_record(goal)
@@ -244,10 +244,10 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         if not self.admission.lose(goal):
             self.runs.lose(goal)
 
-    def _give_up(self) -> None:
+    def _fail(self) -> None:
         """Let go of what cannot be kept any more: the store has failed."""
         self.close()
-        self.runs.abandon_ends()
+        self.runs.release_unwritten()
         self.admission.wake()
 
 
@@ -283,7 +283,7 @@ class Capacity:
         running, waiting = 0.0, 0.0
         if self._is_open:
             if self._registry.goals_left > 0:
-                running, waiting = self._dispatcher.room()
+                running, waiting = self._dispatcher.capacity()
             elif self._registry.has_too_many_bytes:
                 self._shortage.notify()
         has_room = running > 0, waiting > 0

@@ -32,7 +32,7 @@ from fibaction.border.urls import check_settings
 from fibaction.border.watchers import Watcher
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
-from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.durability.goal_keeper import GoalKeeper
 from fibaction.server.durability.keeper import ADD_A_STORE, GOAL_IS_KEPT, STORE_FAILED, Keeper
 from fibaction.server.execution.executor import Executor
@@ -47,8 +47,7 @@ from fibaction.server.registry.goal_record import Offer
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.goal_dispatcher import dispatcher_of
 from fibaction.server.settings import ActionServerKeywords, ActionServerSettings, check_is_store
-from fibaction.server.watcher_group import WatcherGroup
-from fibaction.server.watchers import Watchers
+from fibaction.server.watchers import WatcherGroup, Watchers
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
 from fibaction.words.goal_query import PastPage
@@ -323,7 +322,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     async def status(self) -> StatusCursor:
         """See `Endpoint.status`."""
         self._check_running()
-        self._dispatcher.note_places()
+        self._dispatcher.note_positions()
         return await self._parts.logs.follow_statuses()
 
     async def past_goals(self, page: PastPage) -> list[GoalInfo]:

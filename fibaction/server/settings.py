@@ -14,13 +14,14 @@ import msgspec
 from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
-from fibaction.server.admission.callbacks import Callback
 from fibaction.server.admission.sender_argument import GoalFunction
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.registry import MAX_BYTES, MAX_GOALS
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.types.action import GoalT
 
+CancelFunction: TypeAlias = Callable[[GoalHandle[GoalT]], Awaitable[None] | None]
+"""A sync or async function that returns None to accept, and raises a rejection to reject."""
 RecoveryFunction: TypeAlias = Callable[[GoalHandle[GoalT]], Awaitable[None] | None]
 """A sync or async function that returns None to run a goal again, and raises `GoalAborted` to end
 it."""
@@ -42,7 +43,7 @@ class ActionServerKeywords(TypedDict, Generic[GoalT], total=False):
     """The keyword arguments of `ActionServer`: see `ActionServerSettings`."""
 
     on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None
-    on_cancel: Callback[GoalHandle[GoalT]] | None
+    on_cancel: CancelFunction[GoalT] | None
     interrupt_on_cancel: bool
     feedback: Literal["every", "latest"]
     feedback_window: int
@@ -70,7 +71,7 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     """A function that is called with each goal of the right type, and with its `Sender` if it has a
     second parameter, and raises `GoalRejected` to reject the goal. Without it, every such goal is
     accepted."""
-    on_cancel: Callback[GoalHandle[GoalT]] | None = None
+    on_cancel: CancelFunction[GoalT] | None = None
     """A function that is called with the `GoalHandle` of each goal to cancel, and raises
     `CancelRejected` to reject the cancel. Without it, every cancel is accepted."""
     interrupt_on_cancel: bool = True

@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from fibaction import Watcher
-from fibaction.server.watcher_group import METHODS
+from fibaction.server.watchers import METHODS
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -39,7 +39,7 @@ from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import send_goal
 from fibaction.cli.verbs.info import print_info
 from fibaction.cli.verbs.send_goal import SendOptions, SendTimes, send
-from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
 from fibaction.types.action import Action

@@ -39,7 +39,7 @@ from fibaction import (
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpdate, StatusStream
-from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
 from fibaction.words.goal_steps import GoalStep, GoalSteps

@@ -285,7 +285,7 @@ async def test_the_places_of_very_many_goals_may_be_a_moment_old(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(goal_dispatcher, "MANY", 1)
-    monkeypatch.setattr(goal_dispatcher, "PLACES_TIME", 1000)
+    monkeypatch.setattr(goal_dispatcher, "POSITIONS_TIME", 1000)
     async with serving(ONE_PLACE, Arm()) as site:
         for order in range(3):
             await site.send(order)

@@ -18,10 +18,9 @@ from anyio.lowlevel import checkpoint
 from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.border.abc import FeedbackItem
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.keeper import Keeper
+from fibaction.server.durability.keeper import Checkpoints, Keeper
 from fibaction.server.execution.executor import Execution, Executor
-from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.interruption import CancelOnce, Stepper
 from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.functions.executor_check import runner_of
@@ -421,7 +420,7 @@ async def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
 
     async def main() -> Ending:
         scopes = CancelOnce(lambda: None)
-        return await Steps(waits(), scopes, copy_context(), lambda: Ending(EndKind.FAILED))
+        return await Stepper(waits(), scopes, copy_context(), lambda: Ending(EndKind.FAILED))
 
     running = main()
     assert running.send(None) == "waiting"

@@ -159,7 +159,7 @@ def test_a_place_that_is_asked_for_counts_for_the_total() -> None:
     one.offer(B, b"y")
     one.offer(C, b"z")
     assert one.places.numbers == {b"x": (0, 1), b"y": (0, 1)}
-    assert one.scheduler.room() == (0, math.inf)
+    assert one.scheduler.capacity() == (0, math.inf)
     assert one.grant(b"y") == starts(B)
     assert b"z" not in one.places.numbers
     one.scheduler.leave(B, 1)
@@ -202,9 +202,9 @@ def test_a_goal_that_replaces_another_one_gets_its_place() -> None:
 
 def test_without_keys_the_room_of_the_queue_is_known() -> None:
     one = Played()
-    assert one.scheduler.room() == (1, 3)
+    assert one.scheduler.capacity() == (1, 3)
     one.scheduler.offer(A, now=0)
-    assert one.scheduler.room() == (0, 2)
+    assert one.scheduler.capacity() == (0, 2)
 
 
 def test_a_goal_of_an_earlier_process_waits_for_a_place_also_in_a_full_queue() -> None:

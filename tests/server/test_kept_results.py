@@ -169,7 +169,7 @@ def test_what_a_log_has_beside_the_result_counts_with_it_for_the_same_client() -
     assert (registry.budget.used, registry.results.size, registry.results.unread_size) == (
         (30,) * 3
     )
-    held.lose()  # it has no log
+    held.drop()  # it has no log
     del held
     assert (registry.budget.used, registry.results.size, registry.results.unread_size) == ((0,) * 3)
 

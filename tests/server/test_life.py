@@ -120,7 +120,7 @@ def test_an_open_goal_can_always_be_ended_lost_and_let_go() -> None:
             assert LIFE[phase, Event.END].phase is Phase.END_IN_WRITING
             assert LIFE[phase, Event.RELEASE].phase is Phase.RELEASE_IN_WRITING
             assert LIFE[phase, Event.LOSE].phase is Phase.LOST
-            assert LIFE[phase, Event.LET_GO].phase is Phase.RELEASED
+            assert LIFE[phase, Event.RELEASE_UNWRITTEN].phase is Phase.RELEASED
 
 
 def test_what_is_fixed_is_not_changed_by_a_cancel_or_a_stop() -> None:

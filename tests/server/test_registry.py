@@ -577,11 +577,11 @@ def test_a_goal_that_another_server_takes_while_it_is_canceled_is_left_out() -> 
     all_accept(of_all)
     assert of_one.accept(taken)
     for cancellation in (of_all, of_one):
-        cancellation.forget(taken)
+        cancellation.leave_out(taken)
     assert [info.goal_id for info in of_all.answer().goals_canceling] == [B, C]
     assert of_one.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
     undecided = registry.cancel(B, None, now=0.0)
-    undecided.forget(undecided.candidates[0])
+    undecided.leave_out(undecided.candidates[0])
     assert undecided.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
 
 
@@ -1321,7 +1321,7 @@ def test_a_goal_that_is_lost_while_it_is_canceled_is_not_in_the_answer() -> None
     goal = registry.restore(stored(1))
     cancellation = registry.cancel(goal_id(1), None, now=0.0)
     assert cancellation.accept(goal)
-    cancellation.forget(goal)
+    cancellation.leave_out(goal)
     answer = cancellation.answer()
     assert (answer.return_code, answer.goals_canceling) == (CancelCode.UNKNOWN_GOAL_ID, ())
 

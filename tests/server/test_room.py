@@ -138,14 +138,14 @@ async def test_a_server_with_too_many_bytes_has_no_room_until_their_goal_has_end
     ],
 )
 async def test_the_room_of_a_schedule_without_goals(schedule: Schedule, room: Any) -> None:
-    assert Scheduler(schedule).room() == room
+    assert Scheduler(schedule).capacity() == room
 
 
 async def test_goals_beyond_a_queue_leave_no_room() -> None:
     scheduler = Scheduler(Schedule(concurrency=1, queue=1))
     for number in range(4):
         scheduler.restore(GoalID(number.to_bytes(16, "big")), now=0)
-    assert scheduler.room() == (0, 0)
+    assert scheduler.capacity() == (0, 0)
 
 
 # Drain

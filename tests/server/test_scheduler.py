@@ -372,7 +372,7 @@ class Fleet(RuleBasedStateMachine):
             ]
             ordered = [one for *_, one in sorted(waiting) if self.key[one] == key]
             expected |= {one: (place, len(ordered)) for place, one in enumerate(ordered, 1)}
-        assert self.scheduler.places() == expected
+        assert self.scheduler.positions() == expected
         assert self.scheduler.waiting == len(expected)
 
     def teardown(self) -> None:
@@ -480,7 +480,7 @@ def test_the_newest_waiting_goal_is_replaced_when_the_queue_is_full() -> None:
     scheduler.offer(TWO, now=0)
     [order] = scheduler.offer(THREE, now=0)
     assert (order.act, order.goal_id) == (Act.END, TWO)
-    assert list(scheduler.places()) == [THREE]
+    assert list(scheduler.positions()) == [THREE]
 
 
 def test_a_goal_waits_no_longer_than_the_queue_timeout() -> None:
@@ -535,7 +535,7 @@ def test_a_goal_without_an_urgency_is_as_urgent_as_zero() -> None:
     scheduler.offer(TWO, urgency=0.5, now=0)
     scheduler.offer(THREE, now=0)
     scheduler.restore(goal(4), now=0)
-    assert list(scheduler.places()) == [THREE, goal(4), TWO]
+    assert list(scheduler.positions()) == [THREE, goal(4), TWO]
 
 
 def test_a_successor_runs_from_the_time_at_which_it_starts() -> None:
@@ -562,7 +562,7 @@ def test_a_successor_that_another_goal_pushes_away_waits_in_the_queue_if_there_i
     assert scheduler.offer(TWO, urgency=1, now=1) == [Order(Act.TELL, ONE)]
     assert scheduler.offer(THREE, urgency=0, now=2) == []
     assert scheduler.leave(ONE, 3) == [Order(Act.START, THREE)]
-    assert list(scheduler.places()) == [TWO]
+    assert list(scheduler.positions()) == [TWO]
     assert scheduler.leave(THREE, 4) == [Order(Act.START, TWO)]
 
 
@@ -630,16 +630,16 @@ def test_the_room_for_more_is_that_of_the_limits(
     scheduler = Scheduler(rules)
     for number in (1, 2):
         scheduler.offer(goal(number), key=number if rules.key else None, now=0)
-    assert scheduler.room() == (running, waiting)
+    assert scheduler.capacity() == (running, waiting)
 
 
 def test_there_is_no_room_where_more_goals_were_restored_than_the_limits_allow() -> None:
     scheduler = Scheduler(Schedule(concurrency=1, queue=1))
-    assert scheduler.room() == (1, 1)
+    assert scheduler.capacity() == (1, 1)
     for number in range(1, 5):
         scheduler.restore(goal(number), now=0)
     assert scheduler.waiting == 3
-    assert scheduler.room() == (0, 0)
+    assert scheduler.capacity() == (0, 0)
 
 
 def test_the_order_of_keys_does_not_grow_with_goals_that_have_left() -> None:

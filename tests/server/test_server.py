@@ -402,7 +402,7 @@ async def test_only_a_coroutine_that_runs_is_given_up() -> None:
     scopes = CancelOnce(lambda: None, Turns())
     scopes.abandon()
     given_up: list[str] = []
-    scopes.steps = cast("Any", SimpleNamespace(give_up=lambda: given_up.append("it")))
+    scopes.steps = cast("Any", SimpleNamespace(abandon=lambda: given_up.append("it")))
     scopes.abandon()
     assert given_up == ["it"]
 

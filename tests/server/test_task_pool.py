@@ -17,7 +17,7 @@ import anyio.lowlevel
 import pytest
 
 from fibaction.server.execution.executor_life import ScopesPhase
-from fibaction.server.execution.interruption import MOST_KILLS, CancelOnce, Steps
+from fibaction.server.execution.interruption import MOST_KILLS, CancelOnce, Stepper
 from fibaction.server.execution.task_pool import GRACE, MOST_IDLE, TaskPool
 from fibaction.server.execution.turns import EXECUTOR_SLICE, Turns
 from tests.support.processes import PATIENCE
@@ -310,7 +310,7 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(is_waiting: bool) 
     async def job(scopes: CancelOnce) -> None:
         all_scopes.append(scopes)
         bench.note(1)
-        seen.append(await Steps(refuses(), scopes, copy_context(), lambda: "given up"))
+        seen.append(await Stepper(refuses(), scopes, copy_context(), lambda: "given up"))
 
     async with running(grace=0.01 if is_waiting else 5) as bench:
         bench.crew.add(job)
@@ -324,10 +324,10 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(is_waiting: bool) 
 async def test_a_job_is_given_up_once() -> None:
     given_up: list[str] = []
     scopes = CancelOnce(lambda: None, Turns())
-    steps = Steps(anyio.sleep_forever(), scopes, copy_context(), lambda: given_up.append("it"))
+    steps = Stepper(anyio.sleep_forever(), scopes, copy_context(), lambda: given_up.append("it"))
 
-    steps.give_up()
-    steps.give_up()
+    steps.abandon()
+    steps.abandon()
 
     assert given_up == ["it"]
 

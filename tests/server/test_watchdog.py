@@ -24,7 +24,7 @@ from anyio.lowlevel import checkpoint
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID
 from fibaction.server.execution import watchdog as watchdog_module
-from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.interruption import CancelOnce, Stepper
 from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.execution.watchdog import ADVICE, CHECKS, POLL, Watch, Watchdog
 from tests.support.executors import Items
@@ -74,9 +74,9 @@ class Bench:
         self.watch = Watch("count", 1.0)
         self.watch.open()
         self.watchdog.watches = (self.watch,)
-        self.made: list[Steps[None]] = []
+        self.made: list[Stepper[None]] = []
 
-    def executor(self, name: str, body: Callable[[], object]) -> Steps[None]:
+    def executor(self, name: str, body: Callable[[], object]) -> Stepper[None]:
         """Begin an executor of the goal of that name, which calls `body` in each step."""
 
         async def run() -> None:
@@ -86,7 +86,7 @@ class Bench:
                     await Pause()
 
         scopes = CancelOnce(lambda: None)
-        steps = Steps(run(), scopes, copy_context(), lambda: None, current=self.watch.current)
+        steps = Stepper(run(), scopes, copy_context(), lambda: None, current=self.watch.current)
         self.made.append(steps)
         self.watch.begin(steps, Executor(name))
         return steps
@@ -407,7 +407,7 @@ async def test_the_innermost_line_is_named_if_all_are_of_the_library() -> None:
         in_the_library(body)()
 
     places: list[list[watchdog_module._Place]] = []
-    steps = Steps(in_the_library(run)(), CancelOnce(lambda: None), copy_context(), lambda: None)
+    steps = Stepper(in_the_library(run)(), CancelOnce(lambda: None), copy_context(), lambda: None)
     await steps
     ((place,),) = places
     assert place.function == watchdog_module._frame_of.__name__

@@ -51,7 +51,7 @@ class Places:
         successors = life.successors.values()
         return [one for one in life.waiting if self._key(one) == key and one not in successors]
 
-    def _has_place(self, life: Life, key: int) -> bool:
+    def _has_capacity(self, life: Life, key: int) -> bool:
         concurrency, total = self.plan.concurrency, self.plan.total
         return (concurrency is None or len(self._running(life, key)) < concurrency) and (
             total is None or len(life.running) < total
@@ -101,7 +101,7 @@ class Places:
         may_wait = waiting < plan.queue or plan.when_full == "replace"
         if (
             may_wait
-            or self._has_place(life, key)
+            or self._has_capacity(life, key)
             or self._predecessor(life, key, plan.urgency_of(work))
         ):
             self._record.fail("place", f"rejected as {reason!r}, and has a place")
@@ -113,7 +113,7 @@ class Places:
         truth.arrival = len(life.goals)
         key = self._key(truth)
         life.latest = truth
-        if not self._has_place(life, key):
+        if not self._has_capacity(life, key):
             self.counts["waited"] += 1
             predecessor = self._predecessor(life, key, self._urgency(truth))
             if predecessor is not None:
@@ -128,7 +128,7 @@ class Places:
             self._fail("turn", truth, f"begins, and is {truth.statuses[-1].name}")
             return
         life.waiting.remove(truth)
-        if not self._has_place(life, self._key(truth)):
+        if not self._has_capacity(life, self._key(truth)):
             others = [short(one.goal_id) for one in life.running]
             self._fail("place", truth, f"begins beside {others}, beyond the limit")
         if truth in life.successors.values():
@@ -145,7 +145,7 @@ class Places:
         for key in {self._key(one) for one in truth.life.waiting}:
             for other in self._queue(truth.life, key):
                 is_first = (self._urgency(other), other.arrival) < mine
-                if is_first and self._has_place(truth.life, key):
+                if is_first and self._has_capacity(truth.life, key):
                     self._fail("turn", truth, f"begins before {short(other.goal_id)}")
 
     def started(self, truth: Truth) -> None:
@@ -242,7 +242,7 @@ class Places:
         """Return the successor of another goal that gets the place of this one."""
         life, key = truth.life, self._key(truth)
         able = {one: of for of, one in life.successors.items() if self._key(one) == key}
-        if not able or not self._has_place(life, key):
+        if not able or not self._has_capacity(life, key):
             return None
         first = min(able, key=lambda one: (self._urgency(one), one.arrival))
         predecessor = able[first]
@@ -259,7 +259,7 @@ class Places:
         plan, now = self.plan, self._record.now()
         for truth in life.waiting:
             is_successor = truth in life.successors.values()
-            if self._has_place(life, self._key(truth)) and not is_successor:
+            if self._has_capacity(life, self._key(truth)) and not is_successor:
                 self._fail("place", truth, "waits beside a free place")
             if truth.statuses[-1] is not GoalStatus.ACCEPTED:
                 self._fail("turn", truth, f"waits, and is {truth.statuses[-1].name}")

@@ -35,26 +35,26 @@ def a_place_is_not_given_back(real: Any) -> Any:
     return left
 
 
-@mistake(Scheduler, "_has_place", 5, 13, 16)
+@mistake(Scheduler, "_has_capacity", 5, 13, 16)
 def a_limit_is_off_by_one(real: Any) -> Any:
     """Let one more goal run than `concurrency` says."""
 
-    def _has_place(self: Scheduler, group: Group) -> bool:
+    def _has_capacity(self: Scheduler, group: Group) -> bool:
         limit = self._schedule.concurrency
         return real(self, group) or (limit is not None and len(group.running) == limit)
 
-    return _has_place
+    return _has_capacity
 
 
-@mistake(Scheduler, "_has_place", 42, 60, 55)
+@mistake(Scheduler, "_has_capacity", 42, 60, 55)
 def the_total_is_not_kept(_real: Any) -> Any:
     """Limit the goals of each key only."""
 
-    def _has_place(self: Scheduler, group: Group) -> bool:
+    def _has_capacity(self: Scheduler, group: Group) -> bool:
         limit = self._schedule.concurrency
         return limit is None or len(group.running) < limit
 
-    return _has_place
+    return _has_capacity
 
 
 @mistake(Scheduler, "leave", 29, 41, 40)

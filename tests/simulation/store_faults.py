@@ -8,11 +8,10 @@ from unittest.mock import patch
 
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.cancels import Cancels
-from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.goal_keeper import GoalKeeper
-from fibaction.server.durability.keeper import Keeper
-from fibaction.server.durability.lost_attempts import LostAttempts
+from fibaction.server.durability.keeper import Checkpoints, Keeper
 from fibaction.server.durability.recovery import Recovery
+from fibaction.server.durability.stored_goals import LostAttempts
 from fibaction.server.execution import runs
 from fibaction.server.execution.executor import AnyRun
 from fibaction.server.execution.runs import Runs

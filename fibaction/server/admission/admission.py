@@ -37,8 +37,7 @@ from fibaction._runtime.text import excerpt, shortened
 from fibaction.border.goal_store import StoreFull
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.schema.goal_check import GoalCheck
-from fibaction.server.admission.callbacks import SERVER_STOPPING
-from fibaction.server.admission.goal_callbacks import GoalCallbacks
+from fibaction.server.admission.callbacks import SERVER_STOPPING, GoalCallbacks
 from fibaction.server.durability.keeper import GOAL_IS_TAKEN, Keeper
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
@@ -135,7 +134,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             goal_id, sent.goal, sent.sender, offer.meta or NO_META
         )
         try:
-            self._check_room(sent.sender.owner)
+            self._check_capacity(sent.sender.owner)
             asking = self._decode(offer)
             if asking is None and self._callbacks.are_goals_decided:
                 asking = self._ask(offer)
@@ -148,7 +147,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise
         return self._decide(offer, asking) if offer.stream is None else offer.stream
 
-    def _check_room(self, owner: bytes) -> None:
+    def _check_capacity(self, owner: bytes) -> None:
         """Reject a new goal if the server or the client is at a limit, or the server drains."""
         busy = DRAINING if self._is_draining else self._registry.busy
         if not busy and self._registry.budget.used > self._registry.budget.limit:

@@ -157,8 +157,8 @@ class GoalKeeper(Keeper):
         for start in parts:
             start(tasks)
 
-    def look_at_room(self) -> None:
-        self._events.look_at_room()
+    def look_at_capacity(self) -> None:
+        self._events.look_at_capacity()
 
     def set_room(self, running: float, waiting: float) -> None:
         self._journal.set_room(running, waiting)
@@ -291,7 +291,7 @@ class GoalKeeper(Keeper):
         self._written += 1
         if self.failure is None and not self._is_closed:
             method(stored, partial(self._note, goal, then, too_large))
-            self._events.look_at_room()
+            self._events.look_at_capacity()
         return self._written
 
     # Answers
@@ -333,7 +333,7 @@ class GoalKeeper(Keeper):
                 answer.too_large(error)
             elif answer.then is not None:
                 answer.then()
-        self._events.look_at_room()
+        self._events.look_at_capacity()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 

@@ -3,6 +3,8 @@
 `GoalKeeper` writes to a store: what a write says is told only when it is kept. For a `Keeper`
 itself, all is kept at once, as long as the server runs: its goals live by the table without writes
 (see `life`).
+
+`Checkpoints` are the states that executors keep.
 """
 
 from __future__ import annotations
@@ -10,17 +12,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from fibaction._runtime.log import clean_logger
+from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import NoFleet, PastSource
 from fibaction.server.life import LIFE_IN_MEMORY, Event, Life, Phase, Step
+from fibaction.words.errors import ProtocolError
 
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
     from fibaction.border.goal_store import KeyPlaces, StoredGoal
     from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.types.action import Codec
     from fibaction.words.errors import StoreError
     from fibaction.words.goals import GoalID
 
@@ -50,7 +56,7 @@ class KeeperEvents:
     """Let go of a goal of which a write is refused for that reason."""
     fail: Callable[[], None]
     """Stop: a write has failed."""
-    look_at_room: Callable[[], None]
+    look_at_capacity: Callable[[], None]
     """Tell the store the room for goals, if it has changed: called after each write, and after its
     answer."""
 
@@ -93,7 +99,7 @@ class Keeper:
     def start(self, tasks: TaskGroup, *parts: Callable[[TaskGroup], None]) -> None:
         """Start the parts that only a server with a store needs, with tasks of this group."""
 
-    def look_at_room(self) -> None:
+    def look_at_capacity(self) -> None:
         """Let the store know if the room of the server has changed."""
 
     def set_room(self, running: float, waiting: float) -> None:
@@ -143,3 +149,49 @@ class Keeper:
 
     async def settled_within(self, seconds: float) -> None:
         """Wait for that, for some seconds at most, even if the caller is canceled."""
+
+
+class Checkpoints:
+    """The checkpoints of the goals of one server."""
+
+    def __init__(self, action: str, codec: Codec[Any] | None, keeper: Keeper) -> None:
+        self._action = action
+        self._codec = codec
+        self._keeper = keeper
+
+    async def keep(self, goal: GoalRecord, state: object) -> None:
+        """Keep the state of a goal, and wait until it is kept.
+
+        Raises:
+            TypeError: The action has no type for checkpoints, or the state is not of it.
+            RuntimeError: The goal has ended.
+            StoreError: It cannot be kept, or the goal belongs to another server by now.
+        """
+        codec = self._codec
+        if codec is None:
+            raise TypeError(
+                f"action {self._action!r} has no checkpoints: give their type to its Action, as"
+                f" `checkpoint=`"
+            )
+        if not codec.accepts(state):
+            raise TypeError(
+                f"a checkpoint of action {self._action!r} is of type"
+                f" {_name_of(codec.type)}, not {excerpt(repr(state))}"
+            )
+        await self._keeper.keep_state(goal, partial(codec.encode, state))
+
+    def restored(self, stored: StoredGoal) -> Any:
+        """Return the last checkpoint of a goal; None if there is none.
+
+        Raises:
+            ProtocolError: It is not of the type of checkpoints.
+        """
+        if stored.checkpoint is None:
+            return None
+        if self._codec is None:
+            raise ProtocolError(f"action {self._action!r} has no checkpoints any more")
+        return self._codec.decode(stored.checkpoint)
+
+
+def _name_of(kind: object) -> str:
+    return getattr(kind, "__qualname__", None) or str(kind)

@@ -26,8 +26,9 @@ on, and one of these happens:
   the goal is `undecided`: it waits without a place, clients can cancel it, and a server that stops
   and keeps its goals leaves it in the store as it was, so that the next one asks again.
 - It is not of its type any more: it ends as ABORTED, with the reason. That is for goals that come
-  later, and for a server that is told so: else the server does not start (see `readable`). A store
-  that several servers share asks for the `obstacle` first, and leaves such a goal to the others.
+  later, and for a server that is told so: else the server does not start (see `stored_goals`). A
+  store that several servers share asks for the `obstacle` first, and leaves such a goal to the
+  others.
 
 A goal that runs again begins another attempt. `Runs` writes that before the executor starts. A goal
 that ends as ABORTED here is given up: the store keeps it whole (see `GoalKeeper`).
@@ -51,8 +52,7 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.admission import Admission
 from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.server.durability.keeper import GOAL_IS_KEPT
-from fibaction.server.durability.lost_attempts import LostAttempts, cause_of
-from fibaction.server.durability.readable import ReadableCheck
+from fibaction.server.durability.stored_goals import LostAttempts, ReadableCheck, cause_of
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
@@ -132,7 +132,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._is_closed = True
         if self._keeps_at_stop:
             undecided = [goal.goal_id for goal in self._undecided if goal.phase.is_open]
-            self._runs.let_go(GOAL_IS_KEPT, undecided)
+            self._runs.release(GOAL_IS_KEPT, undecided)
         self._done.notify()
 
     def claim(self, stored: StoredGoal) -> None:
@@ -141,7 +141,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         if len(self._claimed) == 1:
             self._news.notify()
 
-    def forget(self, goal_id: GoalID) -> None:
+    def lose(self, goal_id: GoalID) -> None:
         """Do not take over a goal that was claimed: another server has it by now."""
         if any(stored.goal_id == goal_id for stored in self._claimed):
             others = [stored for stored in self._claimed if stored.goal_id != goal_id]

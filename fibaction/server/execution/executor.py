@@ -23,7 +23,7 @@ The end of the executor becomes an `Ending`:
 - it raised another exception, or broke a rule of executors (`Misuse`): FAILED, with the error as
   the reason, and a traceback in the log `fibaction.server`.
 
-An executor that is killed and does not end is given up (`_given_up`): nothing awaits it any more.
+An executor that is killed and does not end is given up (`_abandoned`): nothing awaits it any more.
 So that nothing closes a generator either, the event loop is not told of it (`_first`).
 
 The registry turns an ending into a status of the goal. This module does not depend on the rules for
@@ -61,7 +61,7 @@ from fibaction.server.execution.executor_life import (
     ScopesEvent,
     ScopesPhase,
 )
-from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.interruption import CancelOnce, Stepper
 from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
@@ -149,14 +149,14 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         self.phase = PREPARED
         """The phase of the executor's life; it is gone with its clean-up. `Runs` says when."""
         self._scopes: CancelOnce | None = None
-        self._steps: Steps[Ending]
+        self._steps: Stepper[Ending]
 
     def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
         """Run the executor to its end, and return its ending. To be called once."""
         self._scopes = scopes
         watch = self._watch
-        self._steps = Steps(
-            self._run(), scopes, self._context, self._given_up, self._spared, watch.current
+        self._steps = Stepper(
+            self._run(), scopes, self._context, self._abandoned, self._spared, watch.current
         )
         watch.begin(self._steps, self)
         if self.phase is INTERRUPTED:
@@ -221,7 +221,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             self._watch.end(self._steps)
             del self._steps  # it and this object reference each other
 
-    def _given_up(self) -> Ending:
+    def _abandoned(self) -> Ending:
         self._scopes = None
         return abandoned(self.handle.goal_id, self._action.name, self._result)
 

@@ -13,15 +13,15 @@ canceling it delivers the cancellation. The inner one, `rest`, can shield its co
 one. It shields from the beginning, since a task of the pool is used for one goal after another;
 `interrupt()` removes the shield and cancels the outer scope, and `kill()` does so for good.
 
-`Steps` drives the executor's coroutine step by step, in place of the task. So it sees the
+`Stepper` drives the executor's coroutine step by step, in place of the task. So it sees the
 cancellation arrive (`throw`, or trio's `outcome.Error` in `send`). If the coroutine waits after
-that, it is in its clean-up, and the shield is set again. `Steps` also sets the time by which the
+that, it is in its clean-up, and the shield is set again. `Stepper` also sets the time by which the
 coroutine should have waited (`slice_end`), since executors that never wait must let other tasks
 run.
 
 A server may be cut off from a store that it shares, or frozen. Then its goals may run elsewhere,
-and `fence` interrupts the coroutine, and says that it may not continue. `Steps` lets the task wait
-for that cancellation in place of the step (`_detour`). Only a coroutine that shields itself
+and `fence` interrupts the coroutine, and says that it may not continue. `Stepper` lets the task
+wait for that cancellation in place of the step (`_detour`). Only a coroutine that shields itself
 continues.
 
 Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
@@ -29,7 +29,7 @@ its tasks, and clean-up there needs a shield of its own. On trio, a nursery that
 clean-up absorbs the cancellation.
 
 An executor may survive being killed: it catches each cancellation and awaits again, or it waits
-where no cancellation arrives. Since `Steps` drives the coroutine, it can stop doing so: it gives
+where no cancellation arrives. Since `Stepper` drives the coroutine, it can stop doing so: it gives
 the coroutine up after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To the
 task, the coroutine has then returned. The coroutine is kept forever, because Python would
 otherwise close it, and run its clean-up in the middle of something else (`_keep_for_ever`).
@@ -100,7 +100,7 @@ class CancelOnce:
         """The phase of the scopes; no other job can run in them unless they are usable."""
         self.on_wait = on_wait
         """The function that is called when the coroutine inside begins to wait."""
-        self.steps: Steps[Any] | None = None
+        self.steps: Stepper[Any] | None = None
         """The coroutine that runs in these scopes now; None if none does."""
         self.wake: Callable[[], object] | None = None
         """The function that ends a wait of the task even if scopes shield it; None if none can."""
@@ -138,7 +138,7 @@ class CancelOnce:
     def abandon(self) -> None:
         """Give up the coroutine inside, and end the wait of its task, if anything can."""
         if self.steps is not None:
-            self.steps.give_up()
+            self.steps.abandon()
             if self.wake is not None:
                 self.wake()
 
@@ -149,10 +149,10 @@ class Current:
     __slots__ = ("steps",)
 
     def __init__(self) -> None:
-        self.steps: Steps[Any] | None = None
+        self.steps: Stepper[Any] | None = None
 
 
-class Steps(Generator[Any, Any, T], Generic[T]):
+class Stepper(Generator[Any, Any, T], Generic[T]):
     """A coroutine that is awaited step by step: see the theory of operation above."""
 
     __slots__ = (
@@ -164,7 +164,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         "_delayed",
         "_detour",
         "_kills",
-        "_on_given_up",
+        "_on_abandoned",
         "_on_spared",
         "_scopes",
         "fence",
@@ -177,20 +177,20 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         coroutine: Coroutine[Any, Any, T],
         scopes: CancelOnce,
         context: Context,
-        on_given_up: Callable[[], T],
+        on_abandoned: Callable[[], T],
         on_spared: Callable[[], None] = lambda: None,
         current: Current | None = None,
     ) -> None:
-        """Prepare to await the coroutine; `on_given_up` is called if it is given up, and returns a
+        """Prepare to await the coroutine; `on_abandoned` is called if it is given up, and returns a
         value in place of the coroutine's. `on_spared` is called if it is spared. `current` has this
         object while a step runs.
         """
         self.pending = False
         """True if a cancellation was sent and has not arrived."""
-        self._coroutine: Coroutine[Any, Any, T] | _GivenUp[T] = coroutine
+        self._coroutine: Coroutine[Any, Any, T] | _Abandoned[T] = coroutine
         self._scopes = scopes
         self._context = context
-        self._on_given_up = on_given_up
+        self._on_abandoned = on_abandoned
         self._on_spared = on_spared
         self._current = current or Current()
         self._arrived = False
@@ -209,7 +209,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self.pending = True
         self._scopes.interrupt()
 
-    def give_up(self) -> None:
+    def abandon(self) -> None:
         """Never resume the coroutine again; the next step ends the wait for it."""
         scopes = self._scopes
         if scopes.phase is ScopesPhase.ABANDONED:
@@ -218,7 +218,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         scopes.steps = None
         scopes.happen(ScopesEvent.ABANDON)
         scopes.rest.shield = True  # or tasks that the coroutine has started were canceled forever
-        self._coroutine = _GivenUp(self._on_given_up())
+        self._coroutine = _Abandoned(self._on_abandoned())
 
     def __await__(self) -> Generator[Any, Any, T]:
         return self
@@ -308,7 +308,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
 
     def _survive(self) -> None:
         if self._scopes.phase >= ScopesPhase.DOOMED:
-            self.give_up()
+            self.abandon()
         else:
             self._kills = 0
             self._scopes.spare()
@@ -331,7 +331,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         return current_effective_deadline() == -math.inf
 
 
-class _GivenUp(Generic[T]):
+class _Abandoned(Generic[T]):
     """In place of a coroutine that was given up: it returns a value at once."""
 
     def __init__(self, value: T) -> None:

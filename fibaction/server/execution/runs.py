@@ -11,7 +11,7 @@ tell by `GoalLogs`, and those that write by the keeper.
 The end of a goal has two steps. `_finish`, and nothing else, decides the outcome, which never
 changes afterwards. When it is kept, `GoalLogs` makes it the goal's, and notifies followers.
 
-A goal that is not to end here (`_let_go`) just leaves, and its streams fail. If the server stops
+A goal that is not to end here (`release`) just leaves, and its streams fail. If the server stops
 and keeps its goals, or its store has failed, clients are told nothing (`GoalKept`), and come back.
 If another server has the goal (`lose`), or the lease of the store is over, they are told to look
 elsewhere (`ConnectionLost`). The executor of a lost goal is in `lost` until it has ended: the same
@@ -39,8 +39,12 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
-from fibaction.server.durability.checkpoints import Checkpoints
-from fibaction.server.durability.keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
+from fibaction.server.durability.keeper import (
+    GOAL_IS_KEPT,
+    GOAL_IS_TAKEN,
+    STORE_FAILED,
+    Checkpoints,
+)
 from fibaction.server.execution.executor import Execution, Fence, Run, Runner
 from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
 from fibaction.server.execution.executor_life import EXECUTOR_LIFE, ExecutorEvent, ExecutorPhase
@@ -168,7 +172,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             Effect.END_UNBEGUN: lambda run: self._finish(run, Ending(EndKind.CANCELED)),
             Effect.END_AND_LEAVE: lambda run: self._end(run.execution, Ending(EndKind.CANCELED)),
             Effect.LEAVE: lambda run: self._leave(run.goal.goal_id),
-            Effect.PART: self._part,
+            Effect.STOP_LOST: self._stop_lost,
         }
 
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
@@ -279,7 +283,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run.error = ConnectionLost(GOAL_IS_TAKEN)
         self._step(run, Event.LOSE)
 
-    def _part(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+    def _stop_lost(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         execution, goal = run.execution, run.goal
         if execution.phase in (ExecutorPhase.PREPARED, ExecutorPhase.GONE):
             self._leave(goal.goal_id)
@@ -311,16 +315,16 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Keep the goals in the store that are interrupted for this reason, and not end them."""
         self._kept_for.add(reason)
 
-    def abandon_ends(self) -> None:
+    def release_unwritten(self) -> None:
         """Let go of goals whose begin or end is being written: the store has failed."""
         for run in tuple(self._runs.values()):
             if run.goal.phase is Phase.BEGIN_IN_WRITING or not run.goal.phase.is_open:
-                self._let_go(run, GoalKept(STORE_FAILED))
+                self._release(run, GoalKept(STORE_FAILED))
 
-    def let_go(self, reason: str, goals: Iterable[GoalID] | None = None) -> None:
+    def release(self, reason: str, goals: Iterable[GoalID] | None = None) -> None:
         """Let go of these goals, or of all, for that reason: they stay in the store."""
         for goal_id in tuple(self._runs if goals is None else goals):
-            self._let_go(self._runs[goal_id], GoalKept(reason))
+            self._release(self._runs[goal_id], GoalKept(reason))
 
     # Finish
 
@@ -329,7 +333,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     ) -> None:
         goal = run.goal
         if self._keeper.failure is not None:
-            self._let_go(run, GoalKept(STORE_FAILED))
+            self._release(run, GoalKept(STORE_FAILED))
         elif goal.stop_reason in self._kept_for and is_kept(goal, ending, killed=killed):
             # Also one that waits: where servers share a store, it is free for the others then.
             run.error = GoalKept(GOAL_IS_KEPT)
@@ -345,6 +349,6 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             run.outcome = self._registry.outcome_for(goal, ending)  # it never changes again
             self._step(run, END)
 
-    def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:
+    def _release(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:
         run.error = error
-        self._step(run, Event.LET_GO)
+        self._step(run, Event.RELEASE_UNWRITTEN)

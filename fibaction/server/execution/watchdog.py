@@ -3,11 +3,11 @@
 Theory of operation
 -------------------
 
-A step of an executor runs from one wait to the next, in `Steps`. While it runs, no other task of
-its event loop does, so only another thread can tell that it does not end. `Steps` therefore notes
+A step of an executor runs from one wait to the next, in `Stepper`. While it runs, no other task of
+its event loop does, so only another thread can tell that it does not end. `Stepper` therefore notes
 itself in `Current` while it runs: two stores for each step, and no lock. One thread, the `Watchdog`
 of the process, looks there every quarter of the smallest limit. A step is the same one as before if
-both the `Steps` and its `slice_end` are the same, since each step sets a later time.
+both the `Stepper` and its `slice_end` are the same, since each step sets a later time.
 
 A step over the limit is named once, with two lines of code: the outermost one that is not
 fibaction's, which is the executor's own, and the innermost one. They are read from the frames of
@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, Protocol
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.own_thread import HomeLoop
-from fibaction.server.execution.interruption import Current, Steps
+from fibaction.server.execution.interruption import Current, Stepper
 from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.words.goals import GoalID
@@ -64,11 +64,11 @@ class Watched(Protocol):
 class _Blocked(NamedTuple):
     """A step that was named in the log."""
 
-    steps: Steps[Any]
+    steps: Stepper[Any]
     slice_end: float
     goal_id: GoalID
 
-    def is_now(self, steps: Steps[Any] | None) -> bool:
+    def is_now(self, steps: Stepper[Any] | None) -> bool:
         """Return whether this step is the one that runs now, which is of `steps`."""
         return steps is self.steps and self.steps.slice_end == self.slice_end
 
@@ -85,7 +85,7 @@ class Watch:
         self._action = action
         self._limit = limit if limit < math.inf else 0
         self._interval = min(max(limit / CHECKS, EXECUTOR_SLICE), TIMEOUT_MAX)
-        self._active: dict[Steps[Any], Watched] = {}
+        self._active: dict[Stepper[Any], Watched] = {}
         self._named: list[_Blocked] = []  # one at most; two threads may take it out
         self._thread = 0
         self._watchdog: Watchdog | None = None
@@ -110,14 +110,14 @@ class Watch:
             self._watchdog = None
             self._tell_end(perf_counter())
 
-    def begin(self, steps: Steps[Any], executor: Watched) -> None:
+    def begin(self, steps: Stepper[Any], executor: Watched) -> None:
         """Watch an executor until its end."""
         if self._watchdog is not None:
             self._active[steps] = executor
             if self._watchdog.is_asleep:
                 self._watchdog.wake()
 
-    def end(self, steps: Steps[Any]) -> None:
+    def end(self, steps: Stepper[Any]) -> None:
         """Watch an executor no longer."""
         self._active.pop(steps, None)
 
@@ -139,7 +139,7 @@ class Watch:
             self._name(steps, steps.slice_end, now)
         return min(self._interval, POLL) if self._named else self._interval
 
-    def _name(self, steps: Steps[Any], slice_end: float, now: float) -> None:
+    def _name(self, steps: Stepper[Any], slice_end: float, now: float) -> None:
         executor = self._active.get(steps)
         if executor is None:
             return  # it is another server's
@@ -287,7 +287,7 @@ def _places_in(thread: int) -> list[_Place]:
     own: _Place | None = None
     while frame is not None:
         module: str = frame.f_globals.get("__name__", "")
-        if module == Steps.__module__:
+        if module == Stepper.__module__:
             break
         place = _Place(frame.f_code.co_filename, frame.f_lineno or 0, frame.f_code.co_qualname)
         innermost = innermost or place

@@ -38,7 +38,7 @@ class Cancellation:
         self._canceling[goal.goal_id] = goal.info_as(goal.status)
         return True
 
-    def forget(self, goal: GoalRecord) -> None:
+    def leave_out(self, goal: GoalRecord) -> None:
         """Leave a goal out that belongs to another server by now."""
         self._canceling.pop(goal.goal_id, None)
         if self._otherwise is CancelCode.GOAL_TERMINATED:  # it is the only one that was meant

@@ -135,7 +135,7 @@ class HeldBytes:
                 share.unread_size += more
                 share.results.unread_size += more
 
-    def lose(self) -> None:
+    def drop(self) -> None:
         """Have the result dropped by those that still follow the goal."""
         log = None if self.log is None else self.log()
         if log is not None:
@@ -176,14 +176,14 @@ class Share:
             self.unread_size -= held.size
             self.results.unread_size -= held.size
 
-    def lose_oldest(self) -> None:
+    def drop_oldest(self) -> None:
         """Drop the unread result that is the oldest."""
         _, oldest = self.unread.popitem(last=False)
         held = oldest()
         assert held is not None  # else it would have left
         self.unread_size -= held.size
         self.results.unread_size -= held.size
-        held.lose()
+        held.drop()
 
 
 class KeptResults:
@@ -232,7 +232,7 @@ class KeptResults:
                 return None
             if share.remembered:
                 return next(iter(share.remembered))
-            share.lose_oldest()
+            share.drop_oldest()
             if not self._budget.is_over:
                 return None
         return None

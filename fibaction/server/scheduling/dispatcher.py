@@ -109,9 +109,9 @@ class Dispatcher(Succession[GoalT]):
         until its executor is gone.
         """
 
-    def room(self) -> tuple[float, float]:
+    def capacity(self) -> tuple[float, float]:
         """Return how many more goals can run, and how many more can wait."""
         return math.inf, 0
 
-    def note_places(self) -> None:
+    def note_positions(self) -> None:
         """Note in the records of waiting goals their places in the queue, for observers."""

@@ -70,13 +70,13 @@ class FleetScheduler(Scheduler):
         orders = super().due(now, limit)
         return orders + self._start_waiting(now)
 
-    def room(self) -> tuple[float, float]:
-        running, waiting = super().room()
+    def capacity(self) -> tuple[float, float]:
+        running, waiting = super().capacity()
         return max(running - self._asked, 0), waiting
 
     # Steps
 
-    def _has_place(self, group: Group) -> bool:
+    def _has_capacity(self, group: Group) -> bool:
         """Return False: each goal waits first."""
         return False
 

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 MOST_AT_ONCE = 200
 """Orders that are carried out in one turn of the event loop when their time has come."""
 
-MANY, PLACES_TIME = 1000, 0.1
+MANY, POSITIONS_TIME = 1000, 0.1
 """If more goals wait than that, the seconds for which their places are not computed again."""
 
 
@@ -91,7 +91,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._successor_news: dict[GoalID, Notifier] = {}
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
-        self._placed_at = -math.inf
+        self._positioned_at = -math.inf
 
     async def open(
         self,
@@ -177,8 +177,8 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._shared.carry_out(order for order in held if order.goal_id != goal_id)
         self.left(goal_id)
 
-    def room(self) -> tuple[float, float]:
-        return self._shared.scheduler.room()
+    def capacity(self) -> tuple[float, float]:
+        return self._shared.scheduler.capacity()
 
     def carry_out(self, order: Order) -> None:
         """Carry out an order for a goal of this server."""
@@ -252,18 +252,18 @@ class GoalDispatcher(Dispatcher[GoalT]):
         with failures_as(GoalRejected, name, self._action):
             return _asked(check, function, request, sender)
 
-    def note_places(self) -> None:
+    def note_positions(self) -> None:
         """Note in the records of waiting goals their places in the queue, for observers.
 
-        If very many wait, the places may be PLACES_TIME old, since any observer may ask often.
+        If very many wait, the places may be POSITIONS_TIME old, since any observer may ask often.
         """
         now = current_time()
         is_fast = self._shared.scheduler.waiting <= MANY
-        if not self._is_closed and (is_fast or now >= self._placed_at + PLACES_TIME):
-            self._placed_at = now
-            for goal_id, place in self._shared.scheduler.places().items():
+        if not self._is_closed and (is_fast or now >= self._positioned_at + POSITIONS_TIME):
+            self._positioned_at = now
+            for goal_id, position in self._shared.scheduler.positions().items():
                 if (record := self._goals.record_of(goal_id)) is not None:
-                    record.place = place
+                    record.place = position
 
     # As a succession
 

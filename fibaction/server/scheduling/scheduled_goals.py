@@ -1,4 +1,4 @@
-"""What a scheduler has of its goals: an `Entry` for each, by key and by time, and `Order`s.
+"""The goals of a scheduler: an `Entry` for each, by key and by time, and the `Order`s about them.
 
 A `Group` has the goals of one key. `WaitingGoals` and `TimedGoals` have those of all keys that wait
 and that run, in the order in which something is due for them.
@@ -213,7 +213,7 @@ class WaitingGoals:
             heappop(self._by_time)
         return None
 
-    def places(self) -> dict[GoalID, tuple[int, int]]:
+    def positions(self) -> dict[GoalID, tuple[int, int]]:
         """Return the place of each goal, from 1, and the number that wait for its key."""
         places: dict[GoalID, tuple[int, int]] = {}
         groups: dict[Hashable, list[Entry]] = {}

@@ -103,7 +103,7 @@ class Scheduler:
         entry = Entry(goal_id, group, (urgency, self._arrivals), now, expires, owner)
         orders: list[Order] = []
         has_room = len(group.queue) < self._schedule.queue
-        if self._has_place(group):
+        if self._has_capacity(group):
             orders.append(self._start(entry, now))
         elif (predecessor := self._predecessor(entry, has_room=has_room)) is not None:
             orders += self._preempt(predecessor, entry, now)
@@ -145,7 +145,7 @@ class Scheduler:
         rank = urgency, self._arrivals
         entry = Entry(goal_id, group, rank, now - waited, expires, owner)
         self._entries[goal_id] = entry
-        if self._has_place(group):
+        if self._has_capacity(group):
             return [self._start(entry, now)]
         self._wait(entry)
         return []
@@ -165,9 +165,9 @@ class Scheduler:
         if successor is None and self._schedule.when_full == "preempt":
             # That of another goal need not wait for the end of just this one.
             successor = entry.group.next_successor()
-        if successor is None or not self._has_place(entry.group):
+        if successor is None or not self._has_capacity(entry.group):
             return self._start_waiting(now)
-        self._part(successor)
+        self._unlink(successor)
         order = self._turn(successor, now)
         return [order] if order.act is Act.START else [order, *self._start_waiting(now)]
 
@@ -186,7 +186,7 @@ class Scheduler:
         successor = entry.successor
         assert successor is not None
         self._remove(entry)
-        self._part(successor)
+        self._unlink(successor)
         self._start(successor, now)
         return successor.goal_id
 
@@ -218,7 +218,7 @@ class Scheduler:
         """The number of goals that wait."""
         return len(self._waiting)
 
-    def room(self) -> tuple[float, float]:
+    def capacity(self) -> tuple[float, float]:
         """Return how many more goals can run now, and how many more can wait; `math.inf` if there
         is no limit, or if it depends on the goal.
         """
@@ -246,13 +246,13 @@ class Scheduler:
         """Return the goals of an owner."""
         return [goal_id for goal_id, entry in self._entries.items() if entry.owner is owner]
 
-    def places(self) -> dict[GoalID, tuple[int, int]]:
+    def positions(self) -> dict[GoalID, tuple[int, int]]:
         """Return the place of each waiting goal, from 1, and the number that wait for its key."""
-        return self._waiting.places()
+        return self._waiting.positions()
 
     # Steps
 
-    def _has_place(self, group: Group) -> bool:
+    def _has_capacity(self, group: Group) -> bool:
         concurrency, total = self._schedule.concurrency, self._schedule.total
         return (concurrency is None or len(group.running) < concurrency) and (
             total is None or self._running < total
@@ -290,14 +290,14 @@ class Scheduler:
         else:
             self._waiting.remove(goal_id)
             group.queue.pop(goal_id, None)  # a successor is not in it
-        self._part(entry)
+        self._unlink(entry)
         if group.running or group.queue:
             self._push_head(group)
         elif entry.successor is None:
             self._groups.pop(group.key, None)
             group.listed = None
 
-    def _part(self, entry: Entry) -> None:
+    def _unlink(self, entry: Entry) -> None:
         """Make a goal no successor any more; its predecessor continues unless interrupted."""
         if entry.predecessor is not None:
             entry.predecessor.successor = None
@@ -314,7 +314,7 @@ class Scheduler:
                 continue  # another goal of the group came before it, and is listed
             group.listed = None
             first = group.first()
-            if first is None or not self._has_place(group):
+            if first is None or not self._has_capacity(group):
                 continue  # it is listed again when a goal of the group arrives or leaves
             orders.append(self._turn(first, now))
         return orders

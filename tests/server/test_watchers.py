@@ -23,7 +23,7 @@ from fibaction import (
 )
 from fibaction.border.abc import FeedbackItem, ForwardingEndpoint, Meta
 from fibaction.border.watchers import Watcher
-from fibaction.server import watcher_group
+from fibaction.server import watchers as server_watchers
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.types.action import ActionInfo
 from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalInfo
@@ -284,7 +284,7 @@ def fail(self: Watcher, *arguments: Any) -> None:
     raise OSError("disk full")
 
 
-Broken = type("Broken", (Watcher,), dict.fromkeys(watcher_group.METHODS, fail))
+Broken = type("Broken", (Watcher,), dict.fromkeys(server_watchers.METHODS, fail))
 
 
 async def test_a_watcher_that_fails_is_logged_once_and_goals_and_other_watchers_go_on(
@@ -308,7 +308,7 @@ async def test_a_watcher_that_blocks_is_logged_once(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seconds = iter(range(1000))
-    monkeypatch.setattr(watcher_group, "perf_counter", lambda: next(seconds))
+    monkeypatch.setattr(server_watchers, "perf_counter", lambda: next(seconds))
     async with ActionServer(FIBONACCI, fibonacci, watchers=[Diary()]) as server:
         await ActionClient(server, FIBONACCI).call(Goal(3))
 
@@ -351,6 +351,6 @@ async def test_watchers_of_serve_are_added_to_each_new_server() -> None:
 
 
 def test_a_watcher_that_overrides_nothing_does_nothing() -> None:
-    group = watcher_group.WatcherGroup("drive", [Watcher()])
+    group = server_watchers.WatcherGroup("drive", [Watcher()])
     group.rejected(GoalID.random(), "busy")
     group.left(GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER), "it is kept")
