@@ -39,7 +39,7 @@ from fibaction.words.goals import (
     Sender,
     digest_of,
 )
-from fibaction.words.statuses import GoalEvent, GoalStatus
+from fibaction.words.statuses import GoalStatus
 
 
 def goal_id(number: int) -> GoalID:
@@ -167,19 +167,6 @@ def test_a_goal_has_a_place_in_the_list_while_it_is_accepted() -> None:
     assert (info.place, info.queue_length) == (0, 0)
 
 
-def test_the_list_of_goals_tells_how_many_feedback_messages_each_had() -> None:
-    registry = GoalRegistry()
-    goal = executing(registry, A)
-    goal.feedback_count += 2
-    assert [info.feedback_count for info in infos(registry)] == [2]
-
-
-def test_the_list_of_goals_tells_the_attempt_of_each() -> None:
-    registry = GoalRegistry()
-    executing(registry, A).attempt = 3
-    assert [info.attempt for info in infos(registry)] == [3]
-
-
 def test_a_status_that_is_still_being_written_is_not_told() -> None:
     goal = canceling(GoalRegistry(), A)
     goal.told_status = GoalStatus.EXECUTING
@@ -188,27 +175,6 @@ def test_a_status_that_is_still_being_written_is_not_told() -> None:
 
 def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
     assert not hasattr(accepted(GoalRegistry(), A), "__dict__")
-
-
-def test_a_goal_sent_again_waits_for_the_decision_on_the_first() -> None:
-    registry = GoalRegistry()
-    registry.admit(A, b"x", now=0.0)
-    assert registry.admit(A, b"x", now=0.0) is Verdict.WAIT
-    assert rejection_of(registry, A, b"other", now=0.0) == IN_USE
-    assert registry.is_undecided(A)
-
-
-@pytest.mark.parametrize("reach", [accepted, executing, canceling, ended])
-def test_an_accepted_goal_sent_again_is_repeated_whatever_its_status(
-    reach: Callable[[GoalRegistry, GoalID], GoalRecord],
-) -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    reach(registry, A)
-    before = infos(registry)
-    assert registry.admit(A, b"", now=9.9) is Verdict.REPEAT
-    assert rejection_of(registry, A, b"other", now=9.9) == IN_USE
-    assert infos(registry) == before
-    assert not registry.is_undecided(A)
 
 
 def test_a_rejected_goal_sent_again_gets_the_same_reason() -> None:
@@ -225,13 +191,6 @@ def test_a_rejected_goal_sent_again_gets_the_same_reason() -> None:
     assert rejection_of(registry, A, b"other", now=10.9) == IN_USE
 
 
-def test_a_rejection_is_forgotten_as_a_result_is() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    registry.admit(A, b"x", now=0.0)
-    registry.reject(A, "too far", now=1.0)
-    assert registry.admit(A, b"x", now=11.0) is Verdict.DECIDE
-
-
 def test_a_rejection_that_is_forgotten_takes_no_memory_any_more() -> None:
     class Reason(str):
         """Unlike a plain `str` it can be watched."""
@@ -246,40 +205,6 @@ def test_a_rejection_that_is_forgotten_takes_no_memory_any_more() -> None:
     assert watched() is not None
     registry.expire(11.0)
     assert watched() is None
-
-
-def test_only_so_many_rejections_are_remembered() -> None:
-    registry = GoalRegistry(result_timeout=math.inf, max_results=2)
-    for number in (A, B, C):
-        registry.admit(number, b"x", now=0.0)
-        registry.reject(number, "too far", now=0.0)
-    assert rejection_of(registry, B, b"x", now=0.0) == "too far"
-    assert rejection_of(registry, C, b"x", now=0.0) == "too far"
-    assert registry.admit(A, b"x", now=0.0) is Verdict.DECIDE
-
-
-def test_a_goal_rejected_anew_counts_as_the_latest_rejection() -> None:
-    registry = GoalRegistry(result_timeout=10.0, max_results=2)
-    for number, now in ((A, 0.0), (B, 5.0), (A, 10.0), (C, 10.0)):
-        assert registry.admit(number, b"x", now=now) is Verdict.DECIDE
-        registry.reject(number, "too far", now=now)
-    assert rejection_of(registry, A, b"x", now=10.0) == "too far"
-    assert registry.admit(B, b"x", now=10.0) is Verdict.DECIDE
-
-
-def test_no_rejection_is_remembered_with_a_result_timeout_of_zero() -> None:
-    registry = GoalRegistry(result_timeout=0.0)
-    registry.admit(A, b"x", now=5.0)
-    registry.reject(A, "too far", now=5.0)
-    assert registry.admit(A, b"x", now=5.0) is Verdict.DECIDE
-
-
-def test_a_withdrawn_goal_is_decided_anew() -> None:
-    registry = GoalRegistry()
-    registry.admit(A, b"x", now=0.0)
-    registry.withdraw(A)
-    assert not registry.is_undecided(A)
-    assert registry.admit(A, b"other", now=0.0) is Verdict.DECIDE
 
 
 @pytest.mark.promise("ACCEPT-12")
@@ -304,69 +229,11 @@ def test_stamps_increase_even_if_the_clock_is_set_back() -> None:
 # Running
 
 
-def test_a_goal_is_executed_once() -> None:
-    registry = GoalRegistry()
-    goal = executing(registry, A)
-    assert goal.status is GoalStatus.EXECUTING
-    with pytest.raises(InvalidTransition):
-        registry.execute(goal)
-
-
-def test_a_goal_that_is_canceling_is_not_executed() -> None:
-    registry = GoalRegistry()
-    goal = accepted(registry, A)
-    all_accept(registry.cancel(A, None, now=0.0))
-    with pytest.raises(InvalidTransition):
-        registry.execute(goal)
-
-
-@pytest.mark.parametrize(
-    ("kind", "from_executing", "from_canceling"),
-    [
-        (EndKind.RESULT, GoalStatus.SUCCEEDED, GoalStatus.SUCCEEDED),
-        (EndKind.CANCELED, GoalStatus.ABORTED, GoalStatus.CANCELED),
-        (EndKind.FAILED, GoalStatus.ABORTED, GoalStatus.ABORTED),
-    ],
-)
-def test_how_a_goal_ends_depends_on_its_status_before(
-    kind: EndKind, from_executing: GoalStatus, from_canceling: GoalStatus
-) -> None:
-    registry = GoalRegistry()
-    for goal, status in (
-        (executing(registry, A), from_executing),
-        (canceling(registry, B), from_canceling),
-    ):
-        outcome = finish(registry, goal, Ending(kind, b"partial", "a reason"), now=0.0)
-        assert outcome == Outcome(status, b"partial", "a reason")
-        assert goal.outcome is outcome
-        assert goal.status is status
-
-
 def test_what_an_executor_left_behind_does_not_change() -> None:
     ending = Ending(EndKind.FAILED)
     assert (ending.result, ending.reason) == (None, "")
     with pytest.raises(AttributeError):
         setattr(ending, "reason", "another")  # noqa: B010 - mypy refuses the plain assignment
-
-
-def test_a_goal_that_was_never_executed_cannot_end_and_goes_on() -> None:
-    registry = GoalRegistry()
-    goal = accepted(registry, A)
-    with pytest.raises(InvalidTransition):
-        finish(registry, goal, Ending(EndKind.FAILED), now=0.0)
-    assert goal.outcome is None
-    assert infos(registry) == [GoalInfo(A, 1, GoalStatus.ACCEPTED)]
-
-
-def test_a_goal_ends_once() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    goal = ended(registry, A, now=0.0)
-    first = goal.outcome
-    with pytest.raises(InvalidTransition) as caught:
-        finish(registry, goal, Ending(EndKind.FAILED), now=5.0)
-    assert (caught.value.status, caught.value.event) == (GoalStatus.SUCCEEDED, GoalEvent.ABORT)
-    assert goal.outcome is first
-    assert registry.next_expiry == 10.0
 
 
 # Cancelling: the four rules of `action_msgs/srv/CancelGoal`
@@ -413,73 +280,6 @@ def test_a_cancel_is_about_the_goals_that_ros_says(
     ] == about
 
 
-@pytest.mark.parametrize(("named", "stamp"), [(None, None), (None, 20), (A, 20)])
-def test_a_cancel_of_many_leaves_out_what_has_ended(
-    named: GoalID | None, stamp: int | None
-) -> None:
-    registry = GoalRegistry()
-    ended(registry, A, stamp=10)
-    cancellation = registry.cancel(named, stamp, now=0.0)
-    assert candidates(cancellation) == []
-    assert cancellation.answer() == CancelAnswer(CancelCode.NONE)
-
-
-def test_a_cancel_of_an_unknown_goal_says_so() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    cancellation = registry.cancel(D, None, now=0.0)
-    assert candidates(cancellation) == []
-    assert cancellation.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
-
-
-def test_a_cancel_of_an_ended_goal_says_so_until_it_is_forgotten() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    ended(registry, A, now=0.0)
-    late = registry.cancel(A, None, now=9.9)
-    assert candidates(late) == []
-    assert late.answer() == CancelAnswer(CancelCode.GOAL_TERMINATED)
-    too_late = registry.cancel(A, None, now=10.0)
-    assert too_late.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
-
-
-def test_a_cancel_of_a_canceling_goal_is_accepted_again() -> None:
-    registry = GoalRegistry()
-    goal = canceling(registry, A)
-    answer = all_accept(registry.cancel(A, None, now=0.0))
-    assert answer == CancelAnswer(CancelCode.NONE, (goal.info_as(goal.status),))
-    assert goal.status is GoalStatus.CANCELING
-
-
-def test_a_rejected_cancel_leaves_the_goal_as_it_was() -> None:
-    registry = GoalRegistry()
-    goal = executing(registry, A)
-    cancellation = registry.cancel(A, None, now=0.0)
-    cancellation.reject("nearly done")
-    assert cancellation.answer() == CancelAnswer(CancelCode.REJECTED, (), "nearly done")
-    assert goal.status is GoalStatus.EXECUTING
-
-
-def test_one_goal_that_agrees_makes_the_cancel_accepted_and_reasons_are_told() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    cancellation = registry.cancel(None, None, now=0.0)
-    cancellation.reject("too late")
-    assert cancellation.accept(cancellation.candidates[1])
-    cancellation.reject("not now")
-    assert cancellation.answer() == CancelAnswer(
-        CancelCode.NONE, (GoalInfo(B, 20, GoalStatus.CANCELING),), "too late; not now"
-    )
-
-
-def test_a_reason_that_all_goals_share_is_told_once() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    cancellation = registry.cancel(None, None, now=0.0)
-    for reason in ("busy", "late", "busy"):
-        cancellation.reject(reason)
-    assert cancellation.answer() == CancelAnswer(CancelCode.REJECTED, (), "busy; late")
-
-
 def test_the_reasons_of_very_many_goals_are_cut() -> None:
     registry = GoalRegistry()
     three_goals(registry)
@@ -502,71 +302,7 @@ def test_a_reason_behind_those_that_almost_fill_the_answer_is_known_to_be_missin
     assert cancellation.answer().reason == "a" * 999 + "…"
 
 
-def test_the_answer_lists_goals_by_acceptance_in_whatever_order_they_agreed() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    cancellation = registry.cancel(None, None, now=0.0)
-    for goal in reversed(cancellation.candidates):
-        assert cancellation.accept(goal)
-    assert [info.goal_id for info in cancellation.answer().goals_canceling] == [A, B, C]
-
-
 # Cancelling: time passes while it is decided
-
-
-def test_a_goal_that_ends_while_its_cancel_is_decided_counts_as_terminated() -> None:
-    registry = GoalRegistry()
-    goal = executing(registry, A)
-    cancellation = registry.cancel(A, None, now=0.0)
-    finish(registry, goal, Ending(EndKind.RESULT, b"done"), now=0.0)
-    assert not cancellation.accept(goal)
-    assert cancellation.answer() == CancelAnswer(CancelCode.GOAL_TERMINATED)
-    assert goal.status is GoalStatus.SUCCEEDED
-
-
-def test_a_goal_that_ends_while_the_cancel_of_all_is_decided_is_left_out() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    cancellation = registry.cancel(None, None, now=0.0)
-    first, *others = cancellation.candidates
-    finish(registry, first, Ending(EndKind.FAILED), now=0.0)
-    assert [cancellation.accept(goal) for goal in (first, *others)] == [False, True, True]
-    answer = cancellation.answer()
-    assert answer.return_code is CancelCode.NONE
-    assert [info.goal_id for info in answer.goals_canceling] == [B, C]
-
-
-def test_a_goal_accepted_after_the_request_is_not_canceled_by_it() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    cancellation = registry.cancel(None, None, now=0.0)
-    later = accepted(registry, D, stamp=40)
-    answer = all_accept(cancellation)
-    assert [info.goal_id for info in answer.goals_canceling] == [A, B, C]
-    assert later.status is GoalStatus.ACCEPTED
-
-
-def test_the_answer_tells_the_status_just_after_the_cancel_even_if_the_goal_ended_since() -> None:
-    registry = GoalRegistry()
-    goal = executing(registry, A, stamp=10)
-    cancellation = registry.cancel(A, None, now=0.0)
-    assert cancellation.accept(goal)
-    finish(registry, goal, Ending(EndKind.CANCELED), now=0.0)
-    assert cancellation.answer() == CancelAnswer(
-        CancelCode.NONE, (GoalInfo(A, 10, GoalStatus.CANCELING),)
-    )
-    assert goal.status is GoalStatus.CANCELED
-
-
-def test_two_cancels_of_one_goal_are_decided_each_by_itself() -> None:
-    registry = GoalRegistry()
-    goal = executing(registry, A)
-    one = registry.cancel(A, None, now=0.0)
-    other = registry.cancel(A, None, now=0.0)
-    other.reject("no")
-    assert one.accept(goal)
-    assert one.answer().return_code is CancelCode.NONE
-    assert other.answer().return_code is CancelCode.REJECTED
 
 
 def test_a_goal_that_another_server_takes_while_it_is_canceled_is_left_out() -> None:
@@ -625,22 +361,6 @@ def test_goals_are_forgotten_so_many_at_a_time_as_the_caller_says() -> None:
     assert registry.expire(10.0, 3) == []
 
 
-def test_a_status_list_has_the_ended_goals_by_their_end_then_the_active_ones() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    for number in (C, A):
-        goal = registry.find(number, now=0.0)
-        assert goal is not None
-        finish(registry, goal, Ending(EndKind.RESULT), now=0.0)
-    accepted(registry, D, stamp=40)
-    assert [(info.goal_id, info.status.name) for info in infos(registry)] == [
-        (C, "SUCCEEDED"),
-        (A, "SUCCEEDED"),
-        (B, "ACCEPTED"),
-        (D, "ACCEPTED"),
-    ]
-
-
 @pytest.mark.promise("RESULT-3")
 def test_an_ended_goal_is_known_for_the_result_timeout_from_its_end() -> None:
     registry = GoalRegistry(result_timeout=10.0)
@@ -663,83 +383,6 @@ def test_unless_told_a_thousand_ended_goals_are_known_for_ten_seconds() -> None:
     assert registry.next_expiry == 10.0
     assert registry.expire(0.0) == [A, B]
     assert registry.find(C, now=9.9) is not None
-
-
-def test_an_active_goal_is_never_forgotten() -> None:
-    registry = GoalRegistry(result_timeout=10.0, max_results=1)
-    goal = executing(registry, A)
-    assert registry.next_expiry == math.inf
-    assert registry.expire(1e9) == []
-    assert registry.find(A, now=1e9) is goal
-
-
-def test_goals_are_forgotten_in_the_order_of_their_ends() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    for number, now in ((B, 0.0), (A, 1.0), (C, 2.0)):
-        ended(registry, number, now=now)
-    assert registry.next_expiry == 10.0
-    assert registry.expire(11.0) == [B, A]
-    assert registry.next_expiry == 12.0
-    assert registry.find(C, now=11.0) is not None
-
-
-def test_with_a_result_timeout_of_zero_an_ended_goal_is_unknown_at_once() -> None:
-    registry = GoalRegistry(result_timeout=0.0)
-    ended(registry, A, now=5.0)
-    assert registry.find(A, now=5.0) is None
-    assert registry.next_expiry == 5.0
-    assert registry.expire(5.0) == [A]
-
-
-def test_with_an_infinite_result_timeout_an_ended_goal_is_known_for_ever() -> None:
-    registry = GoalRegistry(result_timeout=math.inf)
-    goal = ended(registry, A, now=0.0)
-    assert registry.next_expiry == math.inf
-    assert registry.expire(1e300) == []
-    assert registry.find(A, now=1e300) is goal
-
-
-def test_only_so_many_ended_goals_are_kept_and_the_oldest_give_way() -> None:
-    registry = GoalRegistry(result_timeout=math.inf, max_results=2)
-    for number in (B, A, C, D):
-        ended(registry, number)
-    assert registry.expire(0.0) == [B, A]
-    assert [info.goal_id for info in infos(registry)] == [C, D]
-    assert registry.expire(0.0) == []
-
-
-def test_no_ended_goal_is_kept_if_none_may_be() -> None:
-    registry = GoalRegistry(result_timeout=math.inf, max_results=0)
-    ended(registry, A)
-    assert registry.expire(0.0) == [A]
-
-
-def test_expiry_frees_the_goal_id_for_another_goal() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    first = ended(registry, A, now=0.0)
-    registry.expire(10.0)
-    second = accepted(registry, A, payload=b"other", now=10.0)
-    assert second is not first
-    assert second.stamp > first.stamp
-
-
-def test_a_goal_id_used_again_before_its_expiry_was_noticed_is_not_listed_as_gone() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    ended(registry, A, now=0.0)
-    again = accepted(registry, A, now=10.0)
-    assert infos(registry) == [again.info]
-    assert registry.expire(10.0) == []
-
-
-def test_a_goal_id_used_again_does_not_keep_later_goals_from_being_forgotten() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    ended(registry, A, now=0.0)
-    ended(registry, B, now=5.0)
-    again = accepted(registry, A, now=10.0)
-    registry.execute(again)
-    finish(registry, again, Ending(EndKind.RESULT), now=10.0)
-    assert registry.next_expiry == 15.0
-    assert registry.expire(15.0) == [B]
 
 
 # Limits

@@ -453,99 +453,6 @@ def test_keys_whose_goals_have_left_are_forgotten() -> None:
     assert len(scheduler._heads) < 50
 
 
-def test_a_goal_that_preempts_starts_in_any_place_that_becomes_free() -> None:
-    scheduler = Scheduler(Schedule(concurrency=2, when_full="preempt", handover=math.inf))
-    scheduler.offer(ONE, now=0)
-    scheduler.offer(TWO, now=0)
-    assert scheduler.offer(THREE, now=0) == [Order(Act.TELL, ONE)]
-    assert scheduler.leave(TWO, 0) == [Order(Act.START, THREE)]
-    assert scheduler.successor(ONE) is None
-    assert scheduler.leave(ONE, 0) == []
-
-
-@pytest.mark.parametrize("urgency", [1, 2])
-def test_a_goal_preempts_none_that_is_at_least_as_urgent(urgency: float) -> None:
-    scheduler = Scheduler(
-        Schedule(concurrency=1, when_full="preempt", priority=lambda _: 0, handover=math.inf)
-    )
-    scheduler.offer(ONE, urgency=1, now=0)
-    with pytest.raises(Busy):
-        scheduler.offer(TWO, urgency=urgency, now=0)
-    assert scheduler.offer(THREE, urgency=0, now=0) == [Order(Act.TELL, ONE)]
-
-
-def test_the_newest_waiting_goal_is_replaced_when_the_queue_is_full() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=1, when_full="replace"))
-    scheduler.offer(ONE, now=0)
-    scheduler.offer(TWO, now=0)
-    [order] = scheduler.offer(THREE, now=0)
-    assert (order.act, order.goal_id) == (Act.END, TWO)
-    assert list(scheduler.positions()) == [THREE]
-
-
-def test_a_goal_waits_no_longer_than_the_queue_timeout() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=1, queue_timeout=5))
-    scheduler.offer(ONE, now=0)
-    scheduler.offer(TWO, now=2)
-    assert scheduler.next_due == 7
-    assert scheduler.due(6.9) == []
-    assert [(order.act, order.goal_id) for order in scheduler.due(7)] == [(Act.END, TWO)]
-
-
-def test_a_goal_that_comes_back_has_waited_before() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=3, queue_timeout=5))
-    assert scheduler.restore(ONE, now=2, waited=5) == [Order(Act.END, ONE, "waited for 5 s")]
-    scheduler.offer(TWO, now=2)
-    scheduler.restore(THREE, now=2, waited=1)
-    scheduler.restore(goal(4), now=2, waited=4)
-    assert scheduler.next_due == 3
-    assert scheduler.due(3) == [Order(Act.END, goal(4), "waited for 5 s")]
-    assert scheduler.next_due == 6
-
-
-def test_a_goal_that_has_expired_is_skipped_when_its_turn_comes() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=3))
-    assert scheduler.restore(ONE, now=2, expires=2) == [Order(Act.END, ONE, EXPIRED)]
-    scheduler.offer(TWO, now=2, expires=2)
-    scheduler.offer(THREE, now=2, expires=4)
-    scheduler.offer(goal(4), now=2, expires=6)
-    assert scheduler.due(5) == []
-    assert scheduler.leave(TWO, 5) == [Order(Act.END, THREE, EXPIRED), Order(Act.START, goal(4))]
-
-
-def test_a_successor_that_has_expired_leaves_the_place_to_the_queue() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=1, when_full="preempt"))
-    scheduler.offer(ONE, now=0)
-    scheduler.offer(TWO, now=0)
-    scheduler.offer(THREE, now=0, expires=4)
-    assert scheduler.leave(ONE, 5) == [Order(Act.END, THREE, EXPIRED), Order(Act.START, TWO)]
-
-
-def test_a_goal_that_is_not_known_gives_no_place_back() -> None:
-    assert Scheduler(Schedule(concurrency=1)).leave(ONE, 0) == []
-
-
-def test_a_start_has_no_reason() -> None:
-    assert Scheduler(Schedule()).offer(ONE, now=0) == [Order(Act.START, ONE)]
-
-
-def test_a_goal_without_an_urgency_is_as_urgent_as_zero() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=4, priority=lambda _: 0))
-    scheduler.offer(ONE, now=0)
-    scheduler.offer(TWO, urgency=0.5, now=0)
-    scheduler.offer(THREE, now=0)
-    scheduler.restore(goal(4), now=0)
-    assert list(scheduler.positions()) == [THREE, goal(4), TWO]
-
-
-def test_a_successor_runs_from_the_time_at_which_it_starts() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, when_full="preempt", run_timeout=7))
-    scheduler.offer(ONE, now=0)
-    scheduler.offer(TWO, now=1)
-    assert scheduler.leave(ONE, 5) == [Order(Act.START, TWO)]
-    assert scheduler.next_due == 12
-
-
 def told(handover: float, **rules: Any) -> Scheduler:
     """Return a scheduler in which ONE was told of its successor TWO, at 1."""
     schedule = Schedule(concurrency=1, when_full="preempt", handover=handover, **rules)
@@ -553,37 +460,6 @@ def told(handover: float, **rules: Any) -> Scheduler:
     scheduler.offer(ONE, now=0)
     assert scheduler.offer(TWO, now=1) == [Order(Act.TELL, ONE)]
     return scheduler
-
-
-def test_a_successor_that_another_goal_pushes_away_waits_in_the_queue_if_there_is_room() -> None:
-    by_priority: dict[str, Any] = {"when_full": "preempt", "priority": lambda _: 0}
-    scheduler = Scheduler(Schedule(concurrency=1, queue=1, handover=math.inf, **by_priority))
-    scheduler.offer(ONE, urgency=2, now=0)
-    assert scheduler.offer(TWO, urgency=1, now=1) == [Order(Act.TELL, ONE)]
-    assert scheduler.offer(THREE, urgency=0, now=2) == []
-    assert scheduler.leave(ONE, 3) == [Order(Act.START, THREE)]
-    assert list(scheduler.positions()) == [TWO]
-    assert scheduler.leave(THREE, 4) == [Order(Act.START, TWO)]
-
-
-def test_a_goal_that_does_not_hand_over_in_time_is_interrupted_and_then_killed() -> None:
-    scheduler = told(2)
-    assert scheduler.next_due == 3
-    assert scheduler.due(2.9) == []
-    assert scheduler.due(3) == [Order(Act.INTERRUPT, ONE, f"preempted by {TWO}")]
-    assert scheduler.take_over(ONE, 3) is None
-    assert scheduler.next_due == 3 + KILL_AFTER
-    assert scheduler.due(5.9) == []
-    assert scheduler.due(6) == [Order(Act.KILL, ONE)]
-    assert scheduler.due(6) == []
-    assert scheduler.next_due == math.inf
-
-
-def test_a_goal_that_takes_its_successor_over_gives_it_all_its_time() -> None:
-    scheduler = told(2, run_timeout=7)
-    assert scheduler.take_over(ONE, 2) == TWO
-    assert scheduler.next_due == 9
-    assert scheduler.due(9) == [Order(Act.INTERRUPT, TWO, "took longer than 7 s")]
 
 
 def test_a_goal_that_is_lost_is_told_and_ordered_nothing_more() -> None:
@@ -695,46 +571,6 @@ def full(**rules: Any) -> Scheduler:
         Schedule(concurrency=2, when_full="preempt", handover=math.inf, **rules),
         kill_after=KILL_AFTER,
     )
-
-
-def test_if_all_have_successors_the_oldest_successor_gives_way() -> None:
-    scheduler = full()
-    for number in (1, 2, 3, 4):
-        scheduler.offer(goal(number), now=0)
-    assert scheduler.offer(goal(5), now=0) == [Order(Act.END, THREE, f"preempted by {goal(5)}")]
-    assert scheduler.offer(goal(6), now=0) == [Order(Act.END, goal(4), f"preempted by {goal(6)}")]
-    assert [scheduler.successor(one) for one in (ONE, TWO)] == [goal(5), goal(6)]
-
-
-def test_the_most_urgent_successor_starts_in_any_place_that_is_free() -> None:
-    schedule = Schedule(concurrency=3, when_full="preempt", handover=math.inf, priority=lambda _: 0)
-    scheduler = Scheduler(schedule)
-    for number, urgency in enumerate((6, 5, 1, 4, 3), 1):
-        scheduler.offer(goal(number), urgency=urgency, now=0)
-    assert [scheduler.successor(one) for one in (ONE, TWO)] == [goal(4), goal(5)]
-    assert scheduler.leave(THREE, 0) == [Order(Act.START, goal(5))]
-
-
-def test_a_goal_without_a_successor_gives_way_before_a_less_urgent_one_that_has_one() -> None:
-    scheduler = full(priority=lambda _: 0)
-    for number, urgency in enumerate((5, 3, 4), 1):
-        scheduler.offer(goal(number), urgency=urgency, now=0)
-    assert scheduler.successor(ONE) == THREE
-    assert scheduler.offer(goal(4), urgency=2, now=0) == [Order(Act.TELL, TWO)]
-
-
-def test_of_equally_urgent_goals_the_oldest_gives_way() -> None:
-    scheduler = full(priority=lambda _: 0)
-    for goal_id in (ONE, TWO):
-        scheduler.offer(goal_id, urgency=5, now=0)
-    assert scheduler.offer(THREE, urgency=1, now=0) == [Order(Act.TELL, ONE)]
-    assert scheduler.offer(goal(4), urgency=1, now=0) == [Order(Act.TELL, TWO)]
-    scheduler.leave(THREE, 0)
-    assert scheduler.offer(goal(5), urgency=1, now=0) == [Order(Act.TELL, ONE)]
-    # The successor of the later one is the older one now.
-    assert scheduler.offer(goal(6), urgency=0, now=0) == [
-        Order(Act.END, goal(4), f"preempted by {goal(6)}")
-    ]
 
 
 def test_the_queue_of_a_key_does_not_grow_with_goals_that_have_left_behind_its_first() -> None:

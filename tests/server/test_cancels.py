@@ -1,0 +1,259 @@
+"""`fibaction.server.cancels`: cancels of goals, beyond what the contract suite shows."""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionServer,
+    CancelCode,
+    CancelRejected,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+)
+from fibaction.border.abc import GoalStream
+from fibaction.server.registry.goal_record import Ending, EndKind
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.slices import let_slices_last
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+def packed(order: int) -> bytes:
+    return FIBONACCI.goal.encode(Goal(order))
+
+
+class Held:
+    """An executor that waits until it is let go."""
+
+    def __init__(self) -> None:
+        self.begun = anyio.Event()
+        self.go = anyio.Event()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.begun.set()
+        await self.go.wait()
+        yield Result([goal.request.order])
+
+
+def agree(goal: Goal) -> None:
+    """A callback that has nothing against it."""
+
+
+async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_over() -> None:
+    executor = Held()
+    asked: list[GoalID] = []
+
+    def end_the_other(goal: GoalHandle[Goal]) -> None:
+        asked.append(goal.goal_id)
+        (other,) = (run for key, run in server._parts.runs._runs.items() if key != goal.goal_id)
+        server._parts.runs._finish(
+            other, Ending(EndKind.RESULT, FIBONACCI.result.encode(Result([])))
+        )
+
+    async with ActionServer(FIBONACCI, executor, on_cancel=end_the_other) as server:
+        streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(2)]
+        await anyio.wait_all_tasks_blocked()
+        answer = await server.cancel_goals()
+        executor.go.set()  # or the one that was ended behind its back would stay
+        outcomes = {(await stream.outcome()).status for stream in streams}
+    assert [info.goal_id for info in answer.goals_canceling] == asked
+    assert outcomes == {GoalStatus.CANCELED, GoalStatus.SUCCEEDED}
+
+
+@pytest.mark.promise("CANCEL-21")
+async def test_a_goal_that_is_being_decided_is_canceled_by_its_id_once_it_is_accepted() -> None:
+    decide = anyio.Event()
+
+    async def on_goal(goal: Goal) -> None:
+        await decide.wait()
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        goal_id = GoalID.random()
+        answers: list[Any] = []
+
+        async def send() -> None:
+            answers.append(await server.send_goal(goal_id, packed(2)))
+
+        async def cancel() -> None:
+            answers.append(await server.cancel_goals(goal_id))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            await anyio.wait_all_tasks_blocked()
+            tasks.start_soon(cancel)
+            await anyio.wait_all_tasks_blocked()
+            assert answers == []
+            decide.set()
+        stream, answer = sorted(answers, key=lambda one: not isinstance(one, GoalStream))
+        assert (await stream.outcome()).status in (GoalStatus.CANCELED, GoalStatus.SUCCEEDED)
+        assert answer.return_code in (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["sync", "async"])
+async def test_goals_are_canceled_side_by_side_and_rejections_are_told(late: bool) -> None:
+    def decide(goal: GoalHandle[Goal]) -> None:
+        if goal.request.order == 1:
+            raise CancelRejected("not this one")
+
+    async def decide_later(goal: GoalHandle[Goal]) -> None:
+        decide(goal)
+
+    on_cancel: Any = decide_later if late else decide
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
+        streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(3)]
+        await executor.begun.wait()
+        answer = await server.cancel_goals()
+        assert [info.goal_id for info in answer.goals_canceling] == [
+            streams[0].goal_id,
+            streams[2].goal_id,
+        ]
+        assert answer.reason == "not this one"
+        executor.go.set()
+        assert [(await stream.outcome()).status for stream in streams] == [
+            GoalStatus.CANCELED,
+            GoalStatus.SUCCEEDED,
+            GoalStatus.CANCELED,
+        ]
+
+
+@pytest.mark.promise("CANCEL-13")
+async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor, interrupt_on_cancel=False) as server:
+        stream = await server.send_goal(GoalID.random(), packed(1))
+        assert (await server.cancel_goals(stream.goal_id)).accepted
+        assert await stream.outcome() == Outcome(GoalStatus.CANCELED)
+    assert not executor.begun.is_set()
+
+
+async def test_a_goal_that_has_ended_while_its_cancel_was_decided_is_left_alone() -> None:
+    asked, decide = anyio.Event(), anyio.Event()
+
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        asked.set()
+        await decide.wait()
+
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
+        stream = await server.send_goal(GoalID.random(), packed(1))
+        codes = []
+
+        async def cancel() -> None:
+            codes.append((await server.cancel_goals(stream.goal_id)).return_code)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(cancel)
+            await asked.wait()
+            executor.go.set()
+            await stream.outcome()
+            decide.set()
+    assert codes == [CancelCode.GOAL_TERMINATED]
+
+
+async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        raise anyio.get_cancelled_exc_class()
+        yield Result([])
+
+    if (await _backend()) == "trio":
+        return  # trio has no constructor of cancellations
+    async with ActionServer(FIBONACCI, waits) as server:
+        stream = await server.send_goal(GoalID.random(), packed(1))
+        assert await stream.outcome() == Outcome(
+            GoalStatus.ABORTED,
+            None,
+            "the executor ended as canceled, but no cancel was requested",
+        )
+
+
+async def _backend() -> str:
+    return "trio" if "trio" in anyio.get_cancelled_exc_class().__module__ else "asyncio"
+
+
+async def turns_during(work: Coroutine[Any, Any, object]) -> int:
+    """Return the number of turns that another task has during the work."""
+    turns = 0
+
+    async def take_turns() -> None:
+        nonlocal turns
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turns += 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(take_turns)
+        await work
+        tasks.cancel_scope.cancel()
+    return turns
+
+
+async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -> list[GoalStream]:
+    streams: list[GoalStream] = [
+        await server.send_goal(GoalID.random(), packed(order)) for order in range(count)
+    ]
+    await anyio.wait_all_tasks_blocked()
+    return streams
+
+
+@pytest.fixture
+def no_slice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every slice is over at once."""
+    let_slices_last(monkeypatch, -1.0)
+
+
+@pytest.mark.promise("CANCEL-23")
+@pytest.mark.usefixtures("no_slice")
+@pytest.mark.parametrize("on_cancel", [None, agree], ids=["no on_cancel", "a sync one"])
+async def test_a_cancel_of_many_goals_gives_others_their_turns(on_cancel: Any) -> None:
+    async with ActionServer(FIBONACCI, Held(), on_cancel=on_cancel) as server:
+        streams = await start_many(server, 30)
+        for _ in range(2):  # the second one finds goals that are canceling, or have ended
+            assert await turns_during(server.cancel_goals()) > 20
+            await start_many(server, 30)
+        assert {(await stream.outcome()).status for stream in streams} == {GoalStatus.CANCELED}
+
+
+async def test_on_cancel_is_asked_about_a_hundred_goals_at_the_same_time() -> None:
+    asked: list[GoalID] = []
+    decide = anyio.Event()
+
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        asked.append(goal.goal_id)
+        await decide.wait()
+
+    async with ActionServer(FIBONACCI, Held(), on_cancel=on_cancel) as server:
+        streams = await start_many(server, 120)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(server.cancel_goals)
+            await anyio.wait_all_tasks_blocked()
+            assert len(asked) == 100
+            decide.set()
+        assert set(asked) == {stream.goal_id for stream in streams}
+
+
+@pytest.mark.promise("ACCEPT-13")
+async def test_a_reason_for_a_rejection_is_cut_before_it_is_told_and_kept() -> None:
+    def on_goal(goal: Goal) -> None:
+        raise GoalRejected("no" * 1000)
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        goal_id = GoalID.random()
+        for _ in range(2):
+            with pytest.raises(GoalRejected) as caught:
+                await server.send_goal(goal_id, packed(1))
+            assert caught.value.reason == "no" * 499 + "n…"

@@ -1,0 +1,392 @@
+"""The start and the stop of a server: `fibaction.server.parts`, and the life of `ActionServer`."""
+
+from __future__ import annotations
+
+import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
+import math
+from collections.abc import Coroutine
+from types import SimpleNamespace
+from typing import Any, cast
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionServer,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+    ServerNotFound,
+)
+from fibaction.border.abc import GoalStream
+from fibaction.server import parts
+from fibaction.server.execution.interruption import CancelOnce
+from fibaction.server.execution.runs import Runs
+from fibaction.server.execution.turns import Turns
+from fibaction.server.registry.goal_record import Ending, EndKind
+from fibaction.words.errors import GoalKept
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.memory_store import MemoryStore
+from tests.support.slices import let_slices_last
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+def packed(order: int) -> bytes:
+    return FIBONACCI.goal.encode(Goal(order))
+
+
+def result(sequence: list[int]) -> bytes:
+    return FIBONACCI.result.encode(Result(sequence))
+
+
+class Held:
+    """An executor that waits until it is let go."""
+
+    def __init__(self) -> None:
+        self.begun = anyio.Event()
+        self.go = anyio.Event()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.begun.set()
+        await self.go.wait()
+        yield Result([goal.request.order])
+
+
+# Starting and stopping
+
+
+@pytest.mark.promise("STOP-8")
+async def test_a_server_that_is_not_running_is_not_found() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    goal_id = GoalID.random()
+    assert server.is_new
+    assert repr(server) == "<ActionServer 'fibonacci' new goals=0>"
+    with pytest.raises(ServerNotFound, match="'fibonacci' is not running"):
+        await server.send_goal(goal_id, packed(1))
+    async with server:
+        assert not server.is_new
+        assert server.is_running
+        assert server.info is FIBONACCI.info
+        await server.wait_for_server()
+    for call in (
+        server.send_goal(goal_id, packed(1)),
+        server.feedback(goal_id),
+        server.cancel_goals(),
+        server.status(),
+        server.wait_for_server(),
+        server.get_result(goal_id),
+    ):
+        with pytest.raises(ServerNotFound, match="'fibonacci' is not running"):
+            await call
+    with pytest.raises(RuntimeError, match="was started before; make another one"):
+        await server.__aenter__()
+
+
+@pytest.mark.promise("ERROR-3")
+async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
+    error = KeyError("mine")
+    with pytest.raises(KeyError) as caught:
+        async with ActionServer(FIBONACCI, fibonacci):
+            raise error
+    assert caught.value is error
+
+
+@pytest.mark.promise("STOP-10")
+async def test_a_server_whose_block_is_canceled_stops_as_any_other() -> None:
+    begun, cleaned = anyio.Event(), []
+
+    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        begun.set()
+        try:
+            await anyio.sleep_forever()
+        finally:
+            await anyio.lowlevel.checkpoint()
+            cleaned.append(goal.request.order)
+        yield Result([])
+
+    with anyio.CancelScope() as scope:
+        async with ActionServer(FIBONACCI, tidies_up) as server:
+            stream = await server.send_goal(GoalID.random(), packed(7))
+            await begun.wait()
+            scope.cancel()
+            await anyio.sleep_forever()
+    assert scope.cancelled_caught
+    assert cleaned == [7]
+    assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+
+
+class Tidying:
+    """An executor whose clean-up waits until it is let go."""
+
+    def __init__(self) -> None:
+        self.begun, self.cleaning, self.go = anyio.Event(), anyio.Event(), anyio.Event()
+        self.is_clean = False
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        try:
+            self.begun.set()
+            await anyio.sleep_forever()
+        finally:
+            self.cleaning.set()
+            await self.go.wait()
+            self.is_clean = True
+        yield Result([])
+
+
+@pytest.mark.promise("STOP-10")
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_server_whose_task_is_itself_canceled_again_and_again_stops_as_any_other() -> None:
+    executor = Tidying()
+    server = ActionServer(FIBONACCI, executor, shutdown_timeout=math.inf)
+
+    async def serves() -> None:
+        async with server:
+            await anyio.sleep_forever()
+
+    before = asyncio.all_tasks()
+    with anyio.fail_after(5):
+        task = asyncio.create_task(serves())
+        await server.wait_for_server()
+        stream = await server.send_goal(GoalID.random(), packed(1))
+        await executor.begun.wait()
+        for _ in range(3):
+            task.cancel()
+            await executor.cleaning.wait()
+            await anyio.wait_all_tasks_blocked()
+        assert not task.done()
+        executor.go.set()
+        await asyncio.wait([task])
+        assert task.cancelled()
+        assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert executor.is_clean
+    assert asyncio.all_tasks() == before
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_stop_of_a_server_that_is_itself_canceled_leaves_no_caller_waiting(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    executor = Tidying()
+    async with ActionServer(FIBONACCI, executor, shutdown_timeout=math.inf) as server:
+        with anyio.fail_after(5):
+            stream = await server.send_goal(GoalID.random(), packed(1))
+            await executor.begun.wait()
+            task = asyncio.create_task(server.stop())
+            await executor.cleaning.wait()
+            task.cancel()
+            await asyncio.wait([task])
+            assert task.cancelled()
+            assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert not executor.is_clean
+    assert "did not stop in time" in caplog.text
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_stop_that_is_canceled_while_it_waits_for_the_store_ends_all_executors() -> None:
+    store, executor = MemoryStore(), Tidying()
+    async with ActionServer(FIBONACCI, executor, store=store, shutdown_timeout=0.5) as server:
+        with anyio.fail_after(5):
+            await server.send_goal(GoalID.random(), packed(1))
+            await executor.begun.wait()
+            store.hold()
+            sending = asyncio.create_task(server.send_goal(GoalID.random(), packed(2)))
+            stopping = asyncio.create_task(server.stop())
+            while server.is_running:
+                await anyio.lowlevel.checkpoint()
+            stopping.cancel()
+            await asyncio.wait([stopping, sending])
+            assert stopping.cancelled()
+            assert isinstance(sending.exception(), GoalKept)
+            assert executor.cleaning.is_set()
+            store.release()
+
+
+async def test_only_a_coroutine_that_runs_is_given_up() -> None:
+    scopes = CancelOnce(lambda: None, Turns())
+    scopes.abandon()
+    given_up: list[str] = []
+    scopes.steps = cast("Any", SimpleNamespace(abandon=lambda: given_up.append("it")))
+    scopes.abandon()
+    assert given_up == ["it"]
+
+
+async def test_no_goal_is_accepted_while_the_server_stops() -> None:
+    asked, stopping, go = anyio.Event(), anyio.Event(), anyio.Event()
+
+    async def on_goal(goal: Goal) -> None:
+        if goal.order == 2:
+            asked.set()
+            try:
+                await anyio.sleep_forever()
+            except anyio.get_cancelled_exc_class():
+                pass  # a callback that says yes all the same
+
+    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            stopping.set()
+            await go.wait()
+        yield Result([])
+
+    async def expect_rejection(order: int) -> None:
+        with pytest.raises(GoalRejected, match="the server is stopping"):
+            await server.send_goal(GoalID.random(), packed(order))
+
+    async with ActionServer(FIBONACCI, tidies_up, on_goal=on_goal) as server:
+        await server.send_goal(GoalID.random(), packed(1))
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(expect_rejection, 2)
+            await asked.wait()
+            tasks.start_soon(server.stop)
+            await stopping.wait()
+            await expect_rejection(3)
+            go.set()
+
+
+async def test_a_goal_that_is_stopped_before_its_start_never_runs() -> None:
+    runs = []
+
+    async def counts(goal: GoalHandle[Goal]) -> Items:
+        runs.append(goal)
+        yield Result([])
+
+    async with ActionServer(FIBONACCI, counts) as server:
+        stream = await server.send_goal(GoalID.random(), packed(1))
+        await server.stop()
+        assert (await stream.outcome()).reason == "server stopped"
+    assert runs == []
+
+
+@pytest.mark.promise("EXECUTE-10")
+async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def exits(goal: GoalHandle[Goal]) -> Items:
+        raise SystemExit(3)
+        yield Result([])
+
+    server = ActionServer(FIBONACCI, exits)
+    streams: list[GoalStream] = []
+
+    # asyncio ends its loop at once on a SystemExit, so that the wire is cut on trio only; here the
+    # executor is run by hand, and both must let it through.
+    run_goal = Runs._run
+
+    async def run_and_catch(runs: Any, run: Any, scopes: CancelOnce) -> None:
+        with pytest.raises(SystemExit):
+            await run_goal(runs, run, scopes)
+        scope.cancel()
+
+    monkeypatch.setattr(Runs, "_run", run_and_catch)
+    with anyio.CancelScope() as scope:
+        async with server:
+            streams.append(await server.send_goal(GoalID.random(), packed(1)))
+            await anyio.sleep_forever()
+    assert await streams[0].outcome() == Outcome(GoalStatus.ABORTED, None, "SystemExit")
+
+
+async def turns_during(work: Coroutine[Any, Any, object]) -> int:
+    """Return the number of turns that another task has during the work."""
+    turns = 0
+
+    async def take_turns() -> None:
+        nonlocal turns
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turns += 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(take_turns)
+        await work
+        tasks.cancel_scope.cancel()
+    return turns
+
+
+async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -> list[GoalStream]:
+    streams: list[GoalStream] = [
+        await server.send_goal(GoalID.random(), packed(order)) for order in range(count)
+    ]
+    await anyio.wait_all_tasks_blocked()
+    return streams
+
+
+class Stubborn:
+    """An executor whose clean-up does not end by itself."""
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            await anyio.sleep_forever()
+        yield Result([])
+
+
+# Stopping with many goals
+
+
+@pytest.fixture
+def no_slice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every slice is over at once."""
+    let_slices_last(monkeypatch, -1.0)
+
+
+@pytest.mark.usefixtures("no_slice")
+@pytest.mark.parametrize("executor", [Held, Stubborn], ids=["in time", "not in time"])
+async def test_a_stop_gives_others_their_turns_and_names_some_goals_only(
+    executor: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with ActionServer(FIBONACCI, executor(), shutdown_timeout=0) as server:
+        streams = await start_many(server, 30)
+        assert await turns_during(server.stop()) > 20
+        reasons = {(await stream.outcome()).reason for stream in streams}
+    assert reasons == {"server stopped"}
+    if executor is Stubborn:
+        assert caplog.text.count("and is killed") == 10
+        assert "20 more goals of action 'fibonacci' did not stop in time either" in caplog.text
+
+
+@pytest.mark.usefixtures("no_slice")
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_stop_that_is_itself_canceled_while_it_kills_ends_every_goal() -> None:
+    async with ActionServer(FIBONACCI, Stubborn(), shutdown_timeout=0) as server:
+        with anyio.fail_after(5):
+            streams = await start_many(server, 30)
+            task = asyncio.create_task(server.stop())
+            while not any(stream.status.is_terminal for stream in streams):
+                await anyio.lowlevel.checkpoint()
+            task.cancel()
+            await asyncio.wait([task])
+            assert task.cancelled()
+            reasons = {(await stream.outcome()).reason for stream in streams}
+    assert reasons == {"server stopped"}
+
+
+async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Ends:
+        """Ends the other goals in the pause after the first one was killed."""
+
+        async def pause(self) -> None:
+            left = tuple(server._parts.runs._runs.values())
+            if len(left) < 3:
+                for run in left:
+                    server._parts.runs._finish(run, Ending(EndKind.RESULT, result([])))
+                    run.execution.kill()
+
+    monkeypatch.setattr(parts, "Slices", Ends)
+    async with ActionServer(FIBONACCI, Stubborn(), shutdown_timeout=0) as server:
+        streams = await start_many(server, 3)
+        await server.stop()
+        statuses = [(await stream.outcome()).status.name for stream in streams]
+    assert statuses == ["ABORTED", "SUCCEEDED", "SUCCEEDED"]

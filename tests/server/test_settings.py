@@ -1,0 +1,194 @@
+"""What cannot be given to an `ActionServer` is told at once, with what to do."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, cast
+
+import pytest
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionInfo,
+    ActionServer,
+    GoalHandle,
+)
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"feedback": "some"}, "feedback is 'every' or 'latest', not 'some'"),
+        ({"feedback_window": 0}, "feedback_window is at least 1, not 0"),
+        ({"stall_timeout": -1}, "stall_timeout is 0 or more, not -1"),
+        ({"result_timeout": -0.1}, "result_timeout is 0 or more, not -0.1"),
+        ({"result_timeout": math.nan}, "result_timeout is 0 or more, not nan"),
+        ({"max_results": -1}, "max_results is 0 or more, not -1"),
+        ({"max_goals": -1}, "max_goals is 0 or more, not -1"),
+        ({"max_bytes": -1}, "max_bytes is 0 or more, not -1"),
+        ({"shutdown_timeout": -1}, "shutdown_timeout is 0 or more, not -1"),
+        ({"watchdog": -1}, "watchdog is 0 or more, not -1"),
+        ({"watchdog": math.nan}, "watchdog is 0 or more, not nan"),
+    ],
+)
+def test_an_option_out_of_range_is_rejected_at_once(options: Any, text: str) -> None:
+    with pytest.raises(ValueError, match="^" + text + "$"):
+        ActionServer(FIBONACCI, fibonacci, **options)
+
+
+async def returns(goal: GoalHandle[Goal]) -> Result:
+    return Result([])
+
+
+def without_async(goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
+    yield Result([])
+
+
+class Returns:
+    async def __call__(self, goal: GoalHandle[Goal]) -> Result:
+        return Result([])
+
+    async def method(self, goal: GoalHandle[Goal]) -> Result:
+        return Result([])
+
+
+class WithoutAsync:
+    def __call__(self, goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
+        yield Result([])
+
+    def method(self, goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
+        yield Result([])
+
+
+@pytest.mark.parametrize(
+    ("executor", "name"),
+    [
+        (returns, "returns"),
+        (partial(returns), "returns"),
+        (Returns(), "Returns"),
+        (partial(partial(Returns())), "Returns"),
+        (Returns().method, "method"),
+    ],
+)
+def test_a_coroutine_function_is_rejected_with_what_to_do(executor: Any, name: str) -> None:
+    with pytest.raises(TypeError) as caught:
+        ActionServer(FIBONACCI, executor)
+    assert str(caught.value) == (
+        f"the executor {name!r} is a coroutine function: yield its feedback, and yield its result"
+        f" last, instead of returning it, or make an action of it with @action"
+    )
+
+
+@pytest.mark.parametrize(
+    ("executor", "name"),
+    [
+        (without_async, "without_async"),
+        (partial(without_async), "without_async"),
+        (WithoutAsync(), "WithoutAsync"),
+        (partial(partial(WithoutAsync())), "WithoutAsync"),
+        (WithoutAsync().method, "method"),
+    ],
+)
+def test_a_generator_whose_async_was_forgotten_is_rejected_with_what_to_do(
+    executor: Any, name: str
+) -> None:
+    with pytest.raises(TypeError) as caught:
+        ActionServer(FIBONACCI, executor)
+    assert str(caught.value) == (
+        f"the executor {name!r} is a generator function that is not async: write `async def`, and"
+        f" await what takes time"
+    )
+
+
+def constant(goal: Any) -> Any:
+    if goal:
+        return "x"
+    return None
+
+
+def annotated(goal: Any) -> str:
+    return f"at {goal}"
+
+
+def unknown(goal: Any) -> Hidden:  # type: ignore[name-defined]  # noqa: F821  # as behind TYPE_CHECKING
+    return fibonacci(goal)
+
+
+def test_a_function_of_a_type_that_cannot_be_read_may_be_an_executor() -> None:
+    assert ActionServer(FIBONACCI, unknown).is_new
+
+
+@pytest.mark.parametrize("executor", [constant, annotated])
+def test_a_function_that_is_known_to_return_its_result_is_rejected_at_once(executor: Any) -> None:
+    with pytest.raises(TypeError, match="is not an async generator function, and returns its resu"):
+        ActionServer(FIBONACCI, executor)
+
+
+@pytest.mark.parametrize(
+    ("first", "hint"),
+    [
+        (fibonacci, "write ActionServer(action, fibonacci), the executor last"),
+        ("fibonacci", "write ActionServer(action, executor)"),
+    ],
+)
+def test_arguments_in_the_wrong_order_are_told_in_one_sentence(first: Any, hint: str) -> None:
+    with pytest.raises(TypeError, match=f"first argument of .* not .*: {re.escape(hint)}"):
+        ActionServer(first, cast("Any", FIBONACCI))
+
+
+def test_a_setting_that_is_text_is_told_in_one_sentence() -> None:
+    text: Any = "5"
+    with pytest.raises(TypeError, match="shutdown_timeout is a number, not '5'"):
+        ActionServer(FIBONACCI, fibonacci, shutdown_timeout=text)
+
+
+@pytest.mark.parametrize("executor", [3, "fibonacci", Goal(1)])
+def test_what_cannot_be_called_is_no_executor(executor: Any) -> None:
+    with pytest.raises(TypeError) as caught:
+        ActionServer(FIBONACCI, executor)
+    assert str(caught.value) == (
+        f"the executor is an async generator function, and not {executor!r}"
+    )
+
+
+class Calls:
+    def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        return fibonacci(goal)
+
+    async def method(self, more: int, goal: GoalHandle[Goal]) -> Items:
+        yield Result([more])
+
+
+@pytest.mark.parametrize(
+    "executor",
+    [Calls(), partial(Calls().method, 0), partial(Calls()), lambda goal: fibonacci(goal)],
+    ids=["an object", "part of a method", "part of an object", "a lambda"],
+)
+async def test_whatever_gives_an_async_generator_is_an_executor(executor: Any) -> None:
+    async with ActionServer(FIBONACCI, executor) as server:
+        client = ActionClient(server, FIBONACCI)
+        assert await client.call(Goal(0)) == Result([0])
+
+
+def test_a_setting_that_there_is_not_is_named_with_the_one_that_was_meant() -> None:
+    meant = "ActionServer has no setting 'stall_timout': did you mean 'stall_timeout'?"
+    with pytest.raises(TypeError, match=re.escape(meant)):
+        ActionServer(FIBONACCI, fibonacci, stall_timout=1)  # type: ignore[call-arg]  # on purpose
+
+
+def test_an_action_without_types_cannot_be_executed() -> None:
+    with pytest.raises(TypeError, match="is untyped, and a server needs types"):
+        ActionServer(Action.untyped(ActionInfo("x")), fibonacci)
