@@ -26,7 +26,7 @@ WIDE_FUNCTIONS: dict[str, int] = {}
 LONG_FUNCTIONS: dict[str, int] = {}
 LONG_MODULES: dict[str, int] = {}
 CROWDED_FOLDERS = {
-    "fibaction/border": 14,  # one module for each thing that an author needs
+    "fibaction/border": 13,  # one module for each thing that an author needs
     "fibaction/cli/verbs": 20,  # a verb is a module, so that its start imports no other
 }
 OUTSIDE_WIRING = {

@@ -1,8 +1,7 @@
 """`serve`, `connect` and `call`: servers and clients at an address."""
 
-from fibaction._api.called_action import CalledAction
 from fibaction._api.connections import ClientConnection, Connecting, check_is_action, connect
-from fibaction._api.one_call import call
+from fibaction._api.one_call import CalledAction, call
 from fibaction._api.servers import Served, Serving, serve
 
 __all__ = [

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
-from typing import TYPE_CHECKING, Any, Unpack, overload
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Unpack, overload
 
-from fibaction._api.called_action import CalledAction
 from fibaction._api.connections import check_is_action, connect
 from fibaction.border.abc import Transport
 from fibaction.client.retry import Retry
@@ -13,6 +12,46 @@ from fibaction.types.action import NO_VALUE, FeedbackT, GoalT, ResultT
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import ConnectKeywords
+
+
+T_co = TypeVar("T_co", covariant=True)
+T_contra = TypeVar("T_contra", contravariant=True)
+FeedbackT_co = TypeVar("FeedbackT_co", covariant=True)
+
+
+class Encodes(Protocol[T_contra]):
+    """A codec, as it is used for what is sent."""
+
+    def encode(self, value: T_contra, /) -> bytes:
+        """Turn a value into bytes."""
+        ...
+
+
+class Decodes(Protocol[T_co]):
+    """A codec, as it is used for what is received."""
+
+    def decode(self, payload: bytes, /) -> T_co:
+        """Turn bytes into a value."""
+        ...
+
+
+class CalledAction(Protocol[T_contra, FeedbackT_co, T_co]):
+    """An action, by the types of its goal, its feedback and its result."""
+
+    @property
+    def goal(self) -> Encodes[T_contra]:
+        """The codec of the goal."""
+        ...
+
+    @property
+    def feedback(self) -> Decodes[FeedbackT_co]:
+        """The codec of the feedback."""
+        ...
+
+    @property
+    def result(self) -> Decodes[T_co]:
+        """The codec of the result."""
+        ...
 
 
 @overload

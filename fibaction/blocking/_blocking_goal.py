@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from types import TracebackType
-from typing import Generic
+from typing import Any, Generic, TextIO
 
 from fibaction.blocking._loop_thread import LoopThread
 from fibaction.client.feedback_reader import FeedbackReader
 from fibaction.client.goal import ClientGoal, SendingGoal
+from fibaction.client.track import ProgressLine
 from fibaction.types.action import FeedbackT, ResultT
 from fibaction.words.goals import CancelAnswer, GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
@@ -170,3 +172,27 @@ class BlockingGoal(Generic[FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<BlockingGoal {self.goal_id} {self.status.name}>"
+
+
+def track(
+    goal: BlockingGoal[Any, ResultT], text: str = "", *, file: TextIO | None = None
+) -> ResultT:
+    """Read the feedback of a goal, show its progress on one line, and return its result.
+
+    For example:
+
+        with client.send_goal(files) as goal:
+            copied = track(goal, "copying")
+
+    The line is that of `fibaction.track`.
+
+    Raises:
+        GoalAborted, GoalCanceled, GoalTimeout, UnknownGoal: As for `BlockingGoal.result`.
+        ActionError: As for `BlockingGoal.result`.
+    """
+    with closing(ProgressLine(text, file)) as line:
+        for feedback in goal.feedback:
+            line.show(feedback, goal.feedback.number)
+        result = goal.result()
+        line.fill()
+    return result

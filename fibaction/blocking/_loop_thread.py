@@ -23,6 +23,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from queue import SimpleQueue
+from types import TracebackType
 from typing import Any, Generic, TypeVar, cast
 
 import anyio
@@ -200,3 +201,51 @@ def check_is_no_loop() -> None:
         "fibaction.blocking would block the event loop that runs in this thread: use"
         " `async with fibaction.connect(...)`, or `await` it, instead"
     )
+
+
+OpenedT = TypeVar("OpenedT")
+ValueT = TypeVar("ValueT")
+
+
+class LoopBlock(Generic[OpenedT, ValueT]):
+    """A block that starts an event loop in a thread, and enters an async block there."""
+
+    def __init__(
+        self,
+        make: Callable[[], AbstractAsyncContextManager[OpenedT]],
+        value: Callable[[LoopThread, OpenedT], ValueT],
+    ) -> None:
+        """Prepare a block: `make` makes the async block, and `value` turns its value into that of
+        this one.
+        """
+        self._make = make
+        self._value = value
+        self._interrupts = Interrupts(enter=self.__enter__.__code__, leave=self.__exit__.__code__)
+        self._loop = LoopThread(self._interrupts)
+
+    def __enter__(self) -> ValueT:
+        check_is_no_loop()
+        try:
+            self._interrupts.install()
+            with self._interrupts.held():
+                self._loop.start()
+                opened = self._loop.enter(self._make())
+            return self._value(self._loop, opened)
+        except BaseException:
+            self._close()
+            raise
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        self._interrupts.hold()
+        try:
+            self._loop.stop()
+        finally:
+            self._interrupts.restore()

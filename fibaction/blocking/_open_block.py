@@ -13,7 +13,7 @@ from fibaction.blocking._blocking_client import (
     BlockingConnection,
     client_or_connection,
 )
-from fibaction.blocking._loop_block import LoopBlock
+from fibaction.blocking._loop_thread import LoopBlock
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.client.goal_span import GoalTracer

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import fibaction._api
 from fibaction._api import Served
-from fibaction.blocking._loop_block import LoopBlock
-from fibaction.blocking._loop_thread import LoopThread
+from fibaction.blocking._loop_thread import LoopBlock, LoopThread
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.border.watchers import Watcher

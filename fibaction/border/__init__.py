@@ -4,7 +4,7 @@ The transports that come with fibaction use the same modules, and nothing that i
 
 The interfaces, whose names are exported by `abc` and by `fibaction`:
 
-- `abc`, `endpoints`, `goal_request`, `streams`: endpoints, transports, and the streams of goals;
+- `abc`, `endpoints`, `streams`: endpoints, transports, and the streams of goals;
 - `goal_store`, `watchers`: places where goals outlive their server, and objects that see them;
 - `urls`: the transport of a URL, and its settings;
 - `gateway`: transports that serve all actions of other servers, as they come and go.

@@ -19,8 +19,7 @@ from typing import Any, ClassVar
 import msgspec
 
 from fibaction._runtime.notify import Notifier
-from fibaction.border.endpoints import Endpoint, ForwardingEndpoint, Startable
-from fibaction.border.goal_request import GoalRequest
+from fibaction.border.endpoints import Endpoint, ForwardingEndpoint, GoalRequest, Startable
 from fibaction.border.goal_store import GoalStore, StoredGoal
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.types.action import Action, ActionInfo

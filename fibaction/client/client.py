@@ -20,6 +20,7 @@ from typing import Generic
 
 import anyio
 from anyio import get_cancelled_exc_class
+from msgspec.structs import replace
 
 from fibaction._runtime.own_thread import OwnThread
 from fibaction._runtime.plain_data import check_is_number
@@ -27,13 +28,12 @@ from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.attempts import Attempts, attempts_of, cancel_left
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
-from fibaction.client.goal_results import with_result
 from fibaction.client.goal_span import NO_SPAN, GoalTracer
 from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.retry import Retry
-from fibaction.types.action import NO_VALUE, Action, FeedbackT, GoalT, ResultT
-from fibaction.words.errors import ServerNotFound
+from fibaction.types.action import NO_VALUE, Action, Codec, FeedbackT, GoalT, ResultT
+from fibaction.words.errors import ProtocolError, ServerNotFound
 from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.words.meta import NO_META, with_labels
@@ -348,3 +348,24 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionClient of {self.action!r}>"
+
+
+async def with_result(endpoint: Endpoint, codec: Codec[ResultT], info: GoalInfo) -> GoalInfo:
+    """Return a goal with its result, and with its whole reason, if it has ended.
+
+    A goal that the server has forgotten meanwhile stays as it is. If the result cannot be read, the
+    reason says so.
+
+    Raises:
+        TransportError, ProtocolError: As for `Endpoint.get_result`.
+    """
+    if not info.status.is_terminal:
+        return info
+    outcome = await endpoint.get_result(info.goal_id)
+    if not outcome.status.is_terminal:
+        return info
+    try:
+        result = None if outcome.result is None else codec.decode(outcome.result)
+    except ProtocolError as exc:
+        return replace(info, reason=outcome.unreadable(exc).reason)
+    return replace(info, result=result, reason=outcome.reason)

@@ -30,14 +30,16 @@ from fibaction.border.byte_budgets import ByteBudget
 from fibaction.feeds.feedback_window import (
     NOTHING,
     UNLIMITED,
+    UNLIMITED_TIME,
+    BriefHold,
     FeedbackWindow,
     FollowedT,
+    HoldTime,
     WindowReader,
     with_member,
     without_member,
 )
 from fibaction.feeds.followed_goal import FollowedGoal
-from fibaction.feeds.hold_time import UNLIMITED_TIME, BriefHold, HoldTime
 from fibaction.words.errors import ActionError, UnknownGoal, copy_of
 from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus

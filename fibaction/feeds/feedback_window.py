@@ -35,12 +35,12 @@ from itertools import islice
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
 import anyio
+from anyio import current_time
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.feeds.followed_goal import FollowedGoal
-from fibaction.feeds.hold_time import HoldTime
 from fibaction.words.errors import ActionError
 
 BUDGET_STEP = 0.1
@@ -60,6 +60,52 @@ A server has some of these for each goal, and most have one member or none. So i
 none or one, and a dictionary from two on. Adding and removing take the same time however many
 members there are. Iterate over `tuple(members)` where the set may change meanwhile; for a tuple
 this copies nothing."""
+
+
+LONGEST_HOLD = 0.5
+"""Seconds of waiting at once, in which a burst of feedback gets through to a reader that reads."""
+SHORTEST_HOLD = 0.001
+"""Seconds that are not worth a wait."""
+HELD_SHARE = 0.1
+"""Share of the time that may be spent on waiting: so the executor is slowed by a tenth at most."""
+
+
+class HoldTime:
+    """A time without a limit of its own: that of the server counts."""
+
+    __slots__ = ()
+
+    def left(self) -> float:
+        """Return the seconds that are left now."""
+        return math.inf
+
+    def spend(self, seconds: float) -> bool:
+        """Take the seconds of a wait that has ended now; return whether any are left."""
+        return True
+
+
+UNLIMITED_TIME = HoldTime()
+
+
+class BriefHold(HoldTime):
+    """A bucket of seconds: waiting takes from it, and time fills it again."""
+
+    __slots__ = ("_at", "_left")
+
+    def __init__(self) -> None:
+        self._left = LONGEST_HOLD
+        self._at = current_time()
+
+    def left(self) -> float:
+        now = current_time()
+        self._left = min(LONGEST_HOLD, self._left + HELD_SHARE * (now - self._at))
+        self._at = now
+        return self._left
+
+    def spend(self, seconds: float) -> bool:
+        self._left -= seconds
+        self._at = current_time()
+        return self._left > SHORTEST_HOLD
 
 
 def with_member(members: Members[T], member: T) -> Members[T]:

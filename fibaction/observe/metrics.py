@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import anyio
 
-from fibaction._runtime.connection_counts import CONNECTIONS
 from fibaction.border.abc import FeedbackItem, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.observe.metrics_formats import (
@@ -20,6 +19,7 @@ from fibaction.observe.metrics_formats import (
     OPENMETRICS_CONTENT_TYPE,
     wants_openmetrics,
 )
+from fibaction.wire.wire_server import CONNECTIONS
 from fibaction.words.extras import NeedsExtra
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
 from fibaction.words.statuses import GoalStatus

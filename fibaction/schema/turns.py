@@ -15,7 +15,7 @@ from typing import Generic, TypeAlias, TypeVar
 import anyio
 from anyio.lowlevel import RunVar
 
-from fibaction.types.collector import collector_paused
+from fibaction.types.action import collector_paused
 
 T = TypeVar("T")
 Pause: TypeAlias = Callable[[], None]

@@ -5,14 +5,15 @@ Payloads are msgpack, decoded strictly. This module does not depend on goals, se
 
 from __future__ import annotations
 
+import gc
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
 
 from fibaction._runtime.text import excerpt
-from fibaction.types.collector import collector_paused
 from fibaction.types.encodings import encoding_of
 from fibaction.types.ros_classes import is_message, load
 from fibaction.words.errors import ProtocolError, text_of
@@ -305,3 +306,18 @@ def _checked(rule: re.Pattern[str], text: object, meaning: str) -> str:
     if not rule.fullmatch(text):
         raise ValueError(f"{meaning}, not {text!r}")
     return text
+
+
+@contextmanager
+def collector_paused() -> Generator[None, None, None]:
+    """Keep the garbage collector from looking at all objects while one call makes very many.
+
+    It would do so several times, which takes longer than the call itself, and finds nothing.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

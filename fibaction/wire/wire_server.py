@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import AsyncGenerator, Iterator, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
@@ -10,7 +11,6 @@ from functools import partial
 import anyio
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.connection_counts import CONNECTIONS
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
@@ -36,6 +36,20 @@ LEAVE_TIMEOUT = 1.0
 """Seconds that a closing server gives its clients to take the last messages."""
 
 logger = clean_logger("fibaction.wire")
+
+
+class ConnectionCounts:
+    """The connections of clients, and what was wrong with them."""
+
+    def __init__(self) -> None:
+        self.open = 0
+        """Connections that are open now."""
+        self.errors: Counter[str] = Counter()
+        """Connections that the server has ended because of an error, by the name of its class."""
+
+
+CONNECTIONS = ConnectionCounts()
+"""The counts of this process."""
 
 
 class WireServer:

@@ -17,7 +17,7 @@ from fibaction import border
 ROOT = Path(__file__).parents[2]
 MODULES = {module.name for module in pkgutil.iter_modules(border.__path__)}
 INTERFACES = {
-    *("abc", "endpoints", "goal_request", "goal_store", "streams", "urls", "watchers"),
+    *("abc", "endpoints", "goal_store", "streams", "urls", "watchers"),
     "gateway",
 }
 """The modules whose names are public in `fibaction`, in `fibaction.border.abc`, or not yet."""

@@ -1,4 +1,4 @@
-"""`fibaction.client.goal_results`: the results of goals in a list."""
+"""`fibaction.client.client`: the results of goals in a list."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from fibaction import ActionServer, GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction.border.abc import ForwardingEndpoint
-from fibaction.client.goal_results import with_result
+from fibaction.client.client import with_result
 from fibaction.words.goals import UNKNOWN_OUTCOME
 from tests.support.fibonacci import FIBONACCI, Result, fibonacci
 

@@ -15,8 +15,8 @@ from hypothesis import example, given, strategies
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.feeds.feedback_window import HELD_SHARE, LONGEST_HOLD
 from fibaction.feeds.followed_goal import GoalFacts
-from fibaction.feeds.hold_time import MOST, SHARE
 from fibaction.words.errors import ConnectionLost, GoalKept, UnknownGoal
 from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
@@ -1054,7 +1054,7 @@ async def test_a_client_that_may_hold_briefly_stalls_after_half_a_second() -> No
     append(log, 1)
     start = anyio.current_time()
     await log.wait_for_room(10.0)
-    assert anyio.current_time() - start == pytest.approx(MOST)
+    assert anyio.current_time() - start == pytest.approx(LONGEST_HOLD)
     assert not stream.holding
 
 
@@ -1081,8 +1081,8 @@ async def test_a_client_that_reads_slowly_takes_a_tenth_of_the_time_at_most() ->
             append(log, number)
             await anyio.sleep(0.01)
         tasks.cancel_scope.cancel()
-    assert waited <= MOST + SHARE * (anyio.current_time() - start)
-    assert waited > MOST, "it is waited for again after a while"
+    assert waited <= LONGEST_HOLD + HELD_SHARE * (anyio.current_time() - start)
+    assert waited > LONGEST_HOLD, "it is waited for again after a while"
 
 
 @pytest.mark.anyio

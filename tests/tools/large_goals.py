@@ -17,7 +17,7 @@ import msgspec
 
 from fibaction import Action
 from fibaction.schema.payload import JsonCodec
-from fibaction.types.collector import collector_paused
+from fibaction.types.action import collector_paused
 from tests.hostile.documents import ANYTHING, DOCUMENTS, NUMBERS, TREE, Tree
 
 MIB = 2**20

@@ -4,7 +4,7 @@ import gc
 
 import pytest
 
-from fibaction.types.collector import collector_paused
+from fibaction.types.action import collector_paused
 
 
 @pytest.mark.parametrize("is_enabled", [True, False])

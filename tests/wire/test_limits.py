@@ -20,7 +20,7 @@ from trio.testing import MockClock
 
 from fibaction.border.abc import GoalRequest
 from fibaction.border.byte_budgets import ByteBudget
-from fibaction.feeds import hold_time
+from fibaction.feeds import feedback_window
 from fibaction.server import ActionServer, GoalHandle
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import Line, StreamChannel
@@ -545,7 +545,7 @@ async def test_an_executor_waits_for_moments_only_where_the_line_holds_it_briefl
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Line, "holds_briefly", True)
-    monkeypatch.setattr(hold_time, "MOST", 0.01)
+    monkeypatch.setattr(feedback_window, "LONGEST_HOLD", 0.01)
     done = anyio.Event()
 
     async def counted(goal: GoalHandle[fib.Goal]) -> AsyncGenerator[fib.Feedback | fib.Result]:

@@ -43,7 +43,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.server.end_only import EndOnly
+from fibaction.wire.server.ownership import EndOnly
 from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, ServerNotFound
 from fibaction.words.goals import GoalID

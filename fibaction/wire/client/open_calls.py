@@ -28,22 +28,79 @@ from weakref import WeakValueDictionary
 
 from fibaction.border.abc import GoalRequest
 from fibaction.wire.channel import CHUNK
-from fibaction.wire.client.calls import Call, PendingRequest
-from fibaction.wire.client.past_page import PastCall
+from fibaction.wire.client.calls import Call, PendingRequest, unfitting
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
-from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch
+from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch, info_of
 from fibaction.wire.codec import FromClient, encode
+from fibaction.wire.errors import error_of
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
-from fibaction.wire.messages import AskPlaces, AwaitServer, Done, Follow, Places, SendGoal
+from fibaction.wire.messages import (
+    AskPlaces,
+    AwaitServer,
+    Done,
+    Failed,
+    Finished,
+    Follow,
+    GoalChanged,
+    Places,
+    SendGoal,
+    Watching,
+    WatchStatus,
+    label_fields,
+    past_fields,
+)
 from fibaction.words.errors import ActionError, InvalidMessage, copy_of
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import MOST_PAST, PastPage
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.meta import checked_meta
 
 BURST = 32
 """Calls that are written at once, in the middle of a turn of the event loop: both ends then work at
 the same time."""
+
+
+class PastCall(Call):
+    """A page of the history of an action."""
+
+    def __init__(self, call_id: int, action: str, page: PastPage) -> None:
+        super().__init__(call_id)
+        self._page = page
+        limit = min(page.limit, MOST_PAST)
+        self._opening = WatchStatus(call_id, action, limit, past_fields(page), label_fields(page))
+        self._left: int | None = None  # goals that are still to come; None before the answer
+        self._infos: list[GoalInfo] = []
+
+    def opening(self) -> FromClient:
+        self._left, self._infos = None, []
+        return self._opening
+
+    def on_message(self, message: Any) -> bool:
+        if isinstance(message, Failed):
+            self.fail(error_of(message))
+        elif isinstance(message, Watching) and self._left is None:
+            self._left = min(message.known, self._opening.credit)
+        elif isinstance(message, GoalChanged) and self._left:
+            self._left -= 1
+            self._infos.append(info_of(message))
+        elif not (isinstance(message, Finished) and self._left is not None):
+            raise unfitting(message)
+        is_last = isinstance(message, Failed | Finished)
+        if not self.is_answered and self.error is None and (is_last or self._left == 0):
+            self.is_answered = True
+            self.news.notify()
+        return is_last
+
+    @property
+    def infos(self) -> list[GoalInfo]:
+        """The goals that have come, in the order of the page."""
+        infos = [info for info in self._infos if self._page.has(info)]
+        return sorted(infos, key=place_of, reverse=self._page.newest_first)
+
+
+def place_of(info: GoalInfo) -> tuple[int, bytes]:
+    """Return the place of a goal in the order of acceptance."""
+    return info.stamp, info.goal_id
 
 
 class OpenCalls:

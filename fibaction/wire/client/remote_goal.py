@@ -36,6 +36,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
+from anyio import current_time
 from msgspec.structs import replace
 
 from fibaction._runtime.text import shortened
@@ -43,9 +44,9 @@ from fibaction.border.abc import FeedbackItem, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
 from fibaction.wire.client.unread_feedback import UnreadFeedback
 from fibaction.wire.codec import FromClient
-from fibaction.wire.deadlines import timeout_until
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
+    LONGEST_TIMEOUT,
     Close,
     Ended,
     Failed,
@@ -69,6 +70,9 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome, Parent
 from fibaction.words.statuses import GoalStatus
+
+LEAST_TIMEOUT = 0.001
+"""Seconds that are sent for a deadline that has passed, since 0 is not a timeout."""
 
 OnLost: TypeAlias = "Callable[[RemoteGoal, ActionError], None]"
 
@@ -190,7 +194,7 @@ class RemoteGoal(Call, UnreadFeedback):
     def opening(self) -> FromClient:
         if not self.is_answered:
             if self._deadline < math.inf and isinstance(self._opening, SendGoal):
-                self._opening.timeout = timeout_until(self._deadline)
+                self._opening.timeout = _timeout_until(self._deadline)
             return self._opening
         allowed = self._credit.restart(0 if self.latest else self._unread)
         credit = allowed if self.reads else None
@@ -322,3 +326,11 @@ class RemoteGoal(Call, UnreadFeedback):
         while self._unread > max(self._window // 2, 1):
             self._unread_of_earlier().popleft()
             self._credit.grant()
+
+
+def _timeout_until(deadline: float) -> float | None:
+    """Return the timeout to send for a deadline, since the clocks of two processes differ: the
+    seconds that are left, or None if they are too many.
+    """
+    left = deadline - current_time()
+    return max(left, LEAST_TIMEOUT) if left <= LONGEST_TIMEOUT else None

@@ -34,6 +34,7 @@ number; what is to be done for each of them is done in slices, between which oth
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from hmac import compare_digest
 from typing import Literal
 
@@ -41,15 +42,65 @@ from anyio import CancelScope, current_time, sleep_until
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
-from fibaction.border.abc import Endpoint, GoalStream
+from fibaction.border.abc import Endpoint, GoalStream, GoalUpdate
 from fibaction.wire.messages import Follow
-from fibaction.wire.server.end_only import EndOnly
 from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
-from fibaction.words.errors import GoalRejected, RejectionCode, UnknownGoal
-from fibaction.words.goals import ID_IN_USE, GoalID, digest_of
+from fibaction.words.errors import ActionError, GoalRejected, RejectionCode, UnknownGoal
+from fibaction.words.goals import ID_IN_USE, GoalID, GoalInfo, Outcome, digest_of
+from fibaction.words.statuses import GoalStatus
 
 logger = clean_logger("fibaction.wire")
+
+
+class EndOnly(GoalStream):
+    """One more stream of a goal that has ended, which has the outcome and no feedback."""
+
+    __slots__ = ("_stream", "cursor", "goal_id", "latest", "news", "reads", "stamp")
+
+    def __init__(self, stream: GoalStream) -> None:
+        self.goal_id, self.stamp, self.latest = stream.goal_id, stream.stamp, stream.latest
+        self.cursor = stream.cursor
+        self.reads = False
+        self.news = Notifier()
+        self._stream = stream
+
+    @property
+    def status(self) -> GoalStatus:
+        return self._stream.status
+
+    @property
+    def attempt(self) -> int:
+        return self._stream.attempt
+
+    @property
+    def info(self) -> GoalInfo:
+        return self._stream.info
+
+    @property
+    def dropped(self) -> int:
+        return self._stream.cursor - self.cursor
+
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
+        outcome = self.known_outcome()
+        self.cursor = self._stream.cursor
+        return () if outcome is None else (outcome,)
+
+    def known_outcome(self) -> Outcome[bytes] | None:
+        return self._stream.known_outcome()
+
+    def seek(self, cursor: int) -> None:
+        self.cursor = min(cursor, self._stream.cursor)
+
+    def hold(self, wanted: bool) -> None:
+        """Do nothing: there is no executor any more."""
+
+    def close(self) -> None:
+        """Do nothing: only the outcome is delivered anyway."""
+
+    def fail(self, error: ActionError) -> None:
+        """Do nothing: the outcome is known."""
 
 
 class _Owned:

@@ -31,7 +31,7 @@ from collections.abc import Callable, Coroutine
 from time import perf_counter
 from typing import Any, TypeAlias
 
-from anyio import get_cancelled_exc_class
+from anyio import current_time, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.notify import Notifier
@@ -40,7 +40,6 @@ from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.auth import Permission
 from fibaction.wire.channel import CHUNK
-from fibaction.wire.deadlines import deadline_after
 from fibaction.wire.frames import UNCOUNTED
 from fibaction.wire.link import Link
 from fibaction.wire.messages import Follow, Received, SendGoal
@@ -134,7 +133,7 @@ class SessionGoals:
                 message.goal,
                 feedback=message.credit is not None,
                 sender=client.sender,
-                deadline=math.inf if timeout is None else deadline_after(timeout),
+                deadline=math.inf if timeout is None else current_time() + timeout,
                 meta=message.meta,
                 checked=message.checked,
             )
