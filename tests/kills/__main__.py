@@ -10,8 +10,6 @@ one goal, an attempt too many, or a call of a client that does not return.
 
 from __future__ import annotations
 
-import argparse
-import math
 import random
 import sys
 import tempfile
@@ -21,24 +19,17 @@ import anyio
 import msgspec
 
 from tests.kills.harness import run
+from tests.trials import command_line, count, seconds
 
 
 def main(*words: str) -> int:
     """Run as the arguments say, or those of the command line, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.kills",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--seconds", type=float, default=120.0, help="default: %(default)g")
-    parser.add_argument("--clients", type=int, default=20, help="default: %(default)d")
+    parser = command_line("tests.kills", __doc__)
+    parser.add_argument("--seconds", type=seconds, default=120.0, help="default: %(default)g")
+    parser.add_argument("--clients", type=count, default=20, help="default: %(default)d")
     parser.add_argument("--recovery", choices=("abort", "rerun"), default="abort")
     parser.add_argument("--seed", type=int, default=random.randrange(2**32))
     arguments = parser.parse_args(words or None)
-    if not 0 < arguments.seconds < math.inf:
-        parser.error("--seconds is more than 0")
-    if arguments.clients < 1:
-        parser.error("--clients is 1 or more")
     with tempfile.TemporaryDirectory() as folder:
         report = anyio.run(
             run,

@@ -10,7 +10,6 @@ import anyio
 import pytest
 
 from fibaction import GoalID, GoalStatus, Outcome
-from tests.kills import __main__ as program
 from tests.kills.harness import run
 from tests.kills.ledger import Ledger, Rules, Told, attempts_of, faults_of
 from tests.kills.victim import TOO_HARD, Diary, Done, Entry, Work, entries_of
@@ -25,15 +24,6 @@ def test_what_was_told_is_there_after_each_kill(tmp_path: Path, recovery: str) -
     assert report.faults == []
     assert report.kills > 0
     assert report.goals > 0
-
-
-def test_the_help_is_laid_out(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit:
-        program.main("--help")
-
-    assert exit.value.code == 0
-    assert program.__doc__ is not None
-    assert program.__doc__.strip() in capsys.readouterr().out
 
 
 # The faults

@@ -15,7 +15,6 @@ and `HeartbeatInterval`, by their defaults).
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import Counter
 from pathlib import Path
@@ -26,6 +25,7 @@ from tests.lossy.bad_network import Weather
 from tests.lossy.pairs import MOST_INCOMPLETE, PAIRS, Findings, try_pair
 from tests.support.ros_domain import own_domain
 from tests.transports.cyclone.partner import IS_LEFT_OUT
+from tests.trials import add_names, command_line, count, named
 
 FILES = Path(__file__).parents[2] / "examples/ros2"
 HEAD = "pair              loss  goals  lost twice disordered incomplete    p50    p95    max"
@@ -38,17 +38,13 @@ def is_right(pair: str, found: Findings) -> bool:
 
 def main(*words: str) -> int:
     """Run as the arguments say, or those of the command line, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.lossy",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("pairs", nargs="*", help="parts of their names; all if not given")
-    parser.add_argument("--goals", type=int, default=1000, help="default: %(default)d")
+    parser = command_line("tests.lossy", __doc__)
+    add_names(parser, "pairs")
+    parser.add_argument("--goals", type=count, default=1000, help="default: %(default)d")
     parser.add_argument("--loss", type=int, nargs="+", default=[5, 20], help="percent, each way")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args(words or None)
-    pairs = [name for name in PAIRS if any(part in name for part in given.pairs or [""])]
+    pairs = named(parser, given.names, PAIRS)
     if IS_LEFT_OUT:
         pairs = [name for name in pairs if "cyclone" not in name]
     broken = 0

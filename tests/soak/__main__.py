@@ -10,8 +10,6 @@ time, or if anything else was left.
 
 from __future__ import annotations
 
-import argparse
-import math
 import sys
 
 import anyio
@@ -19,34 +17,22 @@ import anyio
 from tests.soak.ends import CONNECTIONS
 from tests.soak.trial import Soak, faults, run
 from tests.tools import figures
+from tests.trials import command_line, seconds
 
 
 def main(*words: str) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.soak",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = command_line("tests.soak", __doc__)
+    parser.add_argument("--seconds", type=seconds, default=600.0, help="default: %(default)g")
+    parser.add_argument(
+        "--over", choices=list(CONNECTIONS), default="tcp", help="default: %(default)s"
     )
     parser.add_argument(
-        "--seconds", type=float, default=600.0, help="how long it takes; %(default)g if not given"
-    )
-    parser.add_argument(
-        "--over",
-        choices=list(CONNECTIONS),
-        default="tcp",
-        help="the transport; %(default)s if not given",
-    )
-    parser.add_argument(
-        "--load", type=int, default=0, help="busy processes beside it; %(default)d if not given"
+        "--load", type=int, choices=range(100), default=0, help="busy processes", metavar="NUMBER"
     )
     parser.add_argument(
         "--keep", action="store_true", help="write the report, its picture and the page of the docs"
     )
     arguments = parser.parse_args(words or None)
-    if not 0 < arguments.seconds < math.inf:
-        parser.error("--seconds is more than 0")
-    if arguments.load < 0:
-        parser.error("--load is 0 or more")
     report = anyio.run(run, Soak(arguments.seconds, arguments.over, arguments.load))
     found = faults(report)
     if arguments.keep and not found:

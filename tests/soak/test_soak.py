@@ -9,23 +9,11 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.soak import __main__ as program
 from tests.soak.trial import COUNTED, SAMPLES, USED, Soak, faults, run
 from tests.tools import figures
 
 REPORTS = figures.read()
 every_soak = pytest.mark.parametrize("name", figures.SOAKS)
-
-
-def test_the_help_is_laid_out_and_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit:
-        program.main("--help")
-
-    assert exit.value.code == 0
-    out = capsys.readouterr().out
-    assert program.__doc__ is not None
-    assert program.__doc__.strip() in out
-    assert "how long it takes; 600 if not given" in " ".join(out.split())
 
 
 @pytest.mark.asyncio

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from tests.hostile.meter import Reading
-from tests.hostile.rtps import __main__ as program
 from tests.hostile.rtps.crowd import CrowdFigures, broken_bounds, figures_of
 from tests.hostile.rtps.datagram_attacks import DATAGRAM_ATTACKS
 
@@ -40,14 +37,3 @@ def test_each_broken_bound_of_datagrams_is_told(changed: dict[str, object], said
     assert broken_bounds(attack, FIGURES, is_trial=True) == []
     told = broken_bounds(attack, FIGURES._replace(**changed), is_trial=True)  # type: ignore[arg-type]  # of each field
     assert said in " ".join(told)
-
-
-def test_a_name_that_no_attack_by_datagrams_has_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["attack", "no such attack"])
-
-    with pytest.raises(SystemExit) as exit:
-        program.main()
-
-    assert exit.value.code == 2
