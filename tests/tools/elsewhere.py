@@ -40,7 +40,8 @@ LEFT_OUT = {
         "packaging support tools cli/test_pictures.py test_answers.py test_contributing.py"
         " test_cookbook.py test_docs.py test_examples.py test_guarantees.py"
         " test_notebook_page.py test_project.py test_stories.py test_structure.py test_style.py"
-        " test_trials.py test_way_of_a_goal.py transports/web/test_assets.py transports/web/test_openapi.py"
+        " test_trials.py test_way_of_a_goal.py transports/web/test_assets.py"
+        " transports/web/test_openapi.py"
     ),
 }
 """The files and folders, by the reasons."""
