@@ -26,7 +26,7 @@ __all__ = ["serve_metrics"]
 
 STUCK = 5.0
 """Seconds without a turn of the event loop after which the process is not healthy."""
-PATIENCE = 10.0
+REQUEST_TIMEOUT = 10.0
 """Seconds that a client may take for its request."""
 
 
@@ -46,7 +46,7 @@ class _Server(socketserver.ThreadingMixIn, WSGIServer):
 
 
 class _Handler(WSGIRequestHandler):
-    timeout = PATIENCE
+    timeout = REQUEST_TIMEOUT
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing: the requests come every few seconds."""

@@ -1,8 +1,8 @@
 """Cancels: `Cancels` calls `on_cancel`, and carries out its answers.
 
 The registry says which goals a cancel means; `on_cancel` is called for each of them, for
-`MOST_AT_ONCE` concurrently, because one slow answer should not delay the cancels of other goals. A
-client may cancel all goals as often as it likes, so the work is done in slices.
+`CANCELS_DECIDED_AT_ONCE` concurrently, because one slow answer should not delay the cancels of
+other goals. A client may cancel all goals as often as it likes, so the work is done in slices.
 
 With a store, the executor of a goal is interrupted at once, and the cancel is told when it is kept:
 the answer waits for all writes before it.
@@ -28,7 +28,7 @@ from fibaction.words.errors import CancelRejected
 from fibaction.words.goals import CancelAnswer, GoalID
 from fibaction.words.statuses import GoalStatus
 
-MOST_AT_ONCE = 100
+CANCELS_DECIDED_AT_ONCE = 100
 """Calls of `on_cancel` that one cancel waits for at the same time."""
 
 
@@ -78,7 +78,7 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
 
     async def _cancel_together(self, cancellation: Cancellation) -> None:
         """Cancel goals, and wait for several calls of an async `on_cancel` at the same time."""
-        slices, room = Slices(), Semaphore(MOST_AT_ONCE, fast_acquire=True)
+        slices, room = Slices(), Semaphore(CANCELS_DECIDED_AT_ONCE, fast_acquire=True)
 
         async def wait(goal: GoalRecord, asking: Awaitable[None]) -> None:
             await self._cancel_later(cancellation, goal, asking)

@@ -10,7 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.cli.process.signals import MOST_AT_ONCE, ReceivedSignals, handle_with
+from fibaction.cli.process.signals import MOST_WAITING_SIGNALS, ReceivedSignals, handle_with
 from tests.support.processes import PATIENCE
 
 
@@ -57,16 +57,16 @@ async def test_signals_that_nothing_takes_need_no_room(monkeypatch: pytest.Monke
     told: list[int] = []
     received = ReceivedSignals(lambda number, _: told.append(number))
     with received:
-        for _ in range(MOST_AT_ONCE + 3):
+        for _ in range(MOST_WAITING_SIGNALS + 3):
             signal.raise_signal(SIGINT)
         await anyio.wait_all_tasks_blocked()
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(MOST_WAITING_SIGNALS):
             await received.next()
         with anyio.move_on_after(0) as none_left:
             await received.next()
 
     assert none_left.cancelled_caught
-    assert len(told) == MOST_AT_ONCE + 3
+    assert len(told) == MOST_WAITING_SIGNALS + 3
 
 
 def test_all_signals_get_the_handler() -> None:

@@ -76,7 +76,7 @@ async def client_of_two(
 async def test_feedback_is_taken_of_the_server_that_accepted_the_goal_and_the_log_warns_once(
     names: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.ros2.node.rivals.PATIENCE", 0.0)
+    monkeypatch.setattr("fibaction_transports.ros2.node.rivals.LEASES_BEFORE_WARNING", 0.0)
     tells = tells_publishers()
     tags: dict[int, int] = {}
     first, second = ("robot", "robot") if names == "one name" else ("one", "two")
@@ -299,7 +299,7 @@ async def test_a_second_server_that_is_soon_silent_causes_no_warning(
 async def test_the_warning_says_whose_feedback_the_client_gets(
     publisher: bytes, told: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.ros2.node.rivals.PATIENCE", 0.0)
+    monkeypatch.setattr("fibaction_transports.ros2.node.rivals.LEASES_BEFORE_WARNING", 0.0)
     node: Any = Node()
     names: Any = Names()
     rivals = Rivals(node, "arm", names, 2.0)

@@ -208,7 +208,7 @@ async def test_a_goal_that_was_rejected_after_an_async_on_goal_is_accepted_later
 async def test_very_many_goals_that_have_waited_too_long_are_ended_in_several_turns(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(goal_dispatcher, "MOST_AT_ONCE", 10)
+    monkeypatch.setattr(goal_dispatcher, "ORDERS_IN_A_TURN", 10)
     arm = Arm()
     async with serving(Schedule(concurrency=1, queue=100, queue_timeout=3), arm) as site:
         await site.send(0)

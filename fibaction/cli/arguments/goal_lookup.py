@@ -22,7 +22,7 @@ from fibaction.words.goal_query import ANY_GOAL, MOST_PAST, STATUSES, GoalQuery,
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 
-MOST_AT_ONCE = 100
+ACTIONS_ASKED_AT_ONCE = 100
 """Actions that are asked at the same time: a server limits the requests of a connection."""
 LIMIT = 100
 """Goals that are listed if nothing else is said."""
@@ -201,7 +201,7 @@ async def goals_of(clients: Mapping[str, AnyClient]) -> list[GoalRow]:
         except ActionError as exc:
             errors.append(exc)
 
-    limit = anyio.CapacityLimiter(MOST_AT_ONCE)
+    limit = anyio.CapacityLimiter(ACTIONS_ASKED_AT_ONCE)
     async with anyio.create_task_group() as tasks:
         for name, client in clients.items():
             tasks.start_soon(ask, name, client)

@@ -17,7 +17,7 @@ from fibaction.cli.process.exit_codes import message_of
 from fibaction.observe.monitor import GoalKey, Monitor
 from fibaction.words.errors import ActionError
 
-MOST_AT_ONCE = 10
+GOALS_ASKED_AT_ONCE = 10
 """Goals that are asked for at once."""
 DETAILS_TIMEOUT = 5.0
 """Seconds for the answer."""
@@ -81,7 +81,7 @@ class GoalDetails:
 
     async def ask(self, questions: Iterable[DetailQuestion]) -> None:
         """Ask the questions, some at once, and keep the answers."""
-        limit = anyio.CapacityLimiter(MOST_AT_ONCE)
+        limit = anyio.CapacityLimiter(GOALS_ASKED_AT_ONCE)
 
         async def ask(question: DetailQuestion) -> None:
             async with limit:

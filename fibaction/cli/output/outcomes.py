@@ -18,7 +18,7 @@ from fibaction.words.goals import GoalID, Outcome
 
 MOST_ENDS = 50
 """Goals whose outcomes are asked for, the newest: each is a request, and a result may be large."""
-MOST_AT_ONCE = 10
+GOALS_ASKED_AT_ONCE = 10
 ENDS_TIMEOUT = 2.0
 """Seconds for all of them; the list is shown then, without those that have not come."""
 
@@ -40,7 +40,7 @@ class Outcomes:
         newest = [row for row in rows if not row.info.status.is_active][-self._most :]
         ids = {row.info.goal_id for row in newest}
         self._known = {key: one for key, one in self._known.items() if key in ids}
-        limit = anyio.CapacityLimiter(MOST_AT_ONCE)
+        limit = anyio.CapacityLimiter(GOALS_ASKED_AT_ONCE)
 
         async def ask(row: GoalRow) -> None:
             client, goal_id = clients[row.action], row.info.goal_id

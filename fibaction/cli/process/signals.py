@@ -41,7 +41,7 @@ NUMBERS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name)
 )
 """The signals that end a verb."""
-MOST_AT_ONCE = 8
+MOST_WAITING_SIGNALS = 8
 """Signals that may come before they are taken; more count as these."""
 
 
@@ -81,12 +81,12 @@ class ReceivedSignals:
 
     def _receive_by_handler(self) -> AsyncIterator[int]:
         loop = asyncio_loop()
-        come, taken = anyio.create_memory_object_stream[int](MOST_AT_ONCE)
+        come, taken = anyio.create_memory_object_stream[int](MOST_WAITING_SIGNALS)
         self._stack.callback(come.close)
         self._stack.callback(taken.close)
 
         def tell(number: int) -> None:
-            if come.statistics().current_buffer_used < MOST_AT_ONCE:
+            if come.statistics().current_buffer_used < MOST_WAITING_SIGNALS:
                 come.send_nowait(number)
 
         def handle(number: int, frame: object) -> None:

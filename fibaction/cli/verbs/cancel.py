@@ -11,7 +11,7 @@ from fibaction._api import connect
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION_OR_GOAL_ID, namespace_option
 from fibaction.cli.arguments.goal_lookup import (
-    MOST_AT_ONCE,
+    ACTIONS_ASKED_AT_ONCE,
     ActionClients,
     find_goal,
     goal_digits,
@@ -140,7 +140,7 @@ async def cancel_many(
         found += len({*meant, *(info.goal_id for info in answer.goals_canceling)})
         codes.add(_print_answer(action, meant, answer, as_json))
 
-    limit = anyio.CapacityLimiter(MOST_AT_ONCE)
+    limit = anyio.CapacityLimiter(ACTIONS_ASKED_AT_ONCE)
     async with connect(url) as connection:
         looked_at = namespace.narrow(connection) if name is None else connection
         clients = await ActionClients(looked_at, name).now()

@@ -54,7 +54,7 @@ from fibaction.words.goals import GoalID, Sender
 if TYPE_CHECKING:
     from fibaction.server.goal_handle import GoalHandle
 
-MOST_AT_ONCE = 200
+ORDERS_IN_A_TURN = 200
 """Orders that are carried out in one turn of the event loop when their time has come."""
 
 MANY, POSITIONS_TIME = 1000, 0.1
@@ -232,7 +232,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
                 shared.wake_at = shared.scheduler.next_due
                 with anyio.CancelScope(deadline=shared.wake_at):
                     await shared.news.wait()
-                shared.carry_out(shared.scheduler.due(current_time(), MOST_AT_ONCE))
+                shared.carry_out(shared.scheduler.due(current_time(), ORDERS_IN_A_TURN))
         finally:
             shared.quit(self, current_time())
 

@@ -15,7 +15,7 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction_transports.nats.broker.broker import BrokerWatch, PutError, PutFailure, Stored
 from fibaction_transports.nats.history import fleet_history, history_writes
-from fibaction_transports.nats.history.fleet_history import PATIENCE, FleetHistory
+from fibaction_transports.nats.history.fleet_history import HISTORY_TIMEOUT, FleetHistory
 from fibaction_transports.nats.history.history_writes import HistoryWrites
 from tests.support.memory_broker import ANSWER_TIMEOUT, MemoryBroker, MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
@@ -334,5 +334,5 @@ async def test_brokers_that_stop_to_tell_the_history_are_an_error(
                 yield watch
 
         monkeypatch.setattr(broker, "watch", stopping)
-        with pytest.raises(StoreError, match=f"no answer within {PATIENCE:g} s"):
+        with pytest.raises(StoreError, match=f"no answer within {HISTORY_TIMEOUT:g} s"):
             await past.past_goals(PastPage())

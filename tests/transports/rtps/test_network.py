@@ -27,7 +27,7 @@ from fibaction_transports.rtps.events import (
 )
 from fibaction_transports.rtps.loops import AsyncioLoop, calls_for
 from fibaction_transports.rtps.network import (
-    MOST_AT_ONCE,
+    DATAGRAMS_READ_AT_ONCE,
     MOST_WAITING,
     FairInbox,
     ParticipantNetwork,
@@ -50,7 +50,7 @@ from tests.transports.rtps.world import TOPIC, TYPE, payload
 
 PATIENCE = 15.0
 """Seconds for an exchange; fewer than a lease, because a participant that leaves says so."""
-MANY = MOST_AT_ONCE + 10
+MANY = DATAGRAMS_READ_AT_ONCE + 10
 """More datagrams than are taken in one turn."""
 needs_ipv6 = pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
 OFF, SUBNET = DiscoveryRange.OFF, DiscoveryRange.SUBNET
@@ -278,7 +278,7 @@ async def test_errors_of_what_was_sent_before_do_not_end_a_participant(domain: i
                 source.sendto(b"not RTPS", source.getsockname())
             network.read(source)
             work(network)
-            assert network.participant.counters.invalid == MOST_AT_ONCE - 1
+            assert network.participant.counters.invalid == DATAGRAMS_READ_AT_ONCE - 1
             network.read(source)
             work(network)
         assert network.participant.counters.invalid == MANY
@@ -294,12 +294,12 @@ async def test_each_datagram_has_the_time_at_which_its_turn_comes(
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as source:
             source.bind(("127.0.0.1", 0))
             source.setblocking(False)
-            for _ in range(MOST_AT_ONCE):
+            for _ in range(DATAGRAMS_READ_AT_ONCE):
                 source.sendto(b"a", source.getsockname())
             network.read(source)
         while network.work():
             pass
-    assert len(times) > MOST_AT_ONCE // 2
+    assert len(times) > DATAGRAMS_READ_AT_ONCE // 2
 
 
 @pytest.mark.anyio

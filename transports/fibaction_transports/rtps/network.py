@@ -32,7 +32,7 @@ from fibaction_transports.rtps.ports import (
 from fibaction_transports.rtps.qos import Qos
 from fibaction_transports.rtps.sockets import ParticipantSockets, default_interface
 
-MOST_AT_ONCE = 64
+DATAGRAMS_READ_AT_ONCE = 64
 """Datagrams that are read from a socket at once."""
 TURN = 0.005
 """Seconds after which other tasks get their turn, before more datagrams are taken."""
@@ -211,7 +211,7 @@ class ParticipantNetwork:
 
     def read(self, source: socket.socket) -> None:
         """Read what has arrived at a socket."""
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(DATAGRAMS_READ_AT_ONCE):
             try:
                 datagram, address = source.recvfrom(_LARGEST_DATAGRAM)
             except BlockingIOError:

@@ -502,7 +502,7 @@ async def test_a_goal_that_fails_on_the_way_is_told(serving: Serving) -> None:
 
 
 async def test_a_client_without_pongs_is_dead(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(translator, "PATIENCE", 0.05)
+    monkeypatch.setattr(translator, "CLIENT_HEARTBEAT", 0.05)
     with hearing() as wire:
         async with over_sockets(Robot().server, heartbeat=0.05) as served:
             async with served.connect() as alive, served.connect() as dead:
@@ -516,7 +516,7 @@ async def test_a_client_without_pongs_is_dead(monkeypatch: pytest.MonkeyPatch) -
 
 
 async def test_an_asgi_server_watches_the_line_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(translator, "PATIENCE", 0.02)
+    monkeypatch.setattr(translator, "CLIENT_HEARTBEAT", 0.02)
     async with over_asgi(Robot().server, heartbeat=0.02) as served, served.connect() as client:
         await anyio.sleep(0.2)  # it is the time that must not count
         assert await works(client)

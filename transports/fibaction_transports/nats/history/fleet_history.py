@@ -32,7 +32,7 @@ from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRe
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import past_goal
 
-PATIENCE = 10.0
+HISTORY_TIMEOUT = 10.0
 """Seconds within which the brokers tell more of the history."""
 HELD = 4
 """A page that is being read holds at most so many times the goals that it will have."""
@@ -96,10 +96,10 @@ async def _next(watch: BrokerWatch) -> list[BrokerRecord] | None:
         BrokerAway: None has come in time.
     """
     try:
-        with anyio.fail_after(PATIENCE):
+        with anyio.fail_after(HISTORY_TIMEOUT):
             return await watch.next()
     except TimeoutError:
-        raise BrokerAway(f"no answer within {PATIENCE:g} s") from None
+        raise BrokerAway(f"no answer within {HISTORY_TIMEOUT:g} s") from None
 
 
 def first_of(found: Mapping[Place, GoalInfo], page: PastPage) -> dict[Place, GoalInfo]:

@@ -59,7 +59,7 @@ from fibaction_transports.nats.workers import FleetWorkers
 
 AT_ONCE = 16
 """The number of lost goals of an action that a worker takes over at the same time."""
-PATIENCE = 1.0
+BEGIN_TIMEOUT = 1.0
 """Seconds after which a goal that was taken and has not begun is offered to others."""
 SCAN_INTERVAL = 10
 """The number of leases between two scans for goals without a worker."""
@@ -296,7 +296,7 @@ class Takeover(MemberPart):
 
     async def _wait_for_begin(self, journal: FleetJournal, goal_id: GoalID) -> None:
         """Wait until a goal that was taken begins, and offer it to others if that takes long."""
-        with move_on_after(PATIENCE):
+        with move_on_after(BEGIN_TIMEOUT):
             while journal.waits(goal_id):
                 await journal.begun.wait()
         journal.offer_to_others(goal_id)

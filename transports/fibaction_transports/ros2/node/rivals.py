@@ -20,7 +20,7 @@ from fibaction_transports.ros2.node.ros_node import RosNode
 
 RIVALS_PAUSE = 1.0
 """Seconds between two looks of a server for a second one of the same name."""
-PATIENCE = 2.0
+LEASES_BEFORE_WARNING = 2.0
 """Leases for which a client must have seen several servers before it warns."""
 PARTICIPANT = slice(12)
 """The part of a GID that names the participant of DDS, which is one for each context of rclpy."""
@@ -70,7 +70,7 @@ class Rivals:
             self._since, self._warned = math.inf, False
             return
         self._since = min(self._since, current_time())
-        if not self._warned and current_time() - self._since >= PATIENCE * self._lease:
+        if not self._warned and current_time() - self._since >= LEASES_BEFORE_WARNING * self._lease:
             self._warned = True
             feedback = (
                 "is taken of one server" if self._has_publishers else "comes from all of them"

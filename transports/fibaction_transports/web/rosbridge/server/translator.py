@@ -87,7 +87,7 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
 from fibaction_transports.web.rosbridge.server.topics import Topics
 from fibaction_transports.web.rosbridge.types.goal_arguments import GoalArguments
 
-PATIENCE = 5.0
+CLIENT_HEARTBEAT = 5.0
 """The heartbeat of a client, in seconds: it is dead after four of them without a pong."""
 MOST_NOTES = 20
 """Different lines about what is ignored that one connection writes into the log."""
@@ -136,7 +136,7 @@ class RosbridgeTranslator:
         if self._has_begun or self._token is None:
             return []
         self._has_begun = True
-        return [encode(Hello(VERSION, PATIENCE, self._token))]
+        return [encode(Hello(VERSION, CLIENT_HEARTBEAT, self._token))]
 
     async def frames_of(self, text: str, *, was_fragmented: bool = False) -> list[bytes]:
         """Return the frames for the session that a message of the client is.
