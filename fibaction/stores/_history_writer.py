@@ -12,8 +12,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction.border.goal_store import StoredGoal, Then
 from fibaction.stores._history_table import HistoryTable
 from fibaction.stores._journal_file import JournalFile
-from fibaction.stores._sqlite_journal import SqliteJournal
-from fibaction.stores._writer import Batch, Writer
+from fibaction.stores._writer import Batch, SqliteJournal, Writer
 from fibaction.stores.journal_rows import EndRecord, ended
 from fibaction.words.errors import StoreError
 from fibaction.words.goal_history import GoalHistory

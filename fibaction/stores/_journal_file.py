@@ -7,16 +7,28 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
+from copy import copy
 from pathlib import Path
 from typing import TypeVar
 
+from anyio import to_thread
+
 from fibaction._runtime.text import excerpt
-from fibaction.stores._log_mark import LOG_IS_MISSING, begin_log, lacks_log, prepare_mark
-from fibaction.stores._wal import PAGE, is_damaged
-from fibaction.stores.journal_rows import DamagedRow, KeptGoals
+from fibaction.border.goal_store import StoredGoal
+from fibaction.stores._wal import (
+    LOG_IS_MISSING,
+    PAGE,
+    begin_log,
+    is_damaged,
+    lacks_log,
+    prepare_mark,
+)
+from fibaction.stores.journal_rows import DamagedRow, KeptGoals, WholeRecord, encode_row
 from fibaction.words.errors import StoreError
+from fibaction.words.goals import GoalID
 
 FoundT = TypeVar("FoundT")
 
@@ -304,3 +316,26 @@ def _check_place(path: str) -> None:
         reason = "this process may not read and write the file; use another one, or allow it"
     if reason:
         raise StoreError(f"cannot keep goals in {excerpt(path)}: {reason}")
+
+
+async def rerun(path: str, action: str, goal_id: GoalID) -> GoalID:
+    """Add a goal to the file of a `SqliteStore` for one that was given up, and return its ID. The
+    next server runs it from the checkpoint of the old one, of which only the outcome is kept.
+
+    Raises:
+        StoreError: The file is in use or cannot be used, or the goal was not given up.
+    """
+    return await to_thread.run_sync(_rerun, path, action, goal_id)
+
+
+def _rerun(path: str, action: str, goal_id: GoalID) -> GoalID:
+    failing = f"cannot run goals in {excerpt(path)} again"
+    with closing(JournalFile(path, "full", failing=failing)) as file:
+        old: StoredGoal | None = file.goals().of(action).ended.get(goal_id)
+        if old is None or not old.is_given_up:
+            raise StoreError(f"{failing}: goal {goal_id} was not given up")
+        new, ended = old.as_new(time.time_ns()), copy(old)
+        ended.drop_request()
+        records = [WholeRecord(action, new), WholeRecord(action, ended)]
+        file.add(encode_row(file.next_number, list(records)))
+    return new.goal_id

@@ -27,6 +27,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
@@ -36,8 +37,16 @@ import anyio
 
 from fibaction._runtime.asyncio_task import asyncio_task
 from fibaction._runtime.text import excerpt
-from fibaction.border.goal_store import StoredGoal, Then
-from fibaction.stores.journal_rows import KeptGoals, Record, encode_row
+from fibaction.border.goal_store import GoalJournal, StoredGoal, Then
+from fibaction.stores.journal_rows import (
+    CheckpointRecord,
+    KeptGoals,
+    Record,
+    WholeRecord,
+    encode_row,
+    ended,
+    moved,
+)
 from fibaction.words.errors import StoreError
 
 if TYPE_CHECKING:
@@ -248,3 +257,30 @@ def _tell(batch: Batch, error: str) -> None:
             then(StoreError(error) if error else None)
     finally:
         batch.clear()
+
+
+class SqliteJournal(GoalJournal):
+    """The goals of one action in a `SqliteStore` that is open."""
+
+    def __init__(self, action: str, writer: Writer) -> None:
+        self._action = action
+        self._write = writer.write
+
+    def accept(self, goal: StoredGoal, then: Then) -> None:
+        # A copy: the goal continues while it waits for the thread.
+        self._write(WholeRecord(self._action, copy(goal)), then)
+
+    def begin(self, goal: StoredGoal, then: Then) -> None:
+        self._write(moved(self._action, goal), then)
+
+    def cancel(self, goal: StoredGoal, then: Then) -> None:
+        self._write(moved(self._action, goal), then)
+
+    def checkpoint(self, goal: StoredGoal, then: Then) -> None:
+        self._write(CheckpointRecord(self._action, goal.goal_id, goal.checkpoint), then)
+
+    def end(self, goal: StoredGoal, then: Then) -> None:
+        self._write(ended(self._action, goal), then)
+
+    def release(self, goal: StoredGoal, then: Then) -> None:
+        self._write(moved(self._action, goal), then)

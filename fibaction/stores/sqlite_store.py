@@ -130,7 +130,7 @@ class SqliteStore(GoalStore):
 
     def _journal(self, action: str, writer: Writer, goals: list[StoredGoal]) -> GoalJournal:
         if self._history is None:
-            from fibaction.stores._sqlite_journal import SqliteJournal
+            from fibaction.stores._writer import SqliteJournal
 
             return SqliteJournal(action, writer)
         from fibaction.stores._history_writer import HistoryJournal, HistoryWriter

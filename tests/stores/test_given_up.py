@@ -10,8 +10,7 @@ import pytest
 
 from fibaction import GoalID, StoreError
 from fibaction.stores._copy import stored_goals
-from fibaction.stores._given_up import rerun
-from fibaction.stores._journal_file import JournalFile
+from fibaction.stores._journal_file import JournalFile, rerun
 from fibaction.stores.journal_rows import WholeRecord, encode_row
 from fibaction.words.statuses import GoalStatus
 from tests.stores.made import a_goal, after_end

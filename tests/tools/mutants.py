@@ -61,7 +61,6 @@ MODULES = {
     "server/scheduling/scheduled_goals": "server/test_scheduler.py",
     "server/execution/turns": "server/test_turns.py",
     "stores/journal_rows": "stores/test_journal_rows.py",
-    "stores/_sqlite_journal": "stores/test_sqlite_store.py",
     "stores/sqlite_store": "stores/test_sqlite_store.py",
     "wire/messages/fields": "wire/test_messages.py",
     "wire/messages/from_client": "wire/test_messages.py",

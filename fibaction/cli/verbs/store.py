@@ -133,7 +133,7 @@ async def run_again(place: str, digits: str) -> int:
             new = await connection.rerun(action, old.goal_id)
         when = ""
     else:
-        from fibaction.stores._given_up import rerun
+        from fibaction.stores._journal_file import rerun
 
         new = await rerun(place, action, old.goal_id)
         when = " when its server starts"
