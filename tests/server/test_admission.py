@@ -311,25 +311,6 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
             assert statuses.known == 1
 
 
-async def test_on_goal_and_the_executor_get_the_sender_of_a_goal() -> None:
-    seen: list[Sender] = []
-
-    def on_goal(goal: Goal, sender: Sender) -> None:
-        seen.append(sender)
-
-    async def execute(goal: GoalHandle[Goal]) -> Items:
-        seen.append(goal.sender)
-        yield Result([])
-
-    async with ActionServer(FIBONACCI, execute, on_goal=on_goal) as server:
-        for sender in (ARM, LEG):
-            stream = at_once(
-                server.offer_goal(GoalRequest(GoalID.random(), packed(2), sender=sender))
-            )
-            await stream.outcome()
-    assert seen == [ARM, ARM, LEG, LEG]
-
-
 @pytest.mark.promise("DEADLINE-4")
 async def test_the_executor_gets_the_first_deadline_of_its_goal() -> None:
     deadlines: list[float] = []

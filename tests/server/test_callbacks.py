@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # it alone can cancel a task from outside
-import logging
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from functools import partial
 from typing import Any
@@ -52,33 +51,8 @@ async def ask(
             await asking
 
 
-@each_colour
-async def test_a_callback_that_returns_none_agrees_and_gets_the_argument(colour: Colour) -> None:
-    seen: list[str] = []
-    await ask(colour(seen.append), argument="a goal")
-    assert seen == ["a goal"]
-
-
 def agrees(argument: Any) -> None:
     """A callback that has nothing against it."""
-
-
-async def test_a_sync_callback_agrees_at_once() -> None:
-    assert Callbacks("arm").ask("on_goal", agrees, (None,), GoalRejected) is None
-
-
-@each_refusal
-async def test_a_sync_callback_rejects_at_once(refusal: Refusal) -> None:
-    def refuse(argument: Any) -> None:
-        raise refusal("too far")
-
-    with pytest.raises(refusal, match="too far"):
-        Callbacks("arm").ask("on_goal", refuse, (None,), refusal)
-
-
-async def test_a_sync_callback_that_is_wrong_rejects_at_once() -> None:
-    with pytest.raises(GoalRejected, match="on_goal returned True"):
-        Callbacks("arm").ask("on_goal", lambda argument: True, (None,), GoalRejected)  # type: ignore[arg-type, return-value]  # it is wrong on purpose
 
 
 class Promise:
@@ -139,41 +113,6 @@ async def test_a_sync_callback_that_returns_an_awaitable_is_waited_for(answer: o
 
 @each_refusal
 @each_colour
-async def test_a_callback_rejects_with_its_own_error(
-    colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
-) -> None:
-    said = refusal("too far")
-
-    def refuse(argument: Any) -> None:
-        raise said
-
-    with pytest.raises(refusal) as caught:
-        await ask(colour(refuse), refusal)
-    assert caught.value is said
-    assert caplog.records == []
-
-
-@each_refusal
-@each_colour
-async def test_a_callback_that_fails_rejects_and_leaves_its_traceback_in_the_log(
-    colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
-) -> None:
-    def fail(argument: Any) -> None:
-        raise LookupError("no map")
-
-    with pytest.raises(refusal) as caught:
-        await ask(colour(fail), refusal)
-    assert caught.value.reason == "on_goal failed: LookupError: no map"
-    assert isinstance(caught.value.__cause__, LookupError)
-    (record,) = caplog.records
-    assert (record.name, record.levelno) == ("fibaction.server", logging.ERROR)
-    assert record.getMessage() == "action 'arm': on_goal failed: LookupError: no map"
-    assert record.exc_info is not None
-    assert record.exc_info[1] is caught.value.__cause__
-
-
-@each_refusal
-@each_colour
 async def test_a_callback_whose_error_has_no_text_rejects_all_the_same(
     colour: Colour, refusal: Refusal
 ) -> None:
@@ -208,19 +147,6 @@ async def test_the_other_rejection_is_a_failure(colour: Colour) -> None:
     with pytest.raises(GoalRejected) as caught:
         await ask(colour(refuse), GoalRejected)
     assert caught.value.reason == "on_goal failed: CancelRejected: no"
-
-
-@pytest.mark.parametrize("answer", [True, False, "yes"])
-@each_colour
-async def test_a_callback_that_returns_something_rejects_and_says_what_to_do(
-    colour: Colour, answer: object
-) -> None:
-    with pytest.raises(GoalRejected) as caught:
-        await ask(colour(lambda argument: answer))
-    assert caught.value.reason == (
-        f"on_goal failed: TypeError: on_goal returned {answer!r}: return None to accept,"
-        " raise GoalRejected(reason) to reject"
-    )
 
 
 @each_colour

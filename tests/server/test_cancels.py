@@ -11,7 +11,6 @@ import pytest
 from fibaction import (
     ActionServer,
     CancelCode,
-    CancelRejected,
     GoalHandle,
     GoalID,
     GoalRejected,
@@ -103,34 +102,6 @@ async def test_a_goal_that_is_being_decided_is_canceled_by_its_id_once_it_is_acc
         assert answer.return_code in (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
 
 
-@pytest.mark.parametrize("late", [False, True], ids=["sync", "async"])
-async def test_goals_are_canceled_side_by_side_and_rejections_are_told(late: bool) -> None:
-    def decide(goal: GoalHandle[Goal]) -> None:
-        if goal.request.order == 1:
-            raise CancelRejected("not this one")
-
-    async def decide_later(goal: GoalHandle[Goal]) -> None:
-        decide(goal)
-
-    on_cancel: Any = decide_later if late else decide
-    executor = Held()
-    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
-        streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(3)]
-        await executor.begun.wait()
-        answer = await server.cancel_goals()
-        assert [info.goal_id for info in answer.goals_canceling] == [
-            streams[0].goal_id,
-            streams[2].goal_id,
-        ]
-        assert answer.reason == "not this one"
-        executor.go.set()
-        assert [(await stream.outcome()).status for stream in streams] == [
-            GoalStatus.CANCELED,
-            GoalStatus.SUCCEEDED,
-            GoalStatus.CANCELED,
-        ]
-
-
 @pytest.mark.promise("CANCEL-13")
 async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
     executor = Held()
@@ -139,30 +110,6 @@ async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
         assert (await server.cancel_goals(stream.goal_id)).accepted
         assert await stream.outcome() == Outcome(GoalStatus.CANCELED)
     assert not executor.begun.is_set()
-
-
-async def test_a_goal_that_has_ended_while_its_cancel_was_decided_is_left_alone() -> None:
-    asked, decide = anyio.Event(), anyio.Event()
-
-    async def on_cancel(goal: GoalHandle[Goal]) -> None:
-        asked.set()
-        await decide.wait()
-
-    executor = Held()
-    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
-        stream = await server.send_goal(GoalID.random(), packed(1))
-        codes = []
-
-        async def cancel() -> None:
-            codes.append((await server.cancel_goals(stream.goal_id)).return_code)
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(cancel)
-            await asked.wait()
-            executor.go.set()
-            await stream.outcome()
-            decide.set()
-    assert codes == [CancelCode.GOAL_TERMINATED]
 
 
 async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:

@@ -125,34 +125,6 @@ async def settled() -> None:
 # Waiting
 
 
-async def test_a_goal_that_waits_is_accepted_and_begins_when_the_one_before_has_left() -> None:
-    arm = Arm()
-    async with serving(ONE_PLACE, arm) as site:
-        first, second = await site.send(1), await site.send(2)
-        await settled()
-        assert (first.status, second.status) == (GoalStatus.EXECUTING, GoalStatus.ACCEPTED)
-        assert arm.begun == [1]
-        arm.let_end(1)
-        await arm.until_begun(2)
-        assert second.status is GoalStatus.EXECUTING
-        arm.let_end(2)
-        assert await second.outcome() == Outcome(GoalStatus.SUCCEEDED, result(2))
-
-
-async def test_a_goal_that_is_canceled_while_it_waits_ends_at_once_and_never_runs() -> None:
-    arm = Arm()
-    async with serving(ONE_PLACE, arm, interrupt_on_cancel=False) as site:
-        await site.send(1)
-        waiting = await site.send(2)
-        await site.cancel(2)
-        assert waiting.known_outcome() == Outcome(GoalStatus.CANCELED)
-        arm.let_end(1)
-        await site.send(3)
-        arm.let_end(3)
-        await arm.until_begun(3)
-    assert arm.begun == [1, 3]
-
-
 async def test_goals_that_wait_while_the_server_stops_are_aborted_and_never_run() -> None:
     arm = Arm()
     async with serving(ONE_PLACE, arm) as site:
@@ -394,16 +366,6 @@ async def test_a_goal_is_rejected_by_the_function_that_fails_and_the_server_goes
     assert lines[0].exc_info is not None
 
 
-async def test_a_function_of_the_schedule_may_reject_a_goal() -> None:
-    def key(goal: Goal) -> int:
-        raise GoalRejected("no such arm")
-
-    async with serving(Schedule(concurrency=1, key=key), Arm()) as site:
-        with pytest.raises(GoalRejected) as caught:
-            await site.send(1)
-        assert caught.value.reason == "no such arm"
-
-
 # Preempting
 
 
@@ -424,22 +386,6 @@ class Tidying(Arm):
             await self.clean.wait()
             raise GoalCanceled(result=Result([-order])) from None
         yield Result([order])
-
-
-async def test_a_new_goal_begins_when_the_clean_up_of_the_one_it_preempts_has_ended() -> None:
-    arm = Tidying()
-    async with serving(PREEMPTING, arm) as site:
-        first = await site.send(1)
-        await arm.until_begun(1)
-        second = await site.send(2)
-        await arm.cleaning.wait()
-        await settled()
-        assert (arm.begun, second.status) == ([1], GoalStatus.ACCEPTED)
-        arm.clean.set()
-        await arm.until_begun(2)
-        assert await first.outcome() == Outcome(
-            GoalStatus.ABORTED, result(-1), site.preempted_by(2)
-        )
 
 
 async def test_a_goal_that_ends_as_canceled_by_itself_is_aborted_with_the_servers_reason() -> None:
@@ -513,42 +459,6 @@ class Refusing:
             except BaseException:  # the mistake that is tested
                 continue
         yield Result([])
-
-
-class Endless:
-    """An executor whose clean-up does not end by itself; it notes when it was killed."""
-
-    def __init__(self) -> None:
-        self.killed_at: list[float] = []
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            try:
-                await anyio.sleep_forever()
-            finally:
-                self.killed_at.append(anyio.current_time())
-        yield Result([])
-
-
-@in_virtual_time()
-async def test_a_clean_up_that_takes_too_long_is_killed_and_the_next_goal_begins(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    executor = Endless()
-    rules = Schedule(concurrency=1, queue=1, run_timeout=60)
-    async with serving(rules, executor, shutdown_timeout=5) as site:
-        begun_at = anyio.current_time()
-        first, second = await site.send(1), await site.send(2)
-        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, "took longer than 60 s")
-        assert anyio.current_time() - begun_at == pytest.approx(65)
-        await second.outcome()
-        assert anyio.current_time() - begun_at == pytest.approx(130)
-        await settled()
-        assert [at - begun_at for at in executor.killed_at] == pytest.approx([65, 130])
-    name = f"goal {site.id_of(1)} of action 'fibonacci'"
-    assert f"{name} did not stop in time (5 s), and is killed" in caplog.messages
 
 
 async def until_logged(caplog: pytest.LogCaptureFixture, text: str) -> None:
@@ -661,35 +571,6 @@ class Driving(Arm):
             self.ended += 1
 
 
-async def test_an_executor_goes_on_as_its_successor_and_the_first_goal_is_aborted() -> None:
-    arm = Driving()
-    async with serving(HANDING_OVER, arm) as site:
-        first = await site.send(1)
-        handle = await arm.until_begun(1)
-        assert handle.successor is None
-        second = await site.send(2)
-        await settled()
-        assert handle.successor is not None
-        assert handle.successor.goal_id == site.id_of(2)
-        assert (first.status, second.status) == (GoalStatus.EXECUTING, GoalStatus.ACCEPTED)
-        arm.looks[1].set()
-        await arm.until_begun(2)
-        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
-        third = await site.send(3)
-        await settled()
-        arm.looks[2].set()
-        await arm.until_begun(3)
-        assert (await second.outcome()).reason == site.preempted_by(3)
-        await settled()
-        arm.looks[3].set()
-        assert await third.outcome() == Outcome(GoalStatus.SUCCEEDED, result(3))
-        items = [u async for u in second if isinstance(u, FeedbackItem)]
-        assert [(item.number, FIBONACCI.feedback.decode(item.payload)) for item in items] == [
-            (1, Feedback([2]))
-        ]
-        assert handle.successor is None
-
-
 async def test_the_goal_that_was_taken_over_can_be_canceled_like_any_other() -> None:
     arm = Driving()
     async with serving(HANDING_OVER, arm) as site:
@@ -719,22 +600,6 @@ async def test_a_canceled_goal_that_is_not_interrupted_may_take_over_and_is_canc
         handle = await arm.until_begun(2)
         assert handle.status is GoalStatus.EXECUTING
         assert (await first.outcome()).status is GoalStatus.CANCELED
-
-
-async def test_a_goal_whose_successor_is_canceled_goes_on_and_has_none() -> None:
-    arm = Driving()
-    async with serving(HANDING_OVER, arm) as site:
-        first = await site.send(1)
-        handle = await arm.until_begun(1)
-        second = await site.send(2)
-        await site.cancel(2)
-        assert (await second.outcome()).status is GoalStatus.CANCELED
-        assert handle.successor is None
-        with pytest.raises(RuntimeError, match="has no successor that it may take over"):
-            handle.take_over()
-        await settled()
-        arm.looks[1].set()
-        assert await first.outcome() == Outcome(GoalStatus.SUCCEEDED, result(1))
 
 
 async def test_a_goal_takes_nothing_over_after_its_result() -> None:

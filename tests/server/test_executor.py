@@ -16,7 +16,6 @@ import pytest
 from anyio.lowlevel import checkpoint
 
 from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
-from fibaction.border.abc import FeedbackItem
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.keeper import Checkpoints, Keeper
 from fibaction.server.execution.executor import Execution, Executor
@@ -115,15 +114,6 @@ class Bench:
 
 def packed(sequence: list[int]) -> bytes:
     return FIBONACCI.result.encode(Result(sequence))
-
-
-async def test_feedback_is_handed_over_as_it_is_yielded_and_the_result_is_the_end() -> None:
-    bench = Bench(fibonacci, order=5)
-    assert await bench.run() == Ending(EndKind.RESULT, packed([0, 1, 1, 2, 3, 5]))
-    assert not bench.execution.is_interrupted
-    assert await bench.read() == [1, 2, 3, 5]
-    (item,) = bench.log.after(0, 1)
-    assert item == FeedbackItem(1, FIBONACCI.feedback.encode(Feedback([0, 1, 1])))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from fibaction import (
     ActionClient,
     ActionServer,
     FunctionAction,
-    GoalAborted,
     GoalCanceled,
     GoalFields,
     GoalHandle,
@@ -211,12 +210,6 @@ def test_only_an_action_of_a_function_has_an_executor_of_its_own() -> None:
 # The run
 
 
-async def test_a_function_reports_feedback_and_returns_the_result() -> None:
-    trial = await run_executor(drive, drive.executor, 3)
-    assert trial.feedback == [1, 2, 3]
-    assert trial.outcome == Outcome(GoalStatus.SUCCEEDED, "drove 3 m", "")
-
-
 async def test_an_executor_iterates_over_the_one_of_a_function() -> None:
     async def twice(goal: GoalHandle[int]) -> AsyncIterator[int | str | Return[str]]:
         yield 0
@@ -281,17 +274,6 @@ async def test_a_result_of_another_type_is_told() -> None:
     outcome = await outcome_of(wrong, 1)
     text = "the executor is wrong: it returned an int, which is not of the result's type"
     assert outcome == Outcome(GoalStatus.ABORTED, None, text)
-
-
-async def test_an_error_or_an_abort_ends_the_goal_as_that_of_a_generator() -> None:
-    @action("drive")
-    async def fails(meters: int) -> str:
-        if meters:
-            raise GoalAborted("no way", result="a part")
-        raise ValueError("at once")
-
-    assert await outcome_of(fails, 1) == Outcome(GoalStatus.ABORTED, "a part", "no way")
-    assert (await outcome_of(fails, 0)).reason == "ValueError: at once"
 
 
 async def test_a_function_keeps_checkpoints_and_goes_on_from_them() -> None:

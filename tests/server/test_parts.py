@@ -15,7 +15,6 @@ from fibaction import (
     ActionServer,
     GoalHandle,
     GoalID,
-    GoalRejected,
     GoalStatus,
     Outcome,
     ServerNotFound,
@@ -217,40 +216,6 @@ async def test_only_a_coroutine_that_runs_is_given_up() -> None:
     scopes.steps = cast("Any", SimpleNamespace(abandon=lambda: given_up.append("it")))
     scopes.abandon()
     assert given_up == ["it"]
-
-
-async def test_no_goal_is_accepted_while_the_server_stops() -> None:
-    asked, stopping, go = anyio.Event(), anyio.Event(), anyio.Event()
-
-    async def on_goal(goal: Goal) -> None:
-        if goal.order == 2:
-            asked.set()
-            try:
-                await anyio.sleep_forever()
-            except anyio.get_cancelled_exc_class():
-                pass  # a callback that says yes all the same
-
-    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            stopping.set()
-            await go.wait()
-        yield Result([])
-
-    async def expect_rejection(order: int) -> None:
-        with pytest.raises(GoalRejected, match="the server is stopping"):
-            await server.send_goal(GoalID.random(), packed(order))
-
-    async with ActionServer(FIBONACCI, tidies_up, on_goal=on_goal) as server:
-        await server.send_goal(GoalID.random(), packed(1))
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(expect_rejection, 2)
-            await asked.wait()
-            tasks.start_soon(server.stop)
-            await stopping.wait()
-            await expect_rejection(3)
-            go.set()
 
 
 async def test_a_goal_that_is_stopped_before_its_start_never_runs() -> None:

@@ -565,14 +565,6 @@ def test_a_queue_keeps_its_order_when_goals_that_have_left_are_removed_from_it()
 # Several places, and goals that give way
 
 
-def full(**rules: Any) -> Scheduler:
-    """Return a scheduler with two places, whose goals are told and never interrupted."""
-    return Scheduler(
-        Schedule(concurrency=2, when_full="preempt", handover=math.inf, **rules),
-        kill_after=KILL_AFTER,
-    )
-
-
 def test_the_queue_of_a_key_does_not_grow_with_goals_that_have_left_behind_its_first() -> None:
     scheduler = Scheduler(Schedule(concurrency=1, queue=100, priority=lambda _: 0))
     scheduler.offer(ONE, now=0)
