@@ -1,7 +1,7 @@
 """`python -m tests.tools.benchmarks all`: measure everything, as `make bench` does it.
 
-`inprocess`, `functions`, `tcp`, `ros2` or `dds` measures one thing, and prints JSON. `page` makes
-the pictures and the tables of the docs again, of what was measured last.
+`dds` measures goals over `dds://`, with the Python of ROS 2, and prints JSON. `page` makes the
+pictures and the tables of the docs again, of what was measured last.
 
 Machines are shared and noisy, so every figure stands beside another that was measured in turn with
 it, in the same run: read the ratios.
@@ -17,15 +17,7 @@ from importlib.metadata import version
 
 import anyio
 
-from tests.tools.benchmarks import dds, functions, inprocess, ros2, suite, tcp
-
-SUBJECTS = {
-    "inprocess": inprocess.measure,
-    "functions": functions.measure,
-    "tcp": tcp.measure,
-    "ros2": ros2.measure,
-    "dds": dds.measure,
-}
+from tests.tools.benchmarks import dds, suite
 
 
 def scale(text: str) -> float:
@@ -42,7 +34,7 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("subject", choices=["all", "page", *SUBJECTS])
+    parser.add_argument("subject", choices=["all", "page", "dds"])
     parser.add_argument(
         "--scale", type=scale, default=1.0, help="how much of each to do: less is quicker"
     )
@@ -57,7 +49,7 @@ def main() -> None:
             "python": platform.python_version(),
             "machine": platform.machine(),
             "versions": {name: version(name) for name in ("anyio", "msgspec")},
-            **anyio.run(SUBJECTS[arguments.subject], arguments.scale),
+            **anyio.run(dds.measure, arguments.scale),
         }
         print(json.dumps(report, indent=2))
 

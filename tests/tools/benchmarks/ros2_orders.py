@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-PENDING = -1
-"""The order of a goal that ends when it is canceled."""
 LONG = 10_000
 """The least order of a goal that sends the difference as equal messages, as fast as possible."""
 

@@ -2,8 +2,7 @@
 
 It is written as its users write it.
 
-Pending goals are coroutines, which is the cheapest that rclpy has for them. `once` is a whole
-program: one goal, and its result.
+`once` is a whole program: one goal, and its result.
 """
 
 from __future__ import annotations
@@ -17,38 +16,24 @@ from typing import Any
 import rclpy
 from arduinobot_msgs.action import Fibonacci
 from fibaction_test_msgs.action import Echo
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.task import Future
 
 from tests.ros2.stock.telling import say, shut_down_at_the_end, told
-from tests.tools.benchmarks.ros2_orders import LARGE, LARGE_PAUSE, LONG, PENDING, most_memory
+from tests.tools.benchmarks.ros2_orders import LARGE, LARGE_PAUSE, LONG, most_memory
 
 NAME = "benchmark_rclpy"
-SUCCEEDED = 4
 
 
 class Server(Node):  # type: ignore[misc]  # rclpy has no types here
     def __init__(self, name: str) -> None:
         super().__init__("benchmark_server")
-        self._canceled: dict[bytes, Any] = {}
-        self._server = ActionServer(
-            self, Fibonacci, name, self.execute, cancel_callback=self.cancel
-        )
+        self._server = ActionServer(self, Fibonacci, name, self.execute)
         self._large = ActionServer(self, Echo, f"{name}_large", self.execute_large)
-
-    def cancel(self, handle: Any) -> CancelResponse:
-        self._canceled[bytes(handle.goal_id.uuid)].set_result(None)
-        return CancelResponse.ACCEPT
 
     async def execute(self, handle: Any) -> Any:
         order = handle.request.order
-        if order == PENDING:
-            canceled = self._canceled[bytes(handle.goal_id.uuid)] = Future()
-            await canceled
-            handle.canceled()
-            return Fibonacci.Result()
         if order > LONG:
             feedback = Fibonacci.Feedback(partial_sequence=[0, 1, 1])
             for _ in range(order - LONG):
@@ -77,14 +62,13 @@ class Client:
         # An executor of its own is faster than rclpy's global one, which adds the node each time.
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._pending: list[Any] = []
         self._arrived = 0
 
     def wait_for_server(self) -> None:
         self._client.wait_for_server()
 
-    def _wait(self, future: Any, patience: float | None = None) -> Any:
-        self._executor.spin_until_future_complete(future, patience)
+    def _wait(self, future: Any) -> Any:
+        self._executor.spin_until_future_complete(future)
         return future.result()
 
     def _call(self, order: int, on_feedback: Any = None) -> Any:
@@ -109,36 +93,6 @@ class Client:
         for _ in range(times):
             self._call(order, self._count)
         return [self._arrived, perf_counter() - start]
-
-    def batch(self, times: int, patience: float) -> list[float]:
-        done: list[float] = []
-        all_done = Future()
-
-        def finished(result: Any) -> None:
-            if result.result().status == SUCCEEDED:
-                done.append(perf_counter())
-            if len(done) == times:
-                all_done.set_result(None)
-
-        def accepted(sent: Any) -> None:
-            sent.result().get_result_async().add_done_callback(finished)
-
-        start = perf_counter()
-        for _ in range(times):
-            self._client.send_goal_async(Fibonacci.Goal()).add_done_callback(accepted)
-        self._wait(all_done, patience)
-        return [len(done), max(done, default=start) - start]
-
-    def hold(self, times: int) -> None:
-        for _ in range(times):
-            goal = Fibonacci.Goal(order=PENDING)
-            self._pending.append(self._wait(self._client.send_goal_async(goal)))
-
-    def release(self) -> None:
-        for handle in self._pending:
-            self._wait(handle.cancel_goal_async())
-            self._wait(handle.get_result_async())
-        self._pending.clear()
 
 
 def run_server(name: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import AsyncGenerator, Awaitable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack
 from statistics import median
 from time import process_time
@@ -28,7 +28,6 @@ from fibaction import (
     serve,
 )
 from tests.fleet.servers import Servers, servers
-from tests.tools.benchmarks.timing import Work, seconds_each
 
 TCP = "tcp://127.0.0.1:0"
 
@@ -58,6 +57,10 @@ ENDLESS = 1
 Client: TypeAlias = ActionClient[int, str, int]
 Measured: TypeAlias = AsyncGenerator[Sequence[float | None], None]
 """The values of each series, for one size after another; None for one that says nothing there."""
+
+
+Work: TypeAlias = Callable[[int], Awaitable[object]]
+"""A function that does its work so many times."""
 
 
 class Spent(NamedTuple):
@@ -102,13 +105,20 @@ async def echo(goal: GoalHandle[bytes]) -> AsyncGenerator[bytes, None]:
     yield goal.request
 
 
+async def seconds_each(doing: Work, times: int) -> float:
+    """Return the processor's seconds that each takes."""
+    start = process_time()
+    await doing(times)
+    return (process_time() - start) / times
+
+
 async def cost(doing: Work, times: int) -> float:
     """Return the seconds of this process's processor for each time."""
     await doing(times // 5 + 1)
     gc.collect()
     gc.disable()
     try:
-        rounds = [await seconds_each(doing, times, process_time) for _ in range(ROUNDS)]
+        rounds = [await seconds_each(doing, times) for _ in range(ROUNDS)]
     finally:
         gc.enable()
     return median(rounds)

@@ -17,7 +17,7 @@ import anyio
 import pytest
 
 from tests.support.nats_server import IS_LEFT_OUT
-from tests.tools.benchmarks import functions, growing, pages, rounds, starting, suite, versions
+from tests.tools.benchmarks import growing, pages, rounds, starting, suite, versions
 from tests.tools.benchmarks.pictures import picture
 from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.ways import WAYS
@@ -108,16 +108,6 @@ async def test_the_whole_of_make_bench_makes_a_report_a_picture_and_a_table_of_e
         assert picture(report).startswith("<svg")
     page = pages.PAGE.read_text(encoding="utf-8")
     assert pages.with_tables(page, reports) != page
-
-
-@pytest.mark.asyncio
-async def test_functions_are_compared_with_generators_in_process_and_over_tcp() -> None:
-    report = await functions.measure(0.003)
-
-    assert set(report) == {"inproc", "tcp"}
-    for rows in report.values():
-        assert len(rows) == 2
-        assert all(row["ratio"] > 0 for row in rows.values())
 
 
 def test_this_version_beside_itself_has_a_ratio_for_each_order(
