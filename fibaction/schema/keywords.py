@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import datetime
 import uuid
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Collection
+from typing import Any, TypeAlias
 
 import msgspec
 
@@ -27,6 +26,19 @@ _IS_TYPE: dict[str, Callable[[Any], bool]] = {
     "object": is_map,
 }
 
+PYTHON_TYPES: dict[str, frozenset[type]] = {
+    "null": frozenset({type(None)}),
+    "boolean": frozenset({bool}),
+    "integer": frozenset({int}),
+    "number": frozenset({int, float}),
+    "string": frozenset({str}),
+    "array": frozenset({list}),
+    "object": frozenset({dict}),
+}
+"""The types of Python that each type of a schema has."""
+IN_JSON = frozenset[type]().union(*PYTHON_TYPES.values())
+"""The types that values have in JSON."""
+
 _FORMAT_TYPES: dict[str, Any] = {
     "date-time": datetime.datetime,
     "date": datetime.date,
@@ -36,15 +48,15 @@ _FORMAT_TYPES: dict[str, Any] = {
 }
 
 
-def _type(value: Any, expected: Any) -> bool:
+def is_of_type(value: Any, expected: Any) -> bool:
+    """Return whether a value is of a type, or one of several; a type that is not known has all."""
     if isinstance(expected, str):
         return expected not in _IS_TYPE or _IS_TYPE[expected](value)
-    return any(_type(value, name) for name in expected)
+    return any(is_of_type(value, name) for name in expected)
 
 
-def _multiple_of(value: Any, unit: Any) -> bool:
-    if not is_number(value):
-        return True
+def is_multiple_of(value: Any, unit: Any) -> bool:
+    """Return whether a number is a multiple of another one, as far as floats can tell."""
     if isinstance(value, int) and isinstance(unit, int):
         return value % unit == 0
     try:
@@ -53,8 +65,8 @@ def _multiple_of(value: Any, unit: Any) -> bool:
         return True
 
 
-def _format(value: Any, expected: Any) -> bool:
-    if expected in _FORMAT_TYPES and isinstance(value, str):
+def _format(value: str, expected: Any) -> bool:
+    if expected in _FORMAT_TYPES:
         try:
             msgspec.convert(value, _FORMAT_TYPES[expected])
         except (msgspec.ValidationError, ValueError):
@@ -62,38 +74,52 @@ def _format(value: Any, expected: Any) -> bool:
     return True
 
 
-def _content_encoding(value: Any, expected: Any) -> bool:
-    if expected == "base64" and isinstance(value, str):
-        try:
-            base64.b64decode(value, validate=True)
-        except ValueError:
-            return False
-    return True
+def _is_at_least(value: Any, least: Any) -> bool:
+    return bool(len(value) >= least)
 
 
-def _of(
-    kind: Callable[[Any], bool], compare: Callable[[Any, Any], bool]
-) -> Callable[[Any, Any], bool]:
-    """Return a comparison that holds for all values of another kind."""
-    return lambda value, expected: not kind(value) or compare(value, expected)
+def _is_at_most(value: Any, most: Any) -> bool:
+    return bool(len(value) <= most)
 
 
-COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
-    "type": _type,
+Comparison: TypeAlias = Callable[[Any, Any], bool]
+
+_OF_NUMBERS: dict[str, Comparison] = {
     # NaN is neither below a limit nor above it.
-    "minimum": _of(is_number, lambda value, least: not value < least),
-    "maximum": _of(is_number, lambda value, most: not value > most),
-    "exclusiveMinimum": _of(is_number, lambda value, bound: not value <= bound),
-    "exclusiveMaximum": _of(is_number, lambda value, bound: not value >= bound),
-    "multipleOf": _multiple_of,
-    "minLength": _of(_is_text, lambda value, least: len(value) >= least),
-    "maxLength": _of(_is_text, lambda value, most: len(value) <= most),
-    "format": _format,
-    "contentEncoding": _content_encoding,
-    "minItems": _of(is_list, lambda value, least: len(value) >= least),
-    "maxItems": _of(is_list, lambda value, most: len(value) <= most),
-    "minProperties": _of(is_map, lambda value, least: len(value) >= least),
-    "maxProperties": _of(is_map, lambda value, most: len(value) <= most),
-    "required": _of(is_map, lambda value, names: all(name in value for name in names)),
+    "minimum": lambda value, least: not value < least,
+    "maximum": lambda value, most: not value > most,
+    "exclusiveMinimum": lambda value, bound: not value <= bound,
+    "exclusiveMaximum": lambda value, bound: not value >= bound,
+    "multipleOf": is_multiple_of,
 }
-"""Returns for each keyword whether a value is as the keyword's value requires."""
+COMPARISONS: dict[type, dict[str, Comparison]] = {
+    int: _OF_NUMBERS,
+    float: _OF_NUMBERS,
+    str: {"minLength": _is_at_least, "maxLength": _is_at_most, "format": _format},
+    list: {"minItems": _is_at_least, "maxItems": _is_at_most},
+    dict: {"minProperties": _is_at_least, "maxProperties": _is_at_most},
+}
+"""For each type of values, the keywords that compare them, and whether one is as they require."""
+
+
+def in_json(value: Any) -> Any:
+    """Return a value with text in place of what JSON writes as text."""
+    return value if type(value) in IN_JSON else msgspec.to_builtins(value)
+
+
+def bytes_of(values: Collection[Any]) -> Any:
+    """Return a list of numbers as bytes; the list itself if it is not one."""
+    if set(map(type, values)) <= {int}:
+        try:
+            return bytes(values)
+        except ValueError:  # a number is not that of a byte
+            pass
+    return values
+
+
+def size_in_bytes(value: Any) -> int:
+    """Return the bytes that a value takes in a message; 0 if a message cannot have it."""
+    try:
+        return len(msgspec.msgpack.encode(value))
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        return 0

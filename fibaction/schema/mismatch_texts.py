@@ -12,7 +12,7 @@ from itertools import islice
 
 from fibaction._runtime.plain_data import is_map, quoted
 from fibaction._runtime.text import excerpt
-from fibaction.schema.mismatch import Mismatch, Path
+from fibaction.schema.check import Mismatch, Path
 
 MAX_NAME = 60
 """Characters of a field's name that a sentence shows."""

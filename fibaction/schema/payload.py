@@ -8,9 +8,8 @@ file or another protocol. For example, with the description that a server sends 
     goals = JsonCodec(info.goal)
     payload = goals.encode({"order": 3})  # defaults are filled in
 
-The data is compared with the schema and completed with its defaults in one pass (`Shapes`), and the
-result is encoded as msgpack. If it does not match, a second pass finds all that is wrong, for the
-error. The types of the action's server check the goal once more.
+The data is compared with the schema and completed with its defaults in one pass, and the result is
+encoded as msgpack. The types of the action's server check the goal once more.
 
 The schema and the data may be hostile: nothing is fetched, no regular expression of a schema is
 run, data nests to 100 levels at most, and the length of errors and the work are limited: to 20,000
@@ -23,16 +22,14 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, suppress
-from itertools import islice
 from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction.schema.check import MAX_MISMATCHES
-from fibaction.schema.conversion import MAX_DEPTH, NoMatch, completed, left_out
+from fibaction.schema.check import MAX_DEPTH, MAX_MISMATCHES, Check, EnoughMismatches, Path
 from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
 from fibaction.schema.mismatch_texts import field_name, sentences
-from fibaction.schema.shapes.shapes import Shapes
+from fibaction.schema.parts import SchemaPart, SchemaParts
 from fibaction.schema.steps import Extent
 
 __all__ = ["MAX_PARTS", "JsonCodec", "JsonSchema", "PayloadError", "SchemaError", "to_json"]
@@ -74,7 +71,7 @@ class JsonCodec:
         """
         self._name = name
         with self._errors():
-            self._shapes = None if schema == {} else Shapes(JsonSchema(schema))
+            self._root = None if schema == {} else SchemaParts(JsonSchema(schema)).root
 
     def complete(self, data: Any, pause: Pause | None = None) -> Any:
         """Return the message as plain data that can be sent, for example by an untyped client.
@@ -88,7 +85,7 @@ class JsonCodec:
                 nests deeper than 100 levels; or msgpack cannot express it; or the schema is so
                 complex that the check takes too long.
         """
-        if self._shapes is None:
+        if self._root is None:
             self.encode(data)
             return data
         return msgspec.msgpack.decode(self.encode(data, pause=pause))
@@ -100,11 +97,14 @@ class JsonCodec:
         Raises:
             PayloadError: The schema is so complex that the search takes too long.
         """
-        if self._shapes is None:
+        if self._root is None:
             return []
-        with self._errors():
-            fields = left_out(self._shapes.check(), message, self._shapes.root)
-            return [name.removeprefix(".") for name in islice(fields, MAX_MISMATCHES)]
+        check = Check(fills=False)
+        paths: list[Path] = []
+        check.left_out = paths
+        with self._errors(), suppress(EnoughMismatches):
+            self._root.visit(check, message)
+        return [field_name("", path).removeprefix(".") for path in paths[:MAX_MISMATCHES]]
 
     def encode(self, data: Any, *, is_json: bool = False, pause: Pause | None = None) -> bytes:
         """Return the payload of a message; see `complete`.
@@ -115,10 +115,10 @@ class JsonCodec:
             PayloadError: As `complete`.
         """
         with self._errors():
-            if self._shapes is not None:
+            if self._root is not None:
                 if not is_json:  # without tuples and sets, and without parts that are the same
                     data = msgspec.to_builtins(data, builtin_types=(bytes, datetime.datetime))
-                data = self._checked(data, self._shapes, pause)
+                data = self._checked(data, self._root, pause)
             return msgspec.msgpack.encode(data)
 
     def check(self, message: Any, pause: Pause | None = None) -> None:
@@ -128,8 +128,8 @@ class JsonCodec:
             PayloadError: As `complete`.
         """
         with self._errors():
-            if self._shapes is not None:
-                self._checked(message, self._shapes, pause)
+            if self._root is not None:
+                self._checked(message, self._root, pause)
 
     def decode(self, payload: bytes) -> Any:
         """Return the message in a payload as JSON data; see `to_json`.
@@ -162,29 +162,23 @@ class JsonCodec:
         except (TypeError, ValueError, OverflowError, RecursionError) as exc:
             raise PayloadError(f"the {self._name} cannot be encoded: {exc}") from exc
 
-    def _checked(self, data: Any, shapes: Shapes, pause: Pause | None) -> Any:
+    def _checked(self, data: Any, root: SchemaPart, pause: Pause | None) -> Any:
         extent = Extent.of(data)
         if extent.levels > MAX_DEPTH:
             raise PayloadError(f"the {self._name} nests deeper than {MAX_DEPTH} levels")
+        check, made = Check(extent.size, pause), data
         try:
-            return shapes.of(shapes.root).convert(shapes.check(extent.size, pause), data)
-        except NoMatch as exc:
-            # Not the error itself: with its traceback, it would keep the data.
-            name, mismatch = field_name(self._name, tuple(reversed(exc.way))), exc.mismatch
-        raise PayloadError(
-            *(self._problems(data, shapes, pause) or dict.fromkeys(sentences(mismatch, name)))
-        )
-
-    def _problems(self, data: Any, shapes: Shapes, pause: Pause | None) -> dict[str, None]:
-        """Return what is wrong, as far as it is found in some steps: all in a small message."""
-        problems: dict[str, None] = {}
-        check = shapes.check(pause=pause)
-        with suppress(SchemaError):
-            data = completed(check, data, shapes.root)
-            # Each missing field is a mismatch, whose sentences name all of them.
-            for mismatch in islice(check.mismatches(data, shapes.root), MAX_MISMATCHES):
-                problems |= dict.fromkeys(sentences(mismatch, self._name))
-        return problems
+            made = root.visit(check, data)
+        except EnoughMismatches:
+            pass
+        except SchemaError:
+            if not check.found:
+                raise
+        if not check.found:
+            return made
+        # Each missing field is a mismatch, whose sentences name all of them.
+        problems = (text for one in check.found for text in sentences(one, self._name))
+        raise PayloadError(*dict.fromkeys(problems))
 
 
 def to_json(value: Any) -> str:

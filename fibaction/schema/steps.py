@@ -22,7 +22,7 @@ TURN = 1000
 """Steps between two pauses: about a millisecond."""
 
 _TEXTS: frozenset[type] = frozenset({str, bytes})
-_CONTAINERS: frozenset[type] = frozenset({dict, list})
+CONTAINERS: frozenset[type] = frozenset({dict, list})
 
 
 class Extent(NamedTuple):
@@ -41,7 +41,7 @@ class Extent(NamedTuple):
         while True:
             texts = [one for one in values if type(one) in _TEXTS]
             size += len(values) + sum(map(text_steps, texts))
-            parts = [one for one in values if type(one) in _CONTAINERS]
+            parts = [one for one in values if type(one) in CONTAINERS]
             if not parts:
                 return cls(size, levels)
             levels += 1

@@ -10,7 +10,7 @@ from typing import Any
 
 from fibaction._runtime.plain_data import is_list, is_map, is_number
 from fibaction.schema.json_schema import JsonSchema, SchemaError
-from fibaction.schema.keywords import COMPARISONS
+from fibaction.schema.keywords import is_multiple_of
 
 MAX_FIELDS = 500
 """Fields of a template."""
@@ -152,6 +152,6 @@ def _multiple(unit: float, limit: float, zero: float, *, beyond: bool = False) -
     for count in range(first, first + MOST_MULTIPLES):
         number = count * unit
         is_whole = not isinstance(zero, int) or number == int(number)
-        if is_whole and COMPARISONS["multipleOf"](number, unit):
+        if is_whole and is_multiple_of(number, unit):
             return type(zero)(number)
     return limit

@@ -1,24 +1,36 @@
 from __future__ import annotations
 
 import datetime
-from typing import Any
+import operator
+from typing import Annotated, Any, Literal
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from fibaction.schema.check import Check
+from fibaction.schema.check import MAX_MISMATCHES, Check, EnoughMismatches, Path
 from fibaction.schema.json_schema import JsonSchema, SchemaError
+from fibaction.schema.keywords import bytes_of, size_in_bytes
+from fibaction.schema.parts import SchemaParts
+
+
+def visited(value: Any, schema: Any) -> tuple[Any, list[Path]]:
+    """Return a value as it is sent, and where it does not match."""
+    made, found = SchemaParts(JsonSchema(schema)).root.tried(Check(1000), value)
+    return made, [one.path for one in found]
 
 
 def fits(value: Any, schema: Any) -> bool:
     """Return whether the value matches the schema."""
-    return not list(Check(JsonSchema(schema), 100).mismatches(value, schema))
+    return not visited(value, schema)[1]
 
 
-def chosen(value: Any, schema: Any) -> Any:
-    return Check(JsonSchema(schema), 100).resolved(schema, value)
+def sent(value: Any, schema: Any) -> Any:
+    made, paths = visited(value, schema)
+    assert paths == []
+    return made
 
 
 NAMES = st.sampled_from(["a", "b", "c"])
@@ -141,39 +153,201 @@ def test_values_that_json_writes_as_text_are_checked_as_text() -> None:
     assert fits({1: 2}, {"properties": {"1": {"type": "integer"}}})
 
 
-def test_an_alternative_is_chosen_by_type_tag_or_content() -> None:
-    left = {"properties": {"kind": {"enum": ["left"]}, "x": {}}}
-    right = {"properties": {"kind": {"const": "right"}, "y": {}}}
-    tagged = {"anyOf": [{"anyOf": [left, {"$ref": "#/$defs/right"}]}, {"type": "null"}]}
-    schema = {**tagged, "$defs": {"right": right}}
-
-    assert chosen({"kind": "left"}, schema) is left
-    assert chosen({"kind": "right", "y": "wrong"}, schema) is right
-    assert chosen(None, {"anyOf": [{"type": "object"}, {"type": "null"}]}) == {"type": "null"}
-    assert chosen(5, schema) is left  # the first that says nothing against a number
-    assert chosen({"kind": "up"}, schema) == {}
-    assert chosen(5, {"anyOf": [{"minimum": 9}, {"maximum": 9}]}) == {"maximum": 9}
-    assert chosen(5, {"anyOf": [False, {"minimum": 9}]}) == {"minimum": 9}
-    assert chosen(5, True) == {}
+TEXT: Any = {"type": "string", "contentEncoding": "base64"}
+FIELDS: Any = {"properties": {"a": {"default": 1}, "b": {"contentEncoding": "base64"}}}
+MAP: Any = FIELDS | {"type": "object"}
+LEFT: Any = {"properties": {"kind": {"enum": ["left"]}, "x": {"default": 1}}, "type": "object"}
+RIGHT: Any = {"properties": {"kind": {"const": "right"}, "y": TEXT}, "type": "object"}
+TAGGED: Any = {"anyOf": [{"anyOf": [LEFT, {"$ref": "#/$defs/right"}]}, {"type": "null"}]}
+TAGGED["$defs"] = {"right": RIGHT}
+OBJECT: Any = {"type": "object", "properties": {"a": {"type": "integer"}}}
+LOOSE: Any = {"type": "object", "additionalProperties": {"type": "integer"}}
 
 
 @pytest.mark.parametrize(
-    ("schema", "value", "passes"),
+    ("schema", "value", "made"),
     [
-        ({"type": "integer", "maximum": 3}, 3, True),
-        ({"type": "integer", "maximum": 3}, 4, False),
-        ({"type": "null"}, None, True),
-        ({"enum": [1]}, 1, False),
-        ({"$ref": "#/$defs/a", "$defs": {"a": True}}, 1, False),
-        ({}, [], False),
-        ({}, b"hi", False),
-        (True, 1, False),
+        ({"items": {"type": "integer"}}, [1, 2.0], [1, 2]),
+        ({"prefixItems": [{"type": "integer"}], "items": True}, [3.0, 3.5, "a"], [3, 3.5, "a"]),
+        ({"contentEncoding": "base64"}, [104, 105], b"hi"),
+        ({"contentEncoding": "base64"}, "aGk=", b"hi"),
+        (TEXT | {"minLength": 8, "maxLength": 8}, "AAAA/w==", b"\x00\x00\x00\xff"),
+        (TEXT | {"minLength": 8, "maxLength": 8}, [0, 0, 0, 255], b"\x00\x00\x00\xff"),
+        ({"additionalProperties": {"contentEncoding": "base64"}}, {1: "aGk="}, {1: b"hi"}),
+        ({"properties": {"1": TEXT}}, {1: "aGk="}, {1: b"hi"}),
+        (FIELDS, {"a": [2, 1.5]}, {"a": [2, 1.5]}),
+        ({"properties": {"a": {"default": {"b": [1, "c"]}}}}, {}, {"a": {"b": [1, "c"]}}),
+        ({"properties": {"a": TEXT | {"default": "aGk="}}}, {}, {"a": b"hi"}),
+        ({"properties": {"a": True}}, {}, {}),
+        ({"properties": {"a": {"default": 1}}, "required": ["a"]}, {}, {"a": 1}),
+        ({"anyOf": [{"type": "null"}, MAP]}, {"b": "aGk="}, {"a": 1, "b": b"hi"}),
+        ({"oneOf": [{"type": "null"}, MAP]}, {"b": "aGk="}, {"a": 1, "b": b"hi"}),
+        ({"oneOf": [{"type": "null"}, MAP]}, None, None),
+        ({"allOf": [{"type": "object"}, MAP]}, {}, {"a": 1}),
+        ({"$ref": "#/$defs/m", "title": "m", "$defs": {"m": MAP}}, {}, {"a": 1}),
+        ({"$ref": "#/$defs/m", "type": "object", "$defs": {"m": MAP}}, {}, {"a": 1}),
+        (TAGGED, {"kind": "left"}, {"kind": "left", "x": 1}),
+        (TAGGED, {"kind": "right", "y": "aGk="}, {"kind": "right", "y": b"hi"}),
+        (TAGGED, None, None),
+        ({"anyOf": [{"type": "integer", "minimum": 9}, {"type": "integer"}]}, 5.0, 5),
+        ({"anyOf": [{"type": "integer"}, {"type": "number"}]}, 1.5, 1.5),
+        ({"anyOf": [OBJECT, LOOSE]}, {"b": 1}, {"b": 1}),
+        ({"anyOf": [{"type": "array", "maxItems": 1}, {"type": "array"}]}, [1, 2], [1, 2]),
+        (OBJECT | {"minProperties": 1}, {"a": 1.0}, {"a": 1}),
+        ({"items": FIELDS}, [{}, {}], [{"a": 1}, {"a": 1}]),
+        (TEXT, b"hi", b"hi"),
     ],
 )
-def test_a_scalar_passes_without_a_visit_where_comparisons_decide(
-    schema: Any, value: Any, passes: bool
-) -> None:
-    assert Check(JsonSchema(schema), 1).passes(value, schema) is passes
+def test_a_value_is_sent_in_the_form_of_its_schema(schema: Any, value: Any, made: Any) -> None:
+    found = sent(value, schema)
+    assert found == made
+    assert repr(found) == repr(made)  # 3 is not 3.0
+
+
+class Point(msgspec.Struct):
+    x: float
+    y: float = 0.0
+    note: str | None = None
+
+
+class Left(msgspec.Struct, tag="left"):
+    data: bytes = b""
+
+
+class Right(msgspec.Struct, tag="right", forbid_unknown_fields=True):
+    count: Annotated[int, msgspec.Meta(ge=0)] = 1
+    kids: list[Right] = []
+
+
+class Whole(msgspec.Struct):
+    mode: Literal["fast", "slow"]
+    only: Literal["one"] = "one"
+    points: list[Point] = []
+    tool: Left | Right | None = None
+    pair: tuple[int, bytes] | None = None
+    names: dict[str, Point] = {}
+    at: Annotated[datetime.datetime, msgspec.Meta(tz=True)] | None = None
+    some: Annotated[list[int], msgspec.Meta(min_length=1, max_length=3)] | None = None
+    any: Any = None
+    maybe: int | msgspec.UnsetType = msgspec.UNSET
+
+
+WHOLE = msgspec.json.schema(Whole)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {"mode": "fast"},
+        {"mode": "slow", "some": [1, 2.0], "maybe": 3, "any": [{"a": "x"}]},
+        {"mode": "fast", "points": [{"x": 1}, {"y": 2.5, "x": 0, "note": "here"}]},
+        {"mode": "fast", "tool": {"type": "left", "data": "aGk="}, "pair": [1, [104, 105]]},
+        {"mode": "fast", "tool": {"type": "right", "kids": [{"type": "right"}] * 2}},
+        {"mode": "fast", "names": {"a": {"x": 1}}, "at": "2026-01-02T03:04:05Z"},
+    ],
+)
+def test_a_message_of_a_type_is_what_the_type_reads(value: Any) -> None:
+    made = msgspec.convert(sent(value, WHOLE), Whole)
+    assert made.mode == value["mode"]
+    assert sent(msgspec.msgpack.decode(msgspec.msgpack.encode(made)), WHOLE)
+
+
+@pytest.mark.parametrize(
+    ("value", "path"),
+    [
+        ({}, ()),
+        ([], ()),
+        ({"mode": "fast", "more": 1}, ()),
+        ({"mode": "soon"}, ("mode",)),
+        ({"mode": "fast", "only": "two"}, ("only",)),
+        ({"mode": "fast", "points": [{"x": 1}, {"x": 1, "y": None}]}, ("points", 1, "y")),
+        ({"mode": "fast", "points": [{"x": 1}, {}]}, ("points", 1)),
+        ({"mode": "fast", "points": {}}, ("points",)),
+        ({"mode": "fast", "names": {"a": {"x": 1}, "b": {"x": "1"}}}, ("names", "b", "x")),
+        ({"mode": "fast", "tool": {"type": "up"}}, ("tool",)),
+        ({"mode": "fast", "tool": {}}, ("tool",)),
+        ({"mode": "fast", "tool": 5}, ("tool",)),
+        ({"mode": "fast", "tool": {"type": "right", "count": -1}}, ("tool", "count")),
+        ({"mode": "fast", "pair": [1]}, ("pair",)),
+        ({"mode": "fast", "pair": [1, "?"]}, ("pair", 1)),
+        ({"mode": "fast", "pair": ["1", ""]}, ("pair", 0)),
+        ({"mode": "fast", "some": []}, ("some",)),
+        ({"mode": "fast", "some": [1, 2, 3, 4]}, ("some",)),
+        ({"mode": "fast", "maybe": 1.5}, ("maybe",)),
+        ({"mode": "fast", "at": "soon"}, ("at",)),
+    ],
+)
+def test_the_field_that_does_not_match_is_found(value: Any, path: Path) -> None:
+    assert visited(value, WHOLE)[1] == [path]
+
+
+def test_a_default_of_another_type_is_checked_as_a_given_value() -> None:
+    schema = {"type": "object", "properties": {"a": {"type": "integer", "default": "x"}}}
+    assert visited({}, schema)[1] == [("a",)]
+    assert fits({"a": 1}, schema)
+
+
+def test_a_default_is_not_filled_in_itself() -> None:
+    schema: Any = {"type": "object", "properties": {"a": {"$ref": "#", "default": {}}}}
+    assert sent({}, schema) == {"a": {}}
+
+
+def test_what_is_sent_shares_plain_lists_and_empty_maps() -> None:
+    value: Any = [[1.0, 2], ["a"], [None]]
+    schema: Any = {"items": {"items": {"type": ["number", "string", "null"]}}}
+    assert all(map(operator.is_, sent(value, schema), value))
+    made = sent([{}, {}], {"items": FIELDS})
+    assert made[0] is made[1]
+
+
+def test_numbers_of_a_list_cost_a_step_each() -> None:
+    check = Check(10_000)
+    schema = {"type": "array", "items": {"type": "integer"}}
+    SchemaParts(JsonSchema(schema)).root.tried(check, [1] * 10_000)
+    assert check.steps.spent < 10_100
+
+
+def test_only_so_many_mismatches_are_looked_for() -> None:
+    check = Check(1000)
+    with pytest.raises(EnoughMismatches):
+        SchemaParts(JsonSchema({"items": {"type": "null"}})).root.visit(check, [1] * 1000)
+    assert len(check.found) == MAX_MISMATCHES
+    schema = {"anyOf": [{"items": {"type": "null"}}, {"items": {"type": "integer"}}]}
+    assert sent({"a": [1] * 1000}, {"additionalProperties": schema}) == {"a": [1] * 1000}
+
+
+def test_the_fields_that_a_value_leaves_out_are_found_at_any_depth() -> None:
+    stop: Any = {"type": "object", "properties": {"x": {"default": 0}, "id": {}}}
+    other: Any = {"type": "object", "properties": {"y": {"type": "null"}, "z": {}}}
+    schema: Any = {
+        "type": "object",
+        "properties": {"stops": {"type": "array", "items": stop}, "by": {"type": "string"}},
+        "additionalProperties": {"anyOf": [other, {"type": "integer"}, stop]},
+    }
+    value = {"stops": [{"x": 1, "id": 2}, {"x": 1}], "other": {"id": 3}, "1": 5}
+    check = Check(100, fills=False)
+    check.left_out = []
+    SchemaParts(JsonSchema(schema)).root.tried(check, value)
+    assert check.left_out == [("by",), ("stops", 1, "id"), ("other", "x")]
+
+
+@pytest.mark.parametrize(
+    ("values", "found"), [([1, 255], b"\x01\xff"), ([256], [256]), ([True], [True]), ([], b"")]
+)
+def test_a_list_of_bytes_becomes_bytes(values: list[Any], found: Any) -> None:
+    assert bytes_of(values) == found
+
+
+def test_the_bytes_of_a_value_are_those_in_a_message() -> None:
+    assert size_in_bytes({"a": [1, "b"]}) == 7
+    assert size_in_bytes(10**30) == 0
+
+
+def test_defaults_are_limited_by_the_size_of_the_message() -> None:
+    field = {"type": "array", "items": {"type": "integer"}, "default": [0] * 10_000}
+    item = {"type": "object", "properties": {"a": field}}
+    with pytest.raises(SchemaError, match="has too many defaults: in this message they take over"):
+        fits([{}] * 1000, {"type": "array", "items": item})
 
 
 def doubled(levels: int, leaf: Any, keyword: str = "allOf") -> dict[str, Any]:
@@ -202,8 +376,6 @@ def test_a_check_ends_after_a_limited_number_of_steps(schema: Any, value: Any) -
         fits(value, schema)
 
 
-def test_the_choice_of_an_alternative_ends_after_a_limited_number_of_steps() -> None:
-    with pytest.raises(SchemaError, match="is too complex"):
-        chosen(5, doubled(40, False, "anyOf"))
+def test_schemas_that_are_followed_for_one_value_nest_to_a_limit() -> None:
     with pytest.raises(SchemaError, match="nests deeper than 200 levels for one value"):
-        chosen(5, {"anyOf": [{"anyOf": [{"$ref": "#"}]}]})
+        fits(5, {"anyOf": [{"anyOf": [{"$ref": "#"}]}]})

@@ -4,7 +4,9 @@ from typing import Any
 
 import pytest
 
-from fibaction.schema.keywords import COMPARISONS
+from fibaction.schema.check import Check
+from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.parts import SchemaParts
 
 NAN = float("nan")
 
@@ -39,5 +41,6 @@ NAN = float("nan")
 def test_a_value_is_compared_as_the_keyword_says(
     keyword: str, expected: Any, right: list[Any], wrong: list[Any]
 ) -> None:
-    assert [COMPARISONS[keyword](value, expected) for value in right] == [True] * len(right)
-    assert [COMPARISONS[keyword](value, expected) for value in wrong] == [False] * len(wrong)
+    part = SchemaParts(JsonSchema({keyword: expected, "additionalProperties": True})).root
+    assert [part.tried(Check(10), value)[1] for value in right] == [[]] * len(right)
+    assert [len(part.tried(Check(10), value)[1]) for value in wrong] == [1] * len(wrong)

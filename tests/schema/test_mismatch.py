@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fibaction.schema.mismatch import Mismatch, only_value
+from fibaction.schema.check import Mismatch, only_value
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 import pytest
 
-from fibaction.schema.check import Check
+from fibaction.schema.check import Check, Mismatch
 from fibaction.schema.json_schema import JsonSchema
-from fibaction.schema.mismatch import Mismatch
 from fibaction.schema.mismatch_texts import MAX_NAMED, sentences
+from fibaction.schema.parts import SchemaParts
 
 
 class Left(msgspec.Struct, tag="left", forbid_unknown_fields=True):
@@ -34,7 +34,7 @@ def errors_of(kind: Any, value: object) -> list[str]:
 
 
 def errors_by(schema: Any, value: object, name: str = "goal") -> list[str]:
-    mismatches = Check(JsonSchema(schema), 1).mismatches(value, schema)
+    _, mismatches = SchemaParts(JsonSchema(schema)).root.tried(Check(), value)
     return [text for mismatch in mismatches for text in sentences(mismatch, name)]
 
 

@@ -336,7 +336,7 @@ def test_a_schema_that_cannot_be_used_is_an_error_at_once(schema: Any, message: 
         (
             {"items": {"default": 0, "properties": {"a": {"default": [0] * 10_000}}}},
             [{}] * 1000,
-            "is too complex: ",
+            "has too many defaults: in this message they take",
         ),
         ({"properties": {"a": {"default": nested(200)}}}, {}, "has a default that nests deeper"),
     ],
