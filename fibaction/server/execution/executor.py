@@ -43,16 +43,15 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
+from fibaction.server.execution.abandoned import abandoned, tell_spared
 from fibaction.server.execution.executor_ends import (
     Misuse,
-    abandoned,
     cause_of,
     error_end,
     failed,
     is_feedback_message,
     kind_of,
     no_result,
-    tell_spared,
 )
 from fibaction.server.execution.executor_life import (
     EXECUTOR_LIFE,

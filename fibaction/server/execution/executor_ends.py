@@ -16,7 +16,6 @@ from fibaction.words.statuses import GoalStatus
 if TYPE_CHECKING:
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import Action
-    from fibaction.words.goals import GoalID
 
 logger = clean_logger("fibaction.server")
 
@@ -138,31 +137,3 @@ def is_kept(goal: GoalRecord, ending: Ending, *, killed: bool) -> bool:
     """
     has_ended = not killed and ending.kind is not EndKind.CANCELED
     return not has_ended and goal.status is not GoalStatus.CANCELING
-
-
-def abandoned(goal_id: GoalID, action: str, result: bytes | None) -> Ending:
-    """Log that an executor survived being killed and runs no further; return its goal's end."""
-    logger.error(
-        "goal %s of action %r: its executor does not end though it was killed, and is"
-        " abandoned; what it holds stays taken until this process ends",
-        goal_id,
-        action,
-    )
-    return Ending(EndKind.FAILED, result, "the executor was abandoned")
-
-
-def tell_spared(goal_id: GoalID, action: str) -> None:
-    """Log that an executor survived being killed and keeps running."""
-    logger.error(
-        "goal %s of action %r: its executor does not end though it was killed, and runs on;"
-        " its place in the schedule stays taken until then",
-        goal_id,
-        action,
-    )
-
-
-def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:
-    """Log that a goal is killed, which was interrupted `timeout` seconds ago."""
-    logger.warning(
-        "goal %s of action %r did not stop in time (%g s), and is killed", goal_id, action, timeout
-    )

@@ -31,8 +31,7 @@ clean-up absorbs the cancellation.
 An executor may survive being killed: it catches each cancellation and awaits again, or it waits
 where no cancellation arrives. Since `Stepper` drives the coroutine, it can stop doing so: it gives
 the coroutine up after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To the
-task, the coroutine has then returned. The coroutine is kept forever, because Python would
-otherwise close it, and run its clean-up in the middle of something else (`_keep_for_ever`).
+task, the coroutine has then returned (see `abandoned`).
 
 Giving up may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
 So it is done at the end of a server only (`DOOMED`). Before that, a coroutine that survives
@@ -42,40 +41,20 @@ MOST_KILLS cancellations is spared: it keeps running, and gets no further one.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import Context
 from time import perf_counter
 from types import TracebackType
-from typing import Any, Generic, NoReturn, TypeVar
+from typing import Any, Generic, TypeVar
 
 from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
+from fibaction.server.execution.abandoned import MOST_KILLS, AbandonedCoroutine, keep_for_ever
 from fibaction.server.execution.executor_life import SCOPES_LIFE, ScopesEvent, ScopesPhase
 from fibaction.server.execution.turns import Turns
 
 T = TypeVar("T")
-
-MOST_KILLS = 100
-"""The cancellations that a killed coroutine gets before it is given up: each of its nested blocks
-may await something in its clean-up, and needs one of them."""
-
-_kept: list[object] = []
-
-
-def _keep_for_ever(coroutine: object) -> None:
-    """Keep a coroutine from being closed, even at the end of the process.
-
-    To close it is to raise GeneratorExit in it. It may catch that, too, and as no event loop runs
-    then, an `await` in a loop would fail at once, again and again: the process would never end.
-    """
-    _kept.append(coroutine)
-    # Others do not close what is left at their end.
-    if sys.implementation.name == "cpython":  # pragma: no branch  # as it is wherever tests run
-        from ctypes import py_object, pythonapi
-
-        pythonapi.Py_IncRef(py_object(coroutine))
 
 
 class CancelOnce:
@@ -187,7 +166,7 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         """
         self.pending = False
         """True if a cancellation was sent and has not arrived."""
-        self._coroutine: Coroutine[Any, Any, T] | _Abandoned[T] = coroutine
+        self._coroutine: Coroutine[Any, Any, T] | AbandonedCoroutine[T] = coroutine
         self._scopes = scopes
         self._context = context
         self._on_abandoned = on_abandoned
@@ -214,11 +193,11 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         scopes = self._scopes
         if scopes.phase is ScopesPhase.ABANDONED:
             return  # its last cancellation arrives after its time was over
-        _keep_for_ever(self._coroutine)
+        keep_for_ever(self._coroutine)
         scopes.steps = None
         scopes.happen(ScopesEvent.ABANDON)
         scopes.rest.shield = True  # or tasks that the coroutine has started were canceled forever
-        self._coroutine = _Abandoned(self._on_abandoned())
+        self._coroutine = AbandonedCoroutine(self._on_abandoned())
 
     def __await__(self) -> Generator[Any, Any, T]:
         return self
@@ -329,19 +308,3 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         Such a nursery must see that the cancellation comes from outside, or it would absorb it.
         """
         return current_effective_deadline() == -math.inf
-
-
-class _Abandoned(Generic[T]):
-    """In place of a coroutine that was given up: it returns a value at once."""
-
-    def __init__(self, value: T) -> None:
-        self._value = value
-
-    def send(self, value: object) -> NoReturn:
-        raise StopIteration(self._value)
-
-    def throw(self, error: object, value: object = None, traceback: object = None) -> NoReturn:
-        raise StopIteration(self._value)
-
-    def close(self) -> None:
-        """Do nothing: the coroutine must not be closed."""
