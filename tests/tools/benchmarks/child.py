@@ -91,8 +91,25 @@ LOOPS: dict[str, dict[str, Any]] = {
     "trio": {"backend": "trio"},
 }
 """The event loops, as settings of `anyio.run`."""
-NAMES = sorted(path.stem.removeprefix("over_") for path in Path(__file__).parent.glob("over_*.py"))
-"""The names of the contenders."""
+MODULES = {path.stem.removeprefix("over_") for path in Path(__file__).parent.glob("over_*.py")}
+"""The names of the contenders that have a module of their own."""
+
+
+def ends_of(name: str) -> Any:
+    """Return what has the two ends of a contender.
+
+    Raises:
+        ValueError: There is none of that name.
+    """
+    # The module of fibaction's own ways is not imported for a peer, whose memory is measured.
+    if name in MODULES:
+        return import_module(f"tests.tools.benchmarks.over_{name}")
+    from tests.tools.benchmarks.over_fibaction import ENDS
+
+    if name not in ENDS:
+        names = ", ".join(sorted(MODULES | ENDS.keys()))
+        raise ValueError(f"unknown contender {name!r}; the contenders are {names}")
+    return ENDS[name]
 
 
 async def server(module: Any) -> None:
@@ -112,13 +129,14 @@ async def client(module: Any, address: str) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.child")
     parser.add_argument("end", choices=["server", "client"])
-    parser.add_argument("name", help="of a module: what follows over_")
+    parser.add_argument("name", help="of a way")
     parser.add_argument("address", nargs="?", default="", help="for a client: what a server gave")
     parser.add_argument("--loop", choices=LOOPS, default="asyncio", help="%(default)s by default")
     arguments = parser.parse_args()
-    if arguments.name not in NAMES:
-        parser.error(f"unknown contender {arguments.name!r}; the contenders are {', '.join(NAMES)}")
-    module = import_module(f"tests.tools.benchmarks.over_{arguments.name}")
+    try:
+        module = ends_of(arguments.name)
+    except ValueError as exc:
+        parser.error(str(exc))
     if arguments.end == "server":
         anyio.run(server, module, **LOOPS[arguments.loop])
     else:

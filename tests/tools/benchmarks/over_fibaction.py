@@ -1,18 +1,22 @@
-"""fibaction over `tcp://`, or over a transport served in the same way, as users write it."""
+"""fibaction over each of its transports that is served in the same way, as users write it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 from anyio import create_task_group
 
 import fibaction
 from fibaction import ActionClient, ActionServer, ClientGoal
 from fibaction.wire.settings import Limits
+from tests.support.certificates import HOST, pems
 from tests.tools.benchmarks.contender import (
     AT_ONCE,
     PACED,
@@ -23,6 +27,8 @@ from tests.tools.benchmarks.contender import (
 )
 from tests.tools.benchmarks.inprocess import ACTION, Goal, count
 
+KEPT: dict[str, Any] = {"result_timeout": math.inf, "max_results": 1_000_000}
+"""The settings of a server that keeps all results for ever."""
 LIMITS = Limits(goals=20_000)
 """The limits for one client with more than 10,000 pending goals."""
 
@@ -39,6 +45,46 @@ async def serve(where: str = "tcp://127.0.0.1:0", **settings: Any) -> AsyncGener
 async def connect(address: str) -> AsyncGenerator[Contender, None]:
     async with fibaction.connect(address, ACTION) as client:
         yield OverFibaction(client, Goal, lambda feedback: feedback.numbers)
+
+
+@asynccontextmanager
+async def serve_tls() -> AsyncGenerator[str, None]:
+    """Serve with a certificate, which the client checks."""
+    files = pems()
+    async with serve(f"tls://{HOST}:0?cert={files.cert}") as url:
+        yield f"{url}?ca={files.ca}"
+
+
+@asynccontextmanager
+async def serve_unix() -> AsyncGenerator[str, None]:
+    with TemporaryDirectory() as folder:
+        async with serve(f"unix://{Path(folder, 'socket')}") as url:
+            yield url
+
+
+@asynccontextmanager
+async def connect_inproc(address: str, **settings: Any) -> AsyncGenerator[Contender, None]:
+    """Serve in the client's process; `settings` are the server's."""
+    async with serve("inproc://benchmark", **settings) as url, connect(url) as contender:
+        yield contender
+
+
+class Ends(NamedTuple):
+    """The two ends of a way; the address of a server in the client's process is not needed."""
+
+    serve: Callable[[], AbstractAsyncContextManager[str]]
+    connect: Callable[[str], AbstractAsyncContextManager[Contender]]
+
+
+ENDS = {
+    "ws": Ends(partial(serve, "ws://127.0.0.1:0"), connect),
+    "tls": Ends(serve_tls, connect),
+    "unix": Ends(serve_unix, connect),
+    "tcp_kept": Ends(partial(serve, **KEPT), connect),
+    "inproc": Ends(serve, connect_inproc),
+    "inproc_kept": Ends(serve, partial(connect_inproc, **KEPT)),
+}
+"""The ways of this module, by their names."""
 
 
 class OverFibaction(Contender):

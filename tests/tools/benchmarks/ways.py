@@ -30,7 +30,7 @@ class Way(NamedTuple):
     label: str
     group: str
     module: str
-    """The name of its module, without `over_`."""
+    """The name of its module, without `over_`, or of a way in `over_fibaction`."""
     is_ours: bool = True
     has_server: bool = True
     """True if the server has a process of its own."""
