@@ -29,11 +29,11 @@ its tasks, and clean-up there needs a shield of its own. On trio, a nursery that
 clean-up absorbs the cancellation.
 
 An executor may survive being killed: it catches each cancellation and awaits again, or it waits
-where no cancellation arrives. Since `Stepper` drives the coroutine, it can stop doing so: it gives
-the coroutine up after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To the
-task, the coroutine has then returned (see `abandoned`).
+where no cancellation arrives. Since `Stepper` drives the coroutine, it can stop doing so: it
+abandons the coroutine after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To
+the task, the coroutine has then returned (see `abandoned`).
 
-Giving up may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
+That may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
 So it is done at the end of a server only (`DOOMED`). Before that, a coroutine that survives
 MOST_KILLS cancellations is spared: it keeps running, and gets no further one.
 """
@@ -101,7 +101,7 @@ class CancelOnce:
             self._task.cancel()
 
     def kill(self, *, for_good: bool = True) -> None:
-        """Cancel every `await` from now on; give a coroutine up that survives it, if `for_good`."""
+        """Cancel every `await` from now on; abandon a coroutine that survives it, if `for_good`."""
         self.happen(ScopesEvent.KILL_FOR_GOOD if for_good else ScopesEvent.KILL)
         self.interrupt()
 
@@ -160,9 +160,9 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         on_spared: Callable[[], None] = lambda: None,
         current: Current | None = None,
     ) -> None:
-        """Prepare to await the coroutine; `on_abandoned` is called if it is given up, and returns a
-        value in place of the coroutine's. `on_spared` is called if it is spared. `current` has this
-        object while a step runs.
+        """Prepare to await the coroutine. `on_abandoned` is called if it is abandoned, and returns
+        a value in place of the coroutine's; `on_spared` is called if it is spared. `current` has
+        this object while a step runs.
         """
         self.pending = False
         """True if a cancellation was sent and has not arrived."""
