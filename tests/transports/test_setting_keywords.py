@@ -26,7 +26,8 @@ def used() -> dict[str, set[str]]:
     for node in ast.walk(ast.parse(Path(str(settings.__file__)).read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call):
             names = found.setdefault(ast.unparse(node.func), set())
-            names.update(one.arg for one in node.keywords if one.arg is not None)
+            for one in node.keywords:
+                names.update([one.arg] if one.arg else getattr(settings, ast.unparse(one.value)))
     return found
 
 

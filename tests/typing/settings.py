@@ -14,6 +14,13 @@ from fibaction import Action, ActionServer, Limits, Peer, Permission, blocking, 
 from fibaction.observe.metrics import Metrics
 from fibaction_transports.a2a import A2aHttpTransport
 from fibaction_transports.inprocess import InProcessTransport
+from fibaction_transports.keywords import (
+    AgentHttpKeywords,
+    AgentPolicyKeywords,
+    ClientKeywords,
+    RosKeywords,
+    WireKeywords,
+)
 from fibaction_transports.mcp import McpHttpTransport, McpStdioTransport
 from fibaction_transports.nats import NatsTransport
 from fibaction_transports.ros2 import DdsTransport, Ros2Transport
@@ -169,73 +176,61 @@ def settings_of_a_server(server: ActionServer[Any, Any, Any]) -> None:
     serve(server, "tcp://robot", orphans="kill")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
 
 
+CLIENT: ClientKeywords = {
+    "token": "secret",
+    "heartbeat": 2,
+    "window": 16,
+    "limits": LIMITS,
+    "reconnect": False,
+    "reconnect_timeout": 5,
+}
+WIRE: WireKeywords = {
+    **CLIENT,
+    "tokens": None,
+    "authorize": None,
+    "orphans": "keep",
+    "grace": 5,
+}
+ROS: RosKeywords = {
+    "namespace": "/robot",
+    "domain_id": 7,
+    "arguments": None,
+    "feedback_depth": 10,
+    "discovery_timeout": 1.5,
+    "lease": 1,
+    "reconnect": True,
+    "reconnect_timeout": 5,
+    "services_qos": "",
+    "feedback_qos": "",
+    "status_qos": "",
+    "introspection": "off",
+}
+AGENTS: AgentPolicyKeywords = {
+    "allow": ["count"],
+    "unasked": ["count"],
+    "read_only": False,
+    "patience": 20,
+}
+AGENTS_OVER_HTTP: AgentHttpKeywords = {
+    **AGENTS,
+    "token": "secret",
+    "tokens": {"other": "bob"},
+    "limits": LIMITS,
+    "tls": TLS,
+    "insecure": False,
+    "hosts": [],
+    "origins": [],
+}
+
+
 def settings_of_transports() -> None:
-    InProcessTransport(
-        "robot",
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-    )
-    UnixTransport(
-        "/run/robot",
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-        tokens=None,
-        authorize=None,
-        orphans="keep",
-        grace=5,
-    )
-    TcpTransport(
-        "robot",
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-        tokens=None,
-        authorize=None,
-        orphans="keep",
-        grace=5,
-        tls=TLS,
-        insecure=False,
-    )
-    WebSocketTransport(
-        "robot",
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-        tokens=None,
-        authorize=None,
-        orphans="keep",
-        grace=5,
-        tls=TLS,
-        insecure=False,
-        hosts=("robot",),
-        origins=(),
-    )
+    InProcessTransport("robot", **CLIENT)
+    UnixTransport("/run/robot", **WIRE)
+    TcpTransport("robot", **WIRE, tls=TLS, insecure=False)
+    WebSocketTransport("robot", **WIRE, tls=TLS, insecure=False, hosts=("robot",), origins=())
     HttpTransport(
         "robot",
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-        tokens=None,
-        authorize=None,
-        orphans="keep",
-        grace=5,
+        **WIRE,
         tls=TLS,
         insecure=False,
         hosts=("robot",),
@@ -244,22 +239,7 @@ def settings_of_transports() -> None:
         metrics=None,
         recording=None,
     )
-    WebTransport(
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-        tokens=None,
-        authorize=None,
-        orphans="keep",
-        grace=5,
-        hosts=("robot",),
-        origins=(),
-        console=True,
-        metrics=None,
-    )
+    WebTransport(**WIRE, hosts=("robot",), origins=(), console=True, metrics=None)
     RosbridgeTransport(
         "robot",
         token="secret",
@@ -274,16 +254,7 @@ def settings_of_transports() -> None:
     )
     NatsTransport(
         "broker",
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-        tokens=None,
-        authorize=None,
-        orphans="keep",
-        grace=5,
+        **WIRE,
         worker="robot7",
         lease=10,
         replicas=3,
@@ -295,35 +266,9 @@ def settings_of_transports() -> None:
         creds="me.creds",
         tls=TLS,
     )
-    Ros2Transport(
-        namespace="/robot",
-        domain_id=7,
-        arguments=None,
-        feedback_depth=10,
-        discovery_timeout=1.5,
-        lease=1,
-        reconnect=True,
-        reconnect_timeout=5,
-        services_qos="",
-        feedback_qos="",
-        status_qos="",
-        introspection="off",
-        node=object(),
-        via="rclpy",
-    )
+    Ros2Transport(**ROS, node=object(), via="rclpy")
     DdsTransport(
-        namespace="/robot",
-        domain_id=7,
-        arguments=None,
-        feedback_depth=10,
-        discovery_timeout=1.5,
-        lease=1,
-        reconnect=True,
-        reconnect_timeout=5,
-        services_qos="",
-        feedback_qos="",
-        status_qos="",
-        introspection="off",
+        **ROS,
         search=["interfaces"],
         discovery="SUBNET",
         peers=[],
@@ -331,33 +276,9 @@ def settings_of_transports() -> None:
         ip_versions=[4],
         fragment_size=1400,
     )
-    McpStdioTransport(allow=["count"], unasked=["count"], read_only=False, patience=20)
-    McpHttpTransport(
-        allow=["count"],
-        unasked=["count"],
-        read_only=False,
-        patience=20,
-        token="secret",
-        tokens={"other": "bob"},
-        limits=LIMITS,
-        tls=TLS,
-        insecure=False,
-        hosts=[],
-        origins=[],
-    )
-    A2aHttpTransport(
-        allow=["count"],
-        unasked=["count"],
-        read_only=False,
-        patience=20,
-        token="secret",
-        tokens={"other": "bob"},
-        limits=LIMITS,
-        tls=TLS,
-        insecure=False,
-        hosts=[],
-        origins=[],
-    )
+    McpStdioTransport(**AGENTS)
+    McpHttpTransport(**AGENTS_OVER_HTTP)
+    A2aHttpTransport(**AGENTS_OVER_HTTP)
     TcpTransport(hartbeat=2)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
     UnixTransport("/run/robot", insecure=True)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
     NatsTransport("broker", passwort="secret")  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
