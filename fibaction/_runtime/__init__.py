@@ -1,1 +1,1 @@
-"""Small parts below everything: logs, texts, signals between tasks, slices of time."""
+"""Small parts below everything: logs, texts, signals between tasks, threads."""

@@ -16,7 +16,7 @@ Helpers:
 - `settings`: the settings of a transport, from keywords and from URLs;
 - `byte_budgets`: limits for the bytes that many parts hold together;
 - `http_access`: which HTTP requests a server lets in;
-- `plain_values`: type guards for data that comes from JSON.
+- `detached`: a task group that can leave tasks behind, for code that may refuse to end.
 
 Feedback and statuses for many followers are in `fibaction.feeds`.
 """

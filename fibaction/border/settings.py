@@ -14,9 +14,9 @@ from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import msgspec
 
-from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.urls import check_settings, unknown_setting, without_settings
 from fibaction.words.errors import InvalidURL
+from fibaction.words.plain_data import check_is_number
 
 __all__ = ["FromText", "TransportSettings", "check_range", "read_settings"]
 

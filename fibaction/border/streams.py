@@ -14,7 +14,7 @@ from typing import Self, TypeAlias
 import msgspec
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import Slices
+from fibaction.border.event_loop import Slices
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus

@@ -31,12 +31,12 @@ from anyio import CancelScope, current_time, get_cancelled_exc_class
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.plain_data import check_is_number
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.retry import Retry
 from fibaction.words.errors import ActionError, ConnectionLost, GoalTimeout, copy_of
 from fibaction.words.goals import GoalID
+from fibaction.words.plain_data import check_is_number
 from fibaction.words.statuses import GoalStatus
 
 T = TypeVar("T")

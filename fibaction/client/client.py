@@ -23,7 +23,6 @@ from anyio import get_cancelled_exc_class
 from msgspec.structs import replace
 
 from fibaction._runtime.own_thread import OwnThread
-from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.client.attempts import Attempts, attempts_of, cancel_left
 from fibaction.client.events import Events, events_of
@@ -37,6 +36,7 @@ from fibaction.words.errors import ProtocolError, ServerNotFound
 from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.words.meta import NO_META, with_labels
+from fibaction.words.plain_data import check_is_number
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):

@@ -40,8 +40,8 @@ from anyio.abc import TaskGroup
 from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStream
 
 from fibaction._runtime.own_thread import OwnThread
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint, StatusStream
+from fibaction.border.event_loop import Background
 from fibaction.types.action import Codec, FeedbackT
 from fibaction.words.errors import ActionError, UnknownGoal
 from fibaction.words.goals import GoalID, GoalInfo

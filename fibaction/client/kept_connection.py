@@ -19,9 +19,9 @@ from typing import Any
 from anyio import CancelScope, Event, get_cancelled_exc_class
 from anyio.lowlevel import current_token
 
-from fibaction._runtime.detached import start_outside
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Connection, Endpoint, ForwardingEndpoint, Transport
+from fibaction.border.detached import start_outside
 from fibaction.client.goal import Blocks, leave_blocks
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.goals import ActionPeers, WorkerInfo

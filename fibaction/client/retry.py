@@ -6,7 +6,6 @@ from typing import cast
 
 import msgspec
 
-from fibaction._runtime.plain_data import check_is_number
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
@@ -18,6 +17,7 @@ from fibaction.words.errors import (
     ServerNotFound,
     UnknownGoal,
 )
+from fibaction.words.plain_data import check_is_number
 
 _SAFE: tuple[type[ActionError], ...] = (
     ServerNotFound,

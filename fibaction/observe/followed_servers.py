@@ -21,8 +21,8 @@ import anyio
 
 from fibaction._api import ClientConnection, connect
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Transport
+from fibaction.border.event_loop import Background
 from fibaction.border.gateway import SeenServer, ServerGroup
 from fibaction.border.urls import transport_for
 from fibaction.words.errors import (

@@ -7,7 +7,7 @@ import json
 import logging
 
 from fibaction._runtime.log import traceback_text
-from fibaction.words.current_goal import current_goal
+from fibaction.words.goals import current_goal
 
 __all__ = ["GoalFilter", "JsonFormatter"]
 

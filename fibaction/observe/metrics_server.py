@@ -17,7 +17,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 import anyio
 
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.observe.metrics import Metrics
 from fibaction.server import ActionServer
 from fibaction.words.errors import TransportError

@@ -41,8 +41,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
-from fibaction._runtime.plain_data import is_map
 from fibaction.schema.steps import CheckSteps
+from fibaction.words.plain_data import is_map
 
 Path: TypeAlias = tuple[str | int, ...]
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from fibaction._runtime.plain_data import is_map
 from fibaction.schema.check import Check, Mismatch
 from fibaction.schema.keywords import in_json
 from fibaction.schema.steps import are_equal
+from fibaction.words.plain_data import is_map
 
 
 class Visited(Protocol):

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any, cast
 
-from fibaction._runtime.plain_data import is_list, is_map, is_number, quoted
+from fibaction.words.plain_data import is_list, is_map, is_number, quoted
 
 MAX_PARTS = 20_000
 """Schemas within a schema."""

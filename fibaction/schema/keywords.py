@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction._runtime.plain_data import is_list, is_map, is_number
+from fibaction.words.plain_data import is_list, is_map, is_number
 
 
 def _is_text(value: object) -> bool:

@@ -10,9 +10,9 @@ import difflib
 from collections.abc import Iterable, Iterator
 from itertools import islice
 
-from fibaction._runtime.plain_data import is_map, quoted
 from fibaction._runtime.text import excerpt
 from fibaction.schema.check import Mismatch, Path
+from fibaction.words.plain_data import is_map, quoted
 
 MAX_NAME = 60
 """Characters of a field's name that a sentence shows."""

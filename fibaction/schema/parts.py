@@ -6,7 +6,6 @@ import base64
 from collections.abc import Collection, Sequence
 from typing import Any, TypeAlias
 
-from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.schema.check import (
     MAX_DEPTH,
     MAX_NESTING,
@@ -28,6 +27,7 @@ from fibaction.schema.keywords import (
     size_in_bytes,
 )
 from fibaction.schema.steps import CONTAINERS, Extent, are_equal, text_steps
+from fibaction.words.plain_data import is_list, is_map
 
 MAX_LEVELS = 10
 """Alternatives within each other whose types are known before they are visited."""

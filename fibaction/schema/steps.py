@@ -6,8 +6,8 @@ from collections.abc import Callable
 from itertools import chain
 from typing import Any, NamedTuple
 
-from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.schema.json_schema import SchemaError
+from fibaction.words.plain_data import is_list, is_map
 
 STEPS = 20_000
 """Steps of a check, whatever the data is; they take some hundredths of a second."""

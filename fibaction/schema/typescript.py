@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator, Set
 from itertools import chain, count
 from typing import Any, TypeAlias
 
-from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.types.action import ActionInfo
+from fibaction.words.plain_data import is_list, is_map
 
 Schema: TypeAlias = Any
 """A JSON Schema: a dict, or True or False."""

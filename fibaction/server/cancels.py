@@ -15,7 +15,7 @@ from typing import Generic
 
 from anyio import Semaphore, create_task_group, current_time
 
-from fibaction._runtime.slices import Slices
+from fibaction.border.event_loop import Slices
 from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.runs import Runs

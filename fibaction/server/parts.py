@@ -26,12 +26,10 @@ from typing import Any, Generic
 from anyio import move_on_after, sleep
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.asyncio_task import loop_clock
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.own_thread import HomeLoop
-from fibaction._runtime.slices import Slices
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background, Slices, loop_clock
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.cancels import Cancels

@@ -11,7 +11,6 @@ from typing import Generic, Literal, TypeAlias, TypedDict
 
 import msgspec
 
-from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
 from fibaction.server.admission.sender_argument import GoalFunction
@@ -19,6 +18,7 @@ from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.registry import MAX_BYTES, MAX_GOALS
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.types.action import GoalT
+from fibaction.words.plain_data import check_is_number
 
 CancelFunction: TypeAlias = Callable[[GoalHandle[GoalT]], Awaitable[None] | None]
 """A sync or async function that returns None to accept, and raises a rejection to reject."""

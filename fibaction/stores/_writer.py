@@ -35,8 +35,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import anyio
 
-from fibaction._runtime.asyncio_task import asyncio_task
 from fibaction._runtime.text import excerpt
+from fibaction.border.event_loop import asyncio_task
 from fibaction.border.goal_store import GoalJournal, StoredGoal, Then
 from fibaction.stores.journal_rows import (
     CheckpointRecord,

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 from anyio import CancelScope, Event
 
-from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
+from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, no_obstacle
 from fibaction.words.errors import StoreError
 from fibaction.words.goal_history import GoalHistory, check_is_history

@@ -18,9 +18,9 @@ from pydantic import BaseModel, PydanticUserError, TypeAdapter, ValidationError
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.types.base import Encoding
 from fibaction.types.schemas import constant_of
+from fibaction.words.plain_data import is_list, is_map
 
 MAX_VALIDATION_ERRORS = 3
 """Problems of one message that the text of an error names."""

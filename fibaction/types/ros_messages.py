@@ -17,13 +17,13 @@ from typing import Any, cast
 import msgspec
 from msgspec import inspect
 
-from fibaction._runtime.plain_data import is_list, is_map
 from fibaction._runtime.text import excerpt
 from fibaction.types.arrays import plain_array
 from fibaction.types.base import Encoding
 from fibaction.types.ros_classes import is_message, is_message_class, message_class, ros_type_of
 from fibaction.types.schemas import schema_of
 from fibaction.words.errors import ProtocolError
+from fibaction.words.plain_data import is_list, is_map
 
 _REMEMBERED = 256
 """Pairs of a declared type and a class of ROS that are kept, and classes whose fields are."""

@@ -13,7 +13,7 @@ from typing import Any, cast
 import msgspec
 from msgspec import inspect
 
-from fibaction._runtime.plain_data import is_map
+from fibaction.words.plain_data import is_map
 
 
 def schema_of(

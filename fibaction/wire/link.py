@@ -42,7 +42,7 @@ from anyio import CancelScope, create_task_group, move_on_after, sleep
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import SLICE
+from fibaction.border.event_loop import SLICE
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import UNCOUNTED, FrameMemory

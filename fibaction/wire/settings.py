@@ -18,10 +18,10 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from fibaction._runtime.plain_data import check_is_number
 from fibaction.border.settings import TransportSettings, check_range
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
+from fibaction.words.plain_data import check_is_number
 
 HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""

@@ -13,9 +13,9 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint
 from fibaction.border.byte_budgets import ByteBudget
+from fibaction.border.event_loop import Background
 from fibaction.wire.channel import Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader

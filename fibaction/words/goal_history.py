@@ -6,7 +6,7 @@ import math
 
 import msgspec
 
-from fibaction._runtime.plain_data import check_is_number
+from fibaction.words.plain_data import check_is_number
 
 SECOND = 1_000_000_000
 DAY = 24 * 3600.0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from contextvars import ContextVar
 from functools import lru_cache
 from hashlib import blake2b
 from typing import Any, Generic, TypeVar
@@ -335,3 +336,17 @@ class CancelAnswer(msgspec.Struct, frozen=True):
         )
         code = next((code for code in weights if code in codes), CancelCode.NONE)
         return cls(CancelCode.NONE if goals else code, goals, reasons)
+
+
+class CurrentGoal:
+    """The action and the ID of a goal; the ID changes if the executor takes its successor over."""
+
+    __slots__ = ("action", "goal_id")
+
+    def __init__(self, action: str, goal_id: GoalID) -> None:
+        self.action = action
+        self.goal_id = goal_id
+
+
+current_goal: ContextVar[CurrentGoal | None] = ContextVar("current_goal", default=None)
+"""The goal of the executor that this code is called by; None outside executors."""

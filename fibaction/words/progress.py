@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from fibaction._runtime.plain_data import is_map, is_number
+from fibaction.words.plain_data import is_map, is_number
 
 COUNTS = ("done", "completed", "current", "progress")
 """Names of fields for what is done, next to a field `total`."""

@@ -10,7 +10,7 @@ import pytest
 
 from fibaction import GoalID
 from fibaction.cli.process.logs import CleanFormatter, log_connection, log_events, log_with_time
-from fibaction.words.current_goal import CurrentGoal, current_goal
+from fibaction.words.goals import CurrentGoal, current_goal
 
 
 @pytest.mark.parametrize(

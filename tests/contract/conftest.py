@@ -43,7 +43,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import GoalStore
 from fibaction.types.action import FeedbackT, GoalT, ResultT
 from fibaction_transports.inprocess import InProcessTransport

@@ -14,7 +14,7 @@ import anyio
 import pytest
 
 from fibaction import blocking
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
 from fibaction_transports.ros2 import Ros2Transport
 from fibaction_transports.ros2.names import action_names

@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction_transports.ros2.on_rclpy.mailbox import MAILBOX, TURN, Mailbox
 from fibaction_transports.ros2.on_rclpy.rcl import InvalidHandle
 from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable, Source

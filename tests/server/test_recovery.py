@@ -35,7 +35,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, Then
 from fibaction.client import attempts
 from tests.contract.conftest import tcp_address

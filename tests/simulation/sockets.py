@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextvars import copy_context
 from typing import Any
 
-from fibaction._runtime.asyncio_task import asyncio_loop
+from fibaction.border.event_loop import asyncio_loop
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader
 from fibaction_transports._socket_lines.protocol_line import ProtocolLine

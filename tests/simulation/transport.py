@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fibaction import Endpoint, ServerNotFound, Transport
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection
+from fibaction.border.event_loop import Background
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.frames import FrameReader

@@ -20,7 +20,7 @@ from typing import NamedTuple, TypeAlias
 from anyio import current_time, move_on_after
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker.broker import (
     NO_RESPONDERS,

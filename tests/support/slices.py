@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from fibaction._runtime import slices
+from fibaction.border import event_loop
 
 
 def let_slices_last(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     """Let each slice last so long; with less than 0, it is over before it begins."""
-    monkeypatch.setattr(slices, "SLICE", seconds)
+    monkeypatch.setattr(event_loop, "SLICE", seconds)
 
 
 class SliceClock:

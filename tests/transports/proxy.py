@@ -11,7 +11,7 @@ import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 
 BROKEN: tuple[type[Exception], ...] = (
     OSError,

@@ -9,7 +9,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction._runtime.slices import SLICE
+from fibaction.border.event_loop import SLICE
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
 from fibaction.wire.link import Link
 from fibaction.wire.messages import ListActions

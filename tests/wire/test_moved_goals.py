@@ -10,8 +10,8 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import GoalRequest
+from fibaction.border.event_loop import Background
 from fibaction.wire.client.connection import RemoteConnection, new_session
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import (

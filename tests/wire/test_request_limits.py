@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from fibaction import RejectionCode
-from fibaction._runtime.slices import SLICE
+from fibaction.border.event_loop import SLICE
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import Permission
 from fibaction.wire.messages import (

@@ -9,9 +9,9 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from fibaction._runtime.plain_data import is_map
 from fibaction.cli.arguments.action_names import nearest
 from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.words.plain_data import is_map
 
 TABLE = "addresses"
 """The table of the file with a URL for each name."""

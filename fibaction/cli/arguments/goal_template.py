@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import Any
 
-from fibaction._runtime.plain_data import is_map, is_number, quoted
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.schema.template import FORMATS, Template
+from fibaction.words.plain_data import is_map, is_number, quoted
 
 MAX_VALUES = 10
 """Values of an enumeration that are named."""

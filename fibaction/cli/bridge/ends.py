@@ -11,8 +11,8 @@ import anyio
 from anyio.abc import TaskGroup, TaskStatus
 
 from fibaction._api import serve
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint
+from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for
 from fibaction.wire.server.requests import ChangingEndpoints
 from fibaction.wire.transport import WireTransport

@@ -17,9 +17,9 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.lines import console
+from fibaction.words.plain_data import is_list, is_map
 from fibaction.words.progress import Progress, ProgressMeter
 
 BAR_SHARE = 4

@@ -12,8 +12,8 @@ from typing import Any
 import yaml
 from msgspec.msgpack import Ext
 
-from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.cli.output.escape import clean_lines
+from fibaction.words.plain_data import is_list, is_map
 
 MAX_ITEMS = 128
 """Items of a list that are shown by default; `ros2 topic echo` shows as many."""

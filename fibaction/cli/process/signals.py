@@ -31,8 +31,7 @@ from typing import Any, Final, Self, TypeAlias
 
 import anyio
 
-from fibaction._runtime.asyncio_task import asyncio_loop
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background, asyncio_loop
 from fibaction.cli.process.exit_codes import ExitCode
 
 Handler: TypeAlias = Callable[[int, object], None]

@@ -9,8 +9,8 @@ import anyio
 import click
 
 from fibaction._api import ClientConnection, connect, serve
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.action_names import names_of, no_action, shown
 from fibaction.cli.arguments.completion import ACTION, NAMESPACE, namespace_option

@@ -15,9 +15,9 @@ import msgspec
 from anyio import get_cancelled_exc_class
 
 from fibaction._api import ClientConnection, connect
-from fibaction._runtime.tasks import Background
 from fibaction._runtime.text import printable
 from fibaction.border.abc import Endpoint, GoalStream
+from fibaction.border.event_loop import Background
 from fibaction.cli.arguments.action_names import find_action, shown
 from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL, namespace_option
 from fibaction.cli.arguments.goal_input import read_goal, shell_meta

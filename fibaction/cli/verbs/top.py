@@ -12,7 +12,7 @@ from importlib.util import find_spec
 import click
 
 from fibaction._api import ClientConnection, connect
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.border.urls import without_settings
 from fibaction.cli.arguments.completion import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace

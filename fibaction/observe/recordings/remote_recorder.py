@@ -15,8 +15,8 @@ import msgspec
 from anyio.abc import TaskGroup
 
 from fibaction._api import ClientConnection
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint, FeedbackItem
+from fibaction.border.event_loop import Background
 from fibaction.observe.action_listener import actions_after_pause
 from fibaction.observe.recordings.recorder import Recorder
 from fibaction.types.action import ActionInfo

@@ -29,9 +29,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, TypeVarTuple
 
 from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
 
-from fibaction._runtime.asyncio_task import asyncio_task
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
+from fibaction.border.event_loop import asyncio_task
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.types.action import GoalT
 from fibaction.words.errors import (

@@ -42,7 +42,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import Slices
+from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import (
     GoalJournal,
     GoalStore,

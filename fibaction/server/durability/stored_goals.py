@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Awaitable, Iterable
 from typing import TYPE_CHECKING, Generic
 
-from fibaction._runtime.slices import Slices
 from fibaction._runtime.text import excerpt
+from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.admission.callbacks import awaited, failures_as
 from fibaction.server.durability.keeper import Checkpoints

@@ -66,7 +66,7 @@ from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.words.current_goal import CurrentGoal, current_goal
+from fibaction.words.goals import CurrentGoal, current_goal
 from fibaction.words.returned import Return
 
 if TYPE_CHECKING:

@@ -38,9 +38,9 @@ from typing import Any
 
 import anyio
 
-from fibaction._runtime.tasks import Background
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import Connection, Endpoint, GoalRequest
+from fibaction.border.event_loop import Background
 from fibaction.types.action import Action, ActionInfo
 from fibaction.wire.channel import Line
 from fibaction.wire.client.open_calls import OpenCalls

@@ -43,8 +43,8 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import Slices
 from fibaction.border.abc import Endpoint, GoalStream, GoalUpdate
+from fibaction.border.event_loop import Slices
 from fibaction.wire.messages import Follow
 from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
 from fibaction.words.errors import ActionError, GoalRejected, RejectionCode, UnknownGoal

@@ -35,9 +35,9 @@ from anyio import current_time, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import SLICE
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.border.byte_budgets import ByteBudget
+from fibaction.border.event_loop import SLICE
 from fibaction.wire.auth import Permission
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import UNCOUNTED

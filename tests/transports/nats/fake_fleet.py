@@ -19,8 +19,8 @@ from fibaction import (
     GoalStatus,
 )
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection
+from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import (
     GoalJournal,
     GoalStore,

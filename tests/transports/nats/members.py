@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from fibaction import GoalID
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import KeyPlaces, StoredGoal
 from fibaction.types.action import ActionInfo
 from fibaction.words.goals import Sender

@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from fibaction import GoalID, GoalStatus, Sender, StoreError
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction_transports.nats.broker.broker import BrokerWatch, PutError, PutFailure, Stored

@@ -13,7 +13,7 @@ import pytest
 from anyio import create_task_group, current_time, fail_after, sleep
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.words.errors import StoreError
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import (
     GoalTaken,
     RecordTooLarge,

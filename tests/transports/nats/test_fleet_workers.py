@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, WorkerInfo
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction_transports.nats.broker.broker import BrokerStream
 from fibaction_transports.nats.records import LeaseEntry, encode
 from fibaction_transports.nats.workers import FleetWorkers

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from anyio import create_task_group, current_time, fail_after, sleep
 
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.names import FleetNames

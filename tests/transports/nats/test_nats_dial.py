@@ -17,7 +17,7 @@ from anyio.abc import SocketStream
 from anyio.streams.tls import TLSStream
 
 from fibaction import AuthenticationFailed, LimitReached, ServerNotFound
-from fibaction._runtime.asyncio_task import asyncio_loop
+from fibaction.border.event_loop import asyncio_loop
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.nats.broker.broker import Message
 from fibaction_transports.nats.broker.broker_socket import LONGEST_LINE

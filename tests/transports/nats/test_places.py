@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, GoalRejected, GoalStatus, ServerNotFound
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction_transports.nats.client.free_workers import (
     FIRST_WAIT,
     OFFER_LIFE,

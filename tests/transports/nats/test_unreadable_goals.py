@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from anyio import sleep
 
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerSubscription, Message
 from fibaction_transports.nats.worker import unreadable_goals
 from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, Membership

@@ -17,7 +17,7 @@ import pytest
 import sniffio
 from anyio.abc import SocketAttribute
 
-from fibaction._runtime.slices import SLICE
+from fibaction.border.event_loop import SLICE
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.words.errors import ConnectionLost, ProtocolError

@@ -13,8 +13,8 @@ from a2a.types import Part
 from google.protobuf.json_format import ParseDict, ParseError
 from google.protobuf.struct_pb2 import Struct, Value
 
-from fibaction.border.plain_values import is_list, is_map
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
+from fibaction.words.plain_data import is_list, is_map
 
 LARGEST = 2**53
 """The largest whole number up to which floats have all of them."""

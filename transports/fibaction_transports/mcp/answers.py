@@ -17,11 +17,11 @@ from typing import Any, TypeAlias, cast
 from mcp_types import CallToolResult, ImageContent, TextContent
 
 from fibaction.border.peer_text import excerpt, shortened
-from fibaction.border.plain_values import is_list, is_map
 from fibaction.schema.payload import PayloadError, to_json
 from fibaction.types.action import Codec
 from fibaction.words.errors import ActionError, ProtocolError, ServerNotFound, UnknownGoal
 from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.plain_data import is_list, is_map
 from fibaction.words.progress import Progress, ProgressMeter
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals

@@ -15,8 +15,8 @@ from mcp_types import Tool, ToolAnnotations
 
 from fibaction.border.abc import Connection
 from fibaction.border.peer_text import excerpt, shortened
-from fibaction.border.plain_values import is_list, is_map
 from fibaction.types.action import ActionInfo
+from fibaction.words.plain_data import is_list, is_map
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports._agents.robot_actions import RobotAction, RobotActions

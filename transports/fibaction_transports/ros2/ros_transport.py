@@ -12,9 +12,9 @@ from urllib.parse import SplitResult, urlencode
 import msgspec
 
 from fibaction.border.abc import Connection, Endpoint
-from fibaction.border.plain_values import is_list
 from fibaction.wire.transport import ConfiguredTransport
 from fibaction.words.errors import TransportError
+from fibaction.words.plain_data import is_list
 from fibaction_transports.ros2.adapter import RosAdapter
 from fibaction_transports.ros2.client.endpoint import connect_actions
 from fibaction_transports.ros2.names import ActionNames, action_names

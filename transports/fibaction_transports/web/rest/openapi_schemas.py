@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 from urllib.parse import unquote
 
-from fibaction.border.plain_values import is_list, is_map
 from fibaction.schema.template import Template
+from fibaction.words.plain_data import is_list, is_map
 
 Json: TypeAlias = dict[str, Any]
 

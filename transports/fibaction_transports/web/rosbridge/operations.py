@@ -15,9 +15,9 @@ from typing import Annotated, Any, TypeAlias, Union, cast
 import msgspec
 
 from fibaction.border.peer_text import excerpt
-from fibaction.border.plain_values import is_map
 from fibaction.wire.errors import sendable
 from fibaction.words.errors import ProtocolError
+from fibaction.words.plain_data import is_map
 
 LONGEST_ID = 1000
 """Characters of an ID, at most: it is in each answer."""

@@ -13,12 +13,12 @@ from typing import Any, TypeAlias
 import msgspec
 
 from fibaction.border.peer_text import REASON, excerpt
-from fibaction.border.plain_values import is_list, is_map
 from fibaction.schema.payload import SchemaError
 from fibaction.types.action import ActionInfo
 from fibaction.wire.messages import LARGEST, CancelAnswered
 from fibaction.words.errors import ProtocolError
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.plain_data import is_list, is_map
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.operations import Arguments
 from fibaction_transports.web.rosbridge.types.type_details import definitions

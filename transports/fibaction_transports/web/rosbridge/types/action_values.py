@@ -15,10 +15,10 @@ from typing import Any
 
 import msgspec
 
-from fibaction.border.plain_values import is_list, is_map
 from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
 from fibaction.types.action import ActionInfo
+from fibaction.words.plain_data import is_list, is_map
 from fibaction_transports.web.rosbridge.types.goal_arguments import (
     DATA,
     fields_of,

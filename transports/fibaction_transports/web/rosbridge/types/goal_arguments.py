@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from fibaction.border.plain_values import is_map
 from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.schema.turns import Pause
 from fibaction.types.action import ActionInfo
+from fibaction.words.plain_data import is_map
 from fibaction_transports.web.rosbridge.operations import Arguments
 
 DATA = "data"

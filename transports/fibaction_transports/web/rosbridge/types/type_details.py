@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from fibaction.border.plain_values import is_map
 from fibaction.schema.json_schema import JsonSchema
+from fibaction.words.plain_data import is_map
 from fibaction_transports.web.rosbridge.types.goal_arguments import DATA, target_of
 
 NOT_AN_ARRAY = -1

@@ -7,7 +7,7 @@ import anyio
 import anyio.to_thread
 import pytest
 
-from fibaction._runtime.asyncio_task import asyncio_loop, asyncio_task, loop_clock
+from fibaction.border.event_loop import asyncio_loop, asyncio_task, loop_clock
 
 
 @pytest.mark.asyncio

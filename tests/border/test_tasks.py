@@ -7,7 +7,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 
 pytestmark = pytest.mark.anyio
 

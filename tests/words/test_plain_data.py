@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 from msgspec.msgpack import Ext
 
-from fibaction._runtime.plain_data import (
+from fibaction.words.plain_data import (
     MAX_QUOTED,
     check_is_number,
     is_list,

@@ -23,11 +23,13 @@ from typing import TYPE_CHECKING, Any
 from anyio import CancelScope, Event, create_task_group, get_cancelled_exc_class, move_on_after
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.asyncio_task import asyncio_task
 from fibaction._runtime.notify import Notifier
+from fibaction.border.event_loop import asyncio_task
 
 if TYPE_CHECKING:
     import asyncio  # noqa: TID251  # anyio has no tasks outside of its groups
+
+__all__ = ["DetachedGroup"]
 
 LAST_TURNS = 0.1
 """Seconds for tasks that were left behind to end, if they can: a few turns of the event loop."""

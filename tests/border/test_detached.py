@@ -7,8 +7,8 @@ import anyio
 import pytest
 from anyio.abc import TaskGroup
 
-from fibaction._runtime import detached as detached_module
-from fibaction._runtime.detached import DetachedGroup, waker
+from fibaction.border import detached as detached_module
+from fibaction.border.detached import DetachedGroup, waker
 
 pytestmark = pytest.mark.anyio
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from fibaction._runtime import slices as slices_module
-from fibaction._runtime.slices import SLICE, Slices
+from fibaction.border import event_loop as slices_module
+from fibaction.border.event_loop import SLICE, Slices
 
 pytestmark = pytest.mark.anyio
 
