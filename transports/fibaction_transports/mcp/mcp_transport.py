@@ -1,4 +1,7 @@
-"""`McpTransport`: the part that MCP over stdio and over HTTP have in common."""
+"""`McpTransport`: the transports of MCP, of which this module has the one over HTTP.
+
+Its URLs are `mcp+http://host:port` and `mcp+https://host:port` ("streamable HTTP").
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,14 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, ClassVar
 
 from mcp.server import Server
+from mcp.server.transport_security import TransportSecuritySettings
 
 from fibaction.border.gateway import Gateway, ServerGroup
+from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
 from fibaction_transports._agents.agent_transport import AgentTransport
 from fibaction_transports.mcp.tool_server import ToolServer
+
+PATH = "/mcp"
 
 
 class McpTransport(AgentTransport):
@@ -32,6 +39,25 @@ class McpTransport(AgentTransport):
         """See `GatewayTransport.serve_group`. The names are those of the tools."""
         async with ToolServer(group, self.policy) as tools, self.offer(tools.server) as url:
             yield _McpGateway(url, tools)
+
+
+class McpHttpTransport(AgentHttpTransport, McpTransport):
+    """MCP over HTTP, with or without TLS, for any number of clients. It runs on asyncio only.
+
+    Each client needs a token, so that no other user of the machine can move a robot.
+    """
+
+    schemes: ClassVar[tuple[str, str]] = ("mcp+http", "mcp+https")
+    tls_schemes: ClassVar[tuple[str, ...]] = ("mcp+https",)
+    default_port: ClassVar[int] = 8090
+
+    def offer(self, server: Server[Any]) -> AbstractAsyncContextManager[str]:
+        # The rules of this transport are stricter.
+        off = TransportSecuritySettings(enable_dns_rebinding_protection=False)
+        app = server.streamable_http_app(
+            streamable_http_path=PATH, transport_security=off, host=self.host
+        )
+        return self.serve_app(app, PATH)
 
 
 class _McpGateway(Gateway):

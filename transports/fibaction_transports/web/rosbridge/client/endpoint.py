@@ -1,15 +1,17 @@
-"""`RosbridgeEndpoint`: one action of a rosbridge server, for clients."""
+"""`RosbridgeConnection`: the actions of a rosbridge server for clients, each an endpoint."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import anyio
 from anyio import current_time
 
-from fibaction.border.abc import Endpoint, GoalRequest, StatusStream
+from fibaction.border.abc import Connection, Endpoint, GoalRequest, StatusStream
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.schema.payload import PayloadError
-from fibaction.types.action import ActionInfo
+from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (
     ConnectionLost,
     GoalRejected,
@@ -18,7 +20,15 @@ from fibaction.words.errors import (
     ServerNotFound,
     TransportError,
 )
-from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
+from fibaction.words.goals import (
+    ID_IN_USE,
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    digest_of,
+)
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed
@@ -38,6 +48,37 @@ LARGEST_GOAL = 10_000_000
 """Bytes of the largest message that rosbridge servers accept, if nothing else is set there."""
 
 logger = clean_logger("fibaction.web")
+
+
+class RosbridgeConnection(Connection):
+    """The actions of one rosbridge server."""
+
+    def __init__(self, keeper: LinkKeeper) -> None:
+        self._keeper = keeper
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        """See `Connection.endpoint`.
+
+        Raises:
+            TransportError: The schemas of the action cannot be used.
+        """
+        return RosbridgeEndpoint(
+            self._keeper, action.info if isinstance(action, Action) else action
+        )
+
+    async def actions(self) -> list[ActionInfo]:
+        """See `Connection.actions`. The schemas are those that rosapi tells, or empty."""
+        return [await self._described(name) for name in await self._keeper.action_names()]
+
+    async def peers(self, action: str) -> ActionPeers:
+        """See `Connection.peers`. It is the rosbridge server; rosapi tells no clients."""
+        names = [name.removeprefix("/") for name in await self._keeper.action_names()]
+        return ActionPeers((self._keeper.url,) if action in names else ())
+
+    async def _described(self, name: str) -> ActionInfo:
+        type_name = await self._keeper.type_of(name)
+        schemas = await self._keeper.schemas_of(type_name)
+        return ActionInfo(name.removeprefix("/"), type_name, *schemas)
 
 
 class RosbridgeEndpoint(Endpoint):
