@@ -39,7 +39,7 @@ async def main() -> None:
             async for feedback in goal.feedback:
                 if feedback.walked == 2:
                     await goal.cancel()
-            print(await goal.outcome())
+            print((await goal.outcome()).status)
 
 
 anyio.run(main)

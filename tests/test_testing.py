@@ -15,13 +15,13 @@ from fibaction import (
     GoalHandle,
     GoalRejected,
     GoalStatus,
-    Outcome,
     ProtocolError,
 )
 from fibaction.server.execution.executor import Executor
-from fibaction.testing import ScriptedServer, Trial, run_executor
+from fibaction.testing import ScriptedServer, run_executor
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.matching import End
 
 pytestmark = pytest.mark.asyncio
 
@@ -38,16 +38,14 @@ async def counts(goal: GoalHandle[Goal]) -> Items:
 
 async def test_an_executor_is_run_to_its_end() -> None:
     trial = await run_executor(FIBONACCI, fibonacci, Goal(3))
-    assert trial == Trial(
-        Outcome(GoalStatus.SUCCEEDED, Result([0, 1, 1, 2])),
-        [Feedback([0, 1, 1]), Feedback([0, 1, 1, 2])],
-    )
+    assert trial.outcome == End(GoalStatus.SUCCEEDED, Result([0, 1, 1, 2]))
+    assert trial.feedback == [Feedback([0, 1, 1]), Feedback([0, 1, 1, 2])]
 
 
 @pytest.mark.parametrize("after", [1, 2, 100])
 async def test_an_executor_is_canceled_exactly_at_that_feedback(after: int) -> None:
     trial = await run_executor(FIBONACCI, counts, Goal(0), cancel_after=after)
-    assert trial.outcome == Outcome(GoalStatus.CANCELED, Result([after]))
+    assert trial.outcome == End(GoalStatus.CANCELED, Result([after]))
     assert trial.feedback == [Feedback([number]) for number in range(1, after + 1)]
 
 
@@ -57,7 +55,8 @@ async def test_an_executor_that_is_canceled_before_it_starts_does_not() -> None:
         yield Feedback([])
 
     trial = await run_executor(FIBONACCI, must_not_run, Goal(0), cancel_after=0)
-    assert trial == Trial(Outcome(GoalStatus.CANCELED), [])
+    assert trial.outcome == End(GoalStatus.CANCELED)
+    assert trial.feedback == []
 
 
 async def test_a_cooperative_executor_is_asked() -> None:
@@ -69,7 +68,7 @@ async def test_a_cooperative_executor_is_asked() -> None:
         raise GoalCanceled(result=Result([number]))
 
     trial = await run_executor(FIBONACCI, looks, Goal(0), cancel_after=4, interrupt_on_cancel=False)
-    assert trial.outcome == Outcome(GoalStatus.CANCELED, Result([4]))
+    assert trial.outcome == End(GoalStatus.CANCELED, Result([4]))
 
 
 async def test_an_executor_that_takes_too_long_is_ended() -> None:

@@ -28,6 +28,11 @@ def shortened(text: str, length: int = REASON) -> str:
     return text if len(text) <= length else text[: length - 1] + "…"
 
 
+def sendable(text: str) -> str:
+    """Return a text to send: cut, and with `?` in place of what cannot be sent as Unicode."""
+    return shortened(text).encode("utf-8", "replace").decode()
+
+
 def printable(text: str) -> str:
     """Return the text on one line, with everything that is not printable escaped.
 

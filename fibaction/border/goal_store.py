@@ -38,7 +38,7 @@ import msgspec
 from fibaction._runtime.text import LENGTH, shortened
 from fibaction.words.errors import StoreError
 from fibaction.words.goal_query import PastPage
-from fibaction.words.goals import GoalID, GoalInfo, Sender, child_id
+from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender, child_id
 from fibaction.words.meta import labels_in, meta_after_end, parent_in
 from fibaction.words.statuses import GoalStatus
 
@@ -94,6 +94,17 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
         """The status that clients know: an active goal that has begun is EXECUTING."""
         has_begun = self.attempt and self.status is GoalStatus.ACCEPTED
         return GoalStatus.EXECUTING if has_begun else self.status
+
+    @property
+    def outcome(self) -> Outcome[bytes]:
+        """The outcome of a goal that has ended."""
+        return Outcome(self.status, self.result, self.reason, self.ended_at or None)
+
+    def end(self, outcome: Outcome[bytes]) -> None:
+        """Note the outcome."""
+        self.status, self.result = outcome.status, outcome.result
+        self.reason, self.ended_at = outcome.reason, outcome.ended_at or 0
+        self.is_running = False
 
     @property
     def info(self) -> GoalInfo:

@@ -32,7 +32,7 @@ from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.retry import Retry
 from fibaction.types.action import NO_VALUE, Action, Codec, FeedbackT, GoalT, ResultT
-from fibaction.words.errors import ProtocolError, ServerNotFound
+from fibaction.words.errors import ServerNotFound
 from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.words.meta import NO_META, with_labels
@@ -364,8 +364,5 @@ async def with_result(endpoint: Endpoint, codec: Codec[ResultT], info: GoalInfo)
     outcome = await endpoint.get_result(info.goal_id)
     if not outcome.status.is_terminal:
         return info
-    try:
-        result = None if outcome.result is None else codec.decode(outcome.result)
-    except ProtocolError as exc:
-        return replace(info, reason=outcome.unreadable(exc).reason)
-    return replace(info, result=result, reason=outcome.reason)
+    outcome = outcome.readable(codec.decode)
+    return replace(info, result=outcome.result, reason=outcome.reason)

@@ -125,8 +125,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
                 self.feedback.span.failed(exc)
                 raise
             self.feedback.span.ended(raw)
-            result = None if raw.result is None else self._codec.decode(raw.result)
-            self._outcome = Outcome(raw.status, result, raw.reason)
+            self._outcome = raw.decoded(self._codec.decode)
         return self._outcome
 
     async def result(self) -> ResultT:

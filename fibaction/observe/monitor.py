@@ -166,8 +166,7 @@ class Monitor(ActionListener):
         """
         client = self._client(key)
         raw = await client.endpoint.get_result(key.goal_id)
-        result = None if raw.result is None else client.action.result.decode(raw.result)
-        return Outcome(raw.status, result, raw.reason)
+        return raw.decoded(client.action.result.decode)
 
     async def request(self, key: GoalKey) -> Any:
         """Return the goal itself, as it was sent; None if its server does not tell it.

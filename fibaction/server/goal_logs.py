@@ -145,7 +145,7 @@ class GoalLogs:
         if goal.told_status is not goal.status:
             self._tell(run, goal.status)
         now = self.now()
-        self._registry.finish(goal, run.outcome, now=now, stamp=time.time_ns())
+        self._registry.finish(goal, run.outcome, now=now)
         goal.log = None
         if self._statuses.is_followed or self._are_told_elsewhere:
             self._recent.append((now + RECENT_TIME, log))

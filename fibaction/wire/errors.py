@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import REASON, excerpt, shortened
+from fibaction._runtime.text import sendable as sendable  # for transports, too
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import Failed, Goodbye, Rejected, Why
 from fibaction.words.errors import (
@@ -113,11 +114,6 @@ def goodbye_of(error: ActionError) -> Goodbye:
 def failure_of(exc: BaseException) -> ServerFailed:
     """Return the error that a client is told of a bug of its server."""
     return ServerFailed(f"the server failed: {type(exc).__name__}")
-
-
-def sendable(text: str) -> str:
-    """Return a text to send: cut, and with `?` in place of what cannot be sent as Unicode."""
-    return shortened(text).encode("utf-8", "replace").decode()
 
 
 def _error(number: int, text: str, goal_id: GoalID | None) -> ActionError:

@@ -6,15 +6,17 @@ They are plain values, independent of transports.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextvars import ContextVar
 from functools import lru_cache
 from hashlib import blake2b
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 import msgspec
+from msgspec.structs import replace
 
 from fibaction._runtime.text import excerpt
+from fibaction.words.action_error import ActionError
 from fibaction.words.statuses import GoalStatus, NamedNumber
 
 T = TypeVar("T")
@@ -274,11 +276,33 @@ class Outcome(msgspec.Struct, Generic[T], frozen=True):
     """The result if SUCCEEDED; a partial result or None if CANCELED or ABORTED."""
     reason: str = ""
     """The reason of the abort or the cancel, or a likely reason of UNKNOWN, as text for people."""
+    ended_at: int | None = None
+    """The time of the end: nanoseconds since 1970, by the server's clock; None if the transport
+    does not carry it, as ROS."""
 
-    def unreadable(self, error: Exception) -> Outcome[Any]:
-        """Return the outcome without its result, which cannot be read: the reason says so."""
-        reason = f"{self.reason}; " if self.reason else ""
-        return Outcome(self.status, None, f"{reason}its result cannot be read: {error}")
+    @property
+    def size(self) -> int:
+        """The bytes of a result that is not decoded, and of the reason."""
+        return len(cast("bytes", self.result) or b"") + len(self.reason)
+
+    def decoded(self, decode: Callable[[T], Any]) -> Outcome[Any]:
+        """Return the outcome with its result decoded by a function, which may raise its error."""
+        return self if self.result is None else replace(self, result=decode(self.result))
+
+    def readable(self, decode: Callable[[T], Any]) -> Outcome[Any]:
+        """Return the outcome with its result decoded. If it cannot be, since it was stored by a
+        server with another type, for example, there is none, and the reason says so.
+        """
+        try:
+            return self.decoded(decode)
+        except (ActionError, ValueError) as exc:  # as the errors of decoding are
+            reason = f"{self.reason}; " if self.reason else ""
+            return replace(self, result=None, reason=f"{reason}its result cannot be read: {exc}")
+
+    @property
+    def members(self) -> dict[str, Any]:
+        """The outcome as members of an object of JSON."""
+        return {"status": self.status.name, "result": self.result, "reason": self.reason}
 
 
 UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN, reason=WHY_UNKNOWN)

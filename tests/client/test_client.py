@@ -44,6 +44,7 @@ from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
 from fibaction.words.goal_steps import GoalStep, GoalSteps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.matching import End
 from tests.support.spans import Spans
 
 pytestmark = pytest.mark.asyncio
@@ -166,7 +167,7 @@ async def test_a_goal_is_followed_from_its_acceptance_to_its_result() -> None:
                     end.set()
             assert seen == [Feedback([1]), Feedback([2])]
             assert await goal.result() == Result([3])
-            assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([3]))
+            assert await goal.outcome() == End(GoalStatus.SUCCEEDED, Result([3]))
             assert (await goal.cancel()).return_code is CancelCode.GOAL_TERMINATED
         assert goal.feedback_dropped == 0
         assert goal.stamp > 0

@@ -22,6 +22,7 @@ from fibaction.border.abc import ForwardingEndpoint, GoalStream
 from fibaction.words.goal_steps import GoalStep, GoalSteps
 from tests.contract.test_children import MISSION, Held, Mission, Steps
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
+from tests.support.matching import End
 from tests.support.memory_store import MemoryStore
 
 pytestmark = pytest.mark.anyio
@@ -137,7 +138,7 @@ async def test_a_timeout_inside_an_executor_cancels_the_child_and_waits_for_its_
 
     async with ActionServer(FIBONACCI, child) as arm, ActionServer(MISSION, mission) as server:
         goal = await ActionClient(server, MISSION).send_goal(3)
-        assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, [GoalStatus.CANCELED])
+        assert await goal.outcome() == End(GoalStatus.SUCCEEDED, [GoalStatus.CANCELED])
 
 
 async def test_a_mission_without_a_connection_to_its_child_still_ends() -> None:

@@ -17,7 +17,6 @@ from fibaction import (
     GoalID,
     GoalRejected,
     GoalStatus,
-    Outcome,
     RejectionCode,
     ServerNotFound,
     UnknownGoal,
@@ -26,6 +25,7 @@ from fibaction import (
 )
 from tests.contract.conftest import Reach
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -383,7 +383,7 @@ async def test_a_client_without_the_types_sends_a_goal_from_plain_data(reach: Re
             feedback = [item async for item in goal.feedback]
             outcome = await goal.outcome()
     assert feedback == [{"partial_sequence": [0, 1, 1]}, {"partial_sequence": [0, 1, 1, 2]}]
-    assert outcome == Outcome(GoalStatus.SUCCEEDED, {"sequence": [0, 1, 1, 2]})
+    assert outcome == End(GoalStatus.SUCCEEDED, {"sequence": [0, 1, 1, 2]})
 
 
 @pytest.mark.promise("STATUS-5", "CANCEL-16")

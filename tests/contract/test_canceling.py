@@ -27,6 +27,7 @@ from tests.contract import conftest
 from tests.contract.conftest import Reach
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.forms import Form
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -86,7 +87,7 @@ async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
     assert [(info.goal_id, info.status) for info in answer.goals_canceling] == [
         (goal.goal_id, GoalStatus.CANCELING)
     ]
-    assert outcome == Outcome(GoalStatus.CANCELED, Result([1]), "asked to")
+    assert outcome == End(GoalStatus.CANCELED, Result([1]), "asked to")
     assert caught.value.result == Result([1])
     assert caught.value.goal_id == goal.goal_id
 
@@ -111,7 +112,7 @@ async def test_a_cancel_is_raised_at_a_yield(reach: Reach, form: Form) -> None:
             if item.partial_sequence == [3]:
                 await goal.cancel()
         outcome = await goal.outcome()
-    assert outcome == Outcome(GoalStatus.CANCELED, Result(where))
+    assert outcome == End(GoalStatus.CANCELED, Result(where))
     assert where[0] >= 3
 
 
@@ -122,7 +123,7 @@ async def test_an_executor_that_says_nothing_of_it_is_canceled_all_the_same(
     async with reach(ActionServer(FIBONACCI, form(Held()))) as client:
         goal = await client.send_goal(Goal(1))
         await goal.cancel()
-        assert await goal.outcome() == Outcome(GoalStatus.CANCELED)
+        assert await goal.outcome() == End(GoalStatus.CANCELED)
 
 
 @pytest.mark.promise("CANCEL-6")
@@ -150,7 +151,7 @@ async def test_clean_up_may_await_because_the_cancellation_arrives_once(
                     await goal.cancel()
             outcome = await goal.outcome()
     assert feedback == [[0], [0], [0, 1], [0, 1, 2]]
-    assert outcome == Outcome(GoalStatus.CANCELED, Result([0, 1, 2]))
+    assert outcome == End(GoalStatus.CANCELED, Result([0, 1, 2]))
 
 
 @pytest.mark.promise("CANCEL-6", "CANCEL-11")
@@ -172,7 +173,7 @@ async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(
             async for item in goal.feedback:
                 if item == Feedback([1]):
                     assert (await goal.cancel()).accepted
-            assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([3]))
+            assert await goal.outcome() == End(GoalStatus.SUCCEEDED, Result([3]))
 
 
 @pytest.mark.promise("CANCEL-12")
@@ -188,7 +189,7 @@ async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach, for
         async with client.send_goal(Goal(1)) as goal:
             async for _ in goal.feedback:
                 await goal.cancel()
-            assert await goal.outcome() == Outcome(
+            assert await goal.outcome() == End(
                 GoalStatus.ABORTED, None, "RuntimeError: the brake failed"
             )
 
@@ -243,7 +244,7 @@ async def test_a_result_that_was_yielded_before_the_cancel_is_not_lost(reach: Re
         goal = await client.send_goal(Goal(1))
         await yielded.wait()
         await goal.cancel()
-        assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
+        assert await goal.outcome() == End(GoalStatus.CANCELED, Result([1]))
 
 
 @pytest.mark.promise("CANCEL-8", "CANCEL-9")
@@ -265,7 +266,7 @@ async def test_a_cooperative_executor_is_not_interrupted_but_asked(
         await begun.wait()
         assert (await goal.cancel()).accepted
         looked.set()
-        assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
+        assert await goal.outcome() == End(GoalStatus.CANCELED, Result([1]))
 
 
 @pytest.mark.promise("CANCEL-1", "RESULT-2")
@@ -310,7 +311,7 @@ async def test_a_goal_that_is_still_decided_upon_is_canceled_by_its_id_once_it_i
             assert (codes, outcomes) == ([], [])
             on_goal.decide.set()
     assert codes == [CancelCode.NONE]
-    assert outcomes == [Outcome(GoalStatus.CANCELED)]
+    assert outcomes == [End(GoalStatus.CANCELED)]
 
 
 @pytest.mark.promise("CANCEL-3", "CANCEL-16")

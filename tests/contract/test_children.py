@@ -16,7 +16,6 @@ from fibaction import (
     GoalID,
     GoalInfo,
     GoalStatus,
-    Outcome,
     Parent,
     Sender,
     Watcher,
@@ -25,6 +24,7 @@ from fibaction.border.abc import Meta
 from fibaction.words.goals import child_id
 from tests.contract.conftest import Reach
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.matching import End
 from tests.support.memory_store import MemoryStore
 
 pytestmark = pytest.mark.anyio
@@ -122,7 +122,7 @@ async def test_a_planned_stop_leaves_a_child_and_the_next_attempt_follows_it(rea
         async with ActionServer(MISSION, mission, store=store, at_stop="keep") as server:
             again = await ActionClient(server, MISSION).attach(goal.goal_id)
             child.go.set()
-            assert await again.outcome() == Outcome(GoalStatus.SUCCEEDED, [7])
+            assert await again.outcome() == End(GoalStatus.SUCCEEDED, [7])
             assert again.attempt == 2
 
     assert child.ids == [child_id(goal.goal_id, "fibonacci", "pick")]

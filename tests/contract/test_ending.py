@@ -28,6 +28,7 @@ from fibaction.border.abc import StatusStream
 from tests.contract.conftest import PATIENCE, Reach, running
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.forms import Form
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -178,7 +179,7 @@ async def test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told(
             await next_with(statuses, GoalStatus.UNKNOWN)
         # Over ROS the result may come behind that, and whoever attaches until then has it, too.
         for told in (goal, follower):
-            assert await told.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([5]))
+            assert await told.outcome() == End(GoalStatus.SUCCEEDED, Result([5]))
         with pytest.raises(UnknownGoal):
             await client.attach(goal.goal_id)
 
@@ -283,7 +284,7 @@ async def test_stopping_ends_every_goal_as_aborted_and_answers_every_client(reac
                         await anyio.lowlevel.checkpoint()
                 with pytest.raises(TransportError):
                     await client.send_goal(Goal(3))
-    assert outcomes == [Outcome(GoalStatus.ABORTED, Result([1]), "server stopped")] * 2
+    assert outcomes == [End(GoalStatus.ABORTED, Result([1]), "server stopped")] * 2
     assert rejected == ["the server is stopping"]
 
 
@@ -338,7 +339,7 @@ async def test_an_executor_that_does_not_stop_in_time_is_killed(
         with anyio.fail_after(30):
             while not killed:
                 await anyio.lowlevel.checkpoint()
-        assert await goal.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+        assert await goal.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
     assert killed == [1]
     assert "did not stop in time (0.01 s)" in caplog.text
 
@@ -447,7 +448,7 @@ async def test_a_success_that_comes_while_the_server_stops_is_a_success(
         async for _ in goal.feedback:
             break
         await server.stop()
-        assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([2]))
+        assert await goal.outcome() == End(GoalStatus.SUCCEEDED, Result([2]))
 
 
 @pytest.mark.promise("STOP-1", "STOP-5", "STOP-7")
@@ -478,7 +479,7 @@ async def test_a_goal_that_is_canceling_when_the_server_stops_is_canceled(
         with pytest.raises(GoalRejected):
             await client.send_goal(Goal(2))
         go.set()
-        assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
+        assert await goal.outcome() == End(GoalStatus.CANCELED, Result([1]))
 
 
 @pytest.mark.promise("REACH-2")

@@ -8,11 +8,12 @@ from typing import Any, cast
 import anyio
 import pytest
 
-from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus, Outcome
+from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus
 from tests.contract.conftest import Reach
 from tests.support.executors import ABORTED, Items, raises_after_feedback
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.forms import OF_GENERATORS, Form, as_function
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -34,7 +35,7 @@ async def test_an_executor_that_goes_wrong_is_aborted_with_the_reason(
         goal = await client.send_goal(Goal(1))
         outcome = await goal.outcome()
         result = None if part is None else Result(part)
-        assert outcome == Outcome(GoalStatus.ABORTED, result, reason)
+        assert outcome == End(GoalStatus.ABORTED, result, reason)
         with pytest.raises(GoalAborted) as caught:
             await goal.result()
         assert caught.value.reason == reason
@@ -148,7 +149,7 @@ async def test_a_timeout_around_a_yield_reaches_the_executor(reach: Reach, form:
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
         # Nobody reads, so the executor waits at its yield; its own timeout must get through.
-        assert await client.endpoint.get_result(goal.goal_id) == Outcome(
+        assert await client.endpoint.get_result(goal.goal_id) == End(
             GoalStatus.SUCCEEDED, encoded([2])
         )
 

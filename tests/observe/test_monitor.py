@@ -16,7 +16,6 @@ from fibaction import (
     GoalID,
     GoalInfo,
     GoalStatus,
-    Outcome,
     Parent,
 )
 from fibaction.client.events import GoalFeedback
@@ -24,6 +23,7 @@ from fibaction.observe import monitor as monitor_module
 from fibaction.observe.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
 from fibaction.observe.monitor_records import Rate
 from tests.cli.served import Altered, Heard, Served, counter, look_often
+from tests.support.matching import End
 
 ID = GoalID(b"\x01" * 16)
 OTHER = GoalID(b"\x02" * 16)
@@ -287,7 +287,7 @@ async def test_the_outcome_of_a_goal_has_its_result(monitor: Monitor) -> None:
         monitor.on_action_found(ONE, client)
         monitor.on_event("one", info(4))
         await (await client.send_goal(1, goal_id=ID)).outcome()
-        assert await monitor.outcome(KEY) == Outcome(GoalStatus.SUCCEEDED, "done")
+        assert await monitor.outcome(KEY) == End(GoalStatus.SUCCEEDED, "done")
 
 
 @pytest.mark.asyncio

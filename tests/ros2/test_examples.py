@@ -21,6 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 
 import exclusive_arm
 
+from tests.support.matching import End
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 QUICK, STEADY, SLOW = 0.0, 0.2, 60.0  # seconds per number
 NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
@@ -182,6 +184,6 @@ def test_a_new_goal_preempts_the_one_before_it_and_gets_its_arm() -> None:
     assert preempted.status is GoalStatus.ABORTED
     assert preempted.result is not None
     assert 0 < preempted.result.joints[0] < 1.5
-    assert ended_well == Outcome(GoalStatus.SUCCEEDED, exclusive_arm.Result([0.0, 0.2, 0.0]))
+    assert ended_well == End(GoalStatus.SUCCEEDED, exclusive_arm.Result([0.0, 0.2, 0.0]))
     assert " ABORTED: preempted by " in log  # ROS transmits no reason
     assert server.returncode == 0

@@ -22,7 +22,6 @@ from fibaction import (
     GoalID,
     GoalRejected,
     GoalStatus,
-    Outcome,
     ServerNotFound,
     UnknownGoal,
     connect,
@@ -33,6 +32,7 @@ from tests.ros2.stock.process import peer
 from tests.ros2.stock.tutorial_server import STEP
 from tests.ros2.stock.waiting import eventually
 from tests.support.fibonacci import Feedback, Goal, Result
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -115,13 +115,13 @@ async def test_an_abort_comes_with_the_part_that_is_done(client: Client) -> None
 async def test_a_callback_that_raises_is_an_abort_without_a_result(client: Client) -> None:
     goal = await client.send_goal(Goal(orders.RAISES))
 
-    assert await goal.outcome() == Outcome(GoalStatus.ABORTED, None)
+    assert await goal.outcome() == End(GoalStatus.ABORTED, None)
 
 
 async def test_a_callback_that_sets_no_status_is_an_abort_with_its_result(client: Client) -> None:
     goal = await client.send_goal(Goal(orders.FORGETS))
 
-    assert await goal.outcome() == Outcome(GoalStatus.ABORTED, PARTLY)
+    assert await goal.outcome() == End(GoalStatus.ABORTED, PARTLY)
 
 
 async def test_several_goals_run_side_by_side_and_each_gets_its_own(client: Client) -> None:
@@ -172,7 +172,7 @@ async def test_an_accepted_cancel_ends_the_goal_with_the_part_that_is_done(clien
         assert [(info.goal_id, info.status) for info in answer.goals_canceling] == [
             (goal.goal_id, GoalStatus.CANCELING)
         ]
-        assert await goal.outcome() == Outcome(GoalStatus.CANCELED, PARTLY)
+        assert await goal.outcome() == End(GoalStatus.CANCELED, PARTLY)
 
 
 async def test_a_rejected_cancel_is_reported_and_the_goal_goes_on(
@@ -244,7 +244,7 @@ async def test_a_goal_whose_execution_is_deferred_can_be_canceled(client: Client
 
     assert answer.accepted
     await release(client)
-    assert await goal.outcome() == Outcome(GoalStatus.CANCELED, PARTLY)
+    assert await goal.outcome() == End(GoalStatus.CANCELED, PARTLY)
 
 
 # Later

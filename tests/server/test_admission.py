@@ -26,6 +26,7 @@ from fibaction.border.abc import GoalRequest, GoalStream
 from fibaction.words.goals import Sender
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.support.matching import End
 
 ARM, LEG = Sender("the arm"), Sender("the leg")
 
@@ -116,7 +117,7 @@ async def test_a_goal_that_needs_no_wait_is_accepted_at_once(on_goal: Any) -> No
         assert item is not None
         assert item.number == 1
         assert await stream.receive() is None
-        assert await stream.outcome() == Outcome(GoalStatus.SUCCEEDED, result([0, 1, 1]))
+        assert await stream.outcome() == End(GoalStatus.SUCCEEDED, result([0, 1, 1]))
 
 
 async def test_a_goal_is_offered_with_or_without_its_feedback() -> None:

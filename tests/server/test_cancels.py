@@ -15,12 +15,12 @@ from fibaction import (
     GoalID,
     GoalRejected,
     GoalStatus,
-    Outcome,
 )
 from fibaction.border.abc import GoalStream
 from fibaction.server.registry.goal_record import Ending, EndKind
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.matching import End
 from tests.support.slices import let_slices_last
 
 pytestmark = pytest.mark.anyio
@@ -108,7 +108,7 @@ async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
     async with ActionServer(FIBONACCI, executor, interrupt_on_cancel=False) as server:
         stream = await server.send_goal(GoalID.random(), packed(1))
         assert (await server.cancel_goals(stream.goal_id)).accepted
-        assert await stream.outcome() == Outcome(GoalStatus.CANCELED)
+        assert await stream.outcome() == End(GoalStatus.CANCELED)
     assert not executor.begun.is_set()
 
 
@@ -121,7 +121,7 @@ async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
         return  # trio has no constructor of cancellations
     async with ActionServer(FIBONACCI, waits) as server:
         stream = await server.send_goal(GoalID.random(), packed(1))
-        assert await stream.outcome() == Outcome(
+        assert await stream.outcome() == End(
             GoalStatus.ABORTED,
             None,
             "the executor ended as canceled, but no cancel was requested",

@@ -20,7 +20,6 @@ from fibaction import (
     GoalID,
     GoalRejected,
     GoalStatus,
-    Outcome,
     Schedule,
 )
 from fibaction.border.abc import FeedbackItem, GoalStream
@@ -29,6 +28,7 @@ from fibaction.server.scheduling import goal_dispatcher
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.matching import End
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
@@ -132,7 +132,7 @@ async def test_goals_that_wait_while_the_server_stops_are_aborted_and_never_run(
         await arm.until_begun(1)
         await site.server.stop()
         reasons = [await stream.outcome() for stream in streams]
-    assert reasons == [Outcome(GoalStatus.ABORTED, None, "server stopped")] * 3
+    assert reasons == [End(GoalStatus.ABORTED, None, "server stopped")] * 3
     assert arm.begun == [1]
 
 
@@ -225,7 +225,7 @@ async def test_a_goal_whose_client_has_given_it_up_meanwhile_is_skipped_if_so_to
         arm.let_end(1)
         if skips:
             reason = "its client's timeout was over before its turn came"
-            assert await given_up.outcome() == Outcome(GoalStatus.ABORTED, None, reason)
+            assert await given_up.outcome() == End(GoalStatus.ABORTED, None, reason)
         else:
             await arm.until_begun(2)
             arm.let_end(2)
@@ -401,7 +401,7 @@ async def test_a_goal_that_ends_as_canceled_by_itself_is_aborted_with_the_server
         first = await site.send(1)
         await settled()
         await site.send(2)
-        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
+        assert await first.outcome() == End(GoalStatus.ABORTED, None, site.preempted_by(2))
 
 
 async def test_the_first_reason_to_end_a_goal_is_told() -> None:
@@ -436,7 +436,7 @@ async def test_a_goal_that_was_preempted_before_its_start_never_runs() -> None:
     async with serving(PREEMPTING, arm) as site:
         first, _ = await site.send(1), await site.send(2)
         await arm.until_begun(2)
-        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
+        assert await first.outcome() == End(GoalStatus.ABORTED, None, site.preempted_by(2))
     assert arm.begun == [2]
 
 
@@ -476,7 +476,7 @@ async def test_a_killed_executor_that_survives_keeps_its_place_until_it_has_ende
         first = await site.send(1)
         await settled()
         second = await site.send(2)
-        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
+        assert await first.outcome() == End(GoalStatus.ABORTED, None, site.preempted_by(2))
         await until_logged(caplog, "runs on")
         await settled()
         assert (executor.begun, second.status) == ([1], GoalStatus.ACCEPTED)
@@ -623,8 +623,8 @@ async def test_a_goal_takes_nothing_over_after_its_result() -> None:
         await told.wait()
         second = await site.send(2)
         await done.wait()
-        assert await first.outcome() == Outcome(GoalStatus.SUCCEEDED, result(1))
-        assert await second.outcome() == Outcome(GoalStatus.SUCCEEDED, result(2))
+        assert await first.outcome() == End(GoalStatus.SUCCEEDED, result(1))
+        assert await second.outcome() == End(GoalStatus.SUCCEEDED, result(2))
     assert caught == ["take over a goal before the result of this one, not after it"]
 
 
@@ -686,7 +686,7 @@ async def test_an_executor_cannot_take_over_while_the_server_stops() -> None:
         second = await site.send(2)
         await site.server.stop()
         for stream in first, second:
-            assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+            assert await stream.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
     assert arm.begun == [1]
     assert arm.seen == [None]
 

@@ -27,6 +27,7 @@ from fibaction import (
 from fibaction.server.execution.executor import Execution
 from fibaction.server.functions import function_action
 from fibaction.testing import run_executor
+from tests.support.matching import End
 from tests.support.memory_store import MemoryStore
 
 pytestmark = pytest.mark.anyio
@@ -273,7 +274,7 @@ async def test_a_result_of_another_type_is_told() -> None:
 
     outcome = await outcome_of(wrong, 1)
     text = "the executor is wrong: it returned an int, which is not of the result's type"
-    assert outcome == Outcome(GoalStatus.ABORTED, None, text)
+    assert outcome == End(GoalStatus.ABORTED, None, text)
 
 
 async def test_a_function_keeps_checkpoints_and_goes_on_from_them() -> None:
@@ -397,7 +398,7 @@ async def test_a_cancel_arrives_at_the_next_check() -> None:
             await anyio.wait_all_tasks_blocked()
             assert (await goal.cancel()).accepted
             go.set()
-            assert await goal.outcome() == Outcome(GoalStatus.CANCELED, "a part", "stopped")
+            assert await goal.outcome() == End(GoalStatus.CANCELED, "a part", "stopped")
 
 
 async def test_a_check_in_the_event_loop_is_where_a_cancel_arrives_too() -> None:
@@ -414,7 +415,7 @@ async def test_a_check_in_the_event_loop_is_where_a_cancel_arrives_too() -> None
         return "not canceled"
 
     trial = await run_executor(spin, spin.executor, None, cancel_after=2)
-    assert trial.outcome == Outcome(GoalStatus.CANCELED, "a part", "")
+    assert trial.outcome == End(GoalStatus.CANCELED, "a part", "")
 
 
 async def test_a_function_that_never_looks_ends_when_it_returns() -> None:
@@ -431,7 +432,7 @@ async def test_a_function_that_never_looks_ends_when_it_returns() -> None:
             assert (await goal.cancel()).accepted
             assert goal.status is GoalStatus.CANCELING
             go.set()
-            assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, "done", "")
+            assert await goal.outcome() == End(GoalStatus.SUCCEEDED, "done", "")
 
 
 async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> None:
@@ -452,7 +453,7 @@ async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> 
                 break
             await server.stop()
             outcome = await goal.outcome()
-    assert outcome == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert outcome == End(GoalStatus.ABORTED, None, "server stopped")
     assert seen == ["canceled"]
 
 

@@ -27,8 +27,8 @@ def ended(
     record = registry.prepare(goal_id, stamp=1, sender=Sender(name, owner.encode()))
     registry.accept(record)
     registry.execute(record)
-    outcome = registry.outcome_for(record, Ending(EndKind.RESULT, bytes(size)))
-    registry.finish(record, outcome, now=0.0, stamp=1)
+    outcome = registry.outcome_for(record, Ending(EndKind.RESULT, bytes(size)), stamp=1)
+    registry.finish(record, outcome, now=0.0)
     return record
 
 

@@ -16,7 +16,6 @@ from fibaction import (
     GoalHandle,
     GoalID,
     GoalStatus,
-    Outcome,
     ServerNotFound,
 )
 from fibaction.border.abc import GoalStream
@@ -28,6 +27,7 @@ from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.words.errors import GoalKept
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.matching import End
 from tests.support.memory_store import MemoryStore
 from tests.support.slices import let_slices_last
 
@@ -120,7 +120,7 @@ async def test_a_server_whose_block_is_canceled_stops_as_any_other() -> None:
             await anyio.sleep_forever()
     assert scope.cancelled_caught
     assert cleaned == [7]
-    assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert await stream.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
 
 
 class Tidying:
@@ -165,7 +165,7 @@ async def test_a_server_whose_task_is_itself_canceled_again_and_again_stops_as_a
         executor.go.set()
         await asyncio.wait([task])
         assert task.cancelled()
-        assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+        assert await stream.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
     assert executor.is_clean
     assert asyncio.all_tasks() == before
 
@@ -184,7 +184,7 @@ async def test_a_stop_of_a_server_that_is_itself_canceled_leaves_no_caller_waiti
             task.cancel()
             await asyncio.wait([task])
             assert task.cancelled()
-            assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+            assert await stream.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
     assert not executor.is_clean
     assert "did not stop in time" in caplog.text
 
@@ -257,7 +257,7 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on(
         async with server:
             streams.append(await server.send_goal(GoalID.random(), packed(1)))
             await anyio.sleep_forever()
-    assert await streams[0].outcome() == Outcome(GoalStatus.ABORTED, None, "SystemExit")
+    assert await streams[0].outcome() == End(GoalStatus.ABORTED, None, "SystemExit")
 
 
 async def turns_during(work: Coroutine[Any, Any, object]) -> int:

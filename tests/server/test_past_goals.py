@@ -22,7 +22,6 @@ from fibaction import (
     GoalID,
     GoalStatus,
     LimitReached,
-    Outcome,
     ServerFailed,
     ServerNotFound,
     SqliteStore,
@@ -34,11 +33,12 @@ from fibaction import (
 from fibaction.border.abc import ForwardingEndpoint
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import UNKNOWN_OUTCOME
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
 PAINT = Action("paint", goal=int, feedback=int, result=str)
-PAINTED = Outcome(GoalStatus.SUCCEEDED, "painted 3 times")
+PAINTED = End(GoalStatus.SUCCEEDED, "painted 3 times")
 
 
 async def paint(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:

@@ -39,6 +39,7 @@ from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, Then
 from fibaction.client import attempts
 from tests.contract.conftest import tcp_address
+from tests.support.matching import End
 from tests.support.memory_store import Fate, MemoryStore
 
 pytestmark = pytest.mark.anyio
@@ -48,7 +49,7 @@ Client: TypeAlias = ActionClient[int, int, str]
 Server: TypeAlias = ActionServer[int, int, str]
 Painting: TypeAlias = AsyncGenerator[int | str, None]
 
-RESTARTED: Outcome[str] = Outcome(GoalStatus.ABORTED, None, "the server was restarted")
+RESTARTED = End(GoalStatus.ABORTED, None, "the server was restarted")
 
 
 # A store that can be held up and cut off
@@ -273,7 +274,7 @@ async def test_an_end_that_was_told_is_the_same_after_kills(machine: Machine) ->
     async with machine.life(Painter()) as client:
         goal = await client.send_goal(3)
         end = await goal.outcome()
-    assert end == Outcome(GoalStatus.SUCCEEDED, "painted 3", "")
+    assert end == End(GoalStatus.SUCCEEDED, "painted 3", "")
     for _ in range(2):
         async with machine.life(Painter()) as client:
             attached = await client.attach(goal.goal_id)
@@ -352,7 +353,7 @@ async def test_a_goal_whose_cancel_was_accepted_is_not_run_again(
         await cleans_up.wait()
     async with machine.life(paint, recovery=recovery) as client:
         outcome = await outcome_of(client, goal.goal_id)
-    assert outcome == Outcome(GoalStatus.CANCELED, None, "the server was restarted")
+    assert outcome == End(GoalStatus.CANCELED, None, "the server was restarted")
     assert runs == 1
 
 
@@ -388,7 +389,7 @@ async def test_an_executor_goes_on_from_its_last_checkpoint(machine: Machine) ->
     goal_id = await begun(machine, painter, recovery="rerun")
     async with machine.life(painter, recovery="rerun") as client:
         outcome = await outcome_of(client, goal_id)
-    assert outcome == Outcome(GoalStatus.SUCCEEDED, "painted 4", "")
+    assert outcome == End(GoalStatus.SUCCEEDED, "painted 4", "")
     assert painter.runs == [Run(1, None), Run(2, 3)]
 
 
@@ -515,7 +516,7 @@ async def test_your_function_ends_a_goal_with_a_reason_and_a_result(machine: Mac
     goal_id = await begun(machine, painter, recovery=give_up)
     async with machine.life(painter, recovery=give_up) as client:
         outcome = await outcome_of(client, goal_id)
-    assert outcome == Outcome(GoalStatus.ABORTED, "painted 2", "the paint is dry")
+    assert outcome == End(GoalStatus.ABORTED, "painted 2", "the paint is dry")
     assert len(painter.runs) == 1
 
 
@@ -576,7 +577,7 @@ async def test_a_goal_that_kills_its_server_does_so_a_few_times_only(machine: Ma
     async with machine.life(kills, **settings) as client:
         outcome = await outcome_of(client, goal_id)
     reason = "given up after 3 attempts: the server was restarted"
-    assert outcome == Outcome(GoalStatus.ABORTED, None, reason)
+    assert outcome == End(GoalStatus.ABORTED, None, reason)
     assert attempts == [2, 3]
 
 
@@ -590,7 +591,7 @@ async def test_attempts_that_bring_a_goal_further_are_not_counted(machine: Machi
             await painter.waits.wait()
     async with machine.life(Painter(), **settings) as client:
         outcome = await outcome_of(client, goal_id)
-    assert outcome == Outcome(GoalStatus.SUCCEEDED, "painted 4", "")
+    assert outcome == End(GoalStatus.SUCCEEDED, "painted 4", "")
 
 
 @pytest.mark.promise("KEEP-6", "STOP-3")

@@ -40,6 +40,7 @@ from fibaction.words.goals import (
     digest_of,
 )
 from fibaction.words.statuses import GoalStatus
+from tests.support.matching import End
 
 
 def goal_id(number: int) -> GoalID:
@@ -88,9 +89,9 @@ def ended(
 def finish(
     registry: GoalRegistry, goal: GoalRecord, ending: Ending, *, now: float
 ) -> Outcome[bytes]:
-    outcome = registry.outcome_for(goal, ending)
+    outcome = registry.outcome_for(goal, ending, stamp=100)
     assert goal.outcome is None, "nothing changes before it is kept"
-    registry.finish(goal, outcome, now=now, stamp=100)
+    registry.finish(goal, outcome, now=now)
     assert goal.ended_at == 100
     return outcome
 
@@ -794,7 +795,7 @@ class ProtocolMachine(RuleBasedStateMachine):
                 assert goal.real.outcome is None
             else:
                 status, result, reason = goal.outcome
-                assert goal.real.outcome == Outcome(GoalStatus[status], result, reason)
+                assert goal.real.outcome == End(GoalStatus[status], result, reason)
 
     @invariant()
     def the_bytes_of_what_is_held_are_counted(self) -> None:
@@ -846,7 +847,7 @@ def test_an_ended_goal_is_restored_with_its_outcome_until_its_time_is_over() -> 
     registry = GoalRegistry(result_timeout=1)
     ended = stored(1, status=GoalStatus.ABORTED, result=b"x", reason="no", feedback_count=3)
     goal = registry.restore(ended, until=5.0)
-    assert goal.outcome == Outcome(GoalStatus.ABORTED, b"x", "no")
+    assert goal.outcome == End(GoalStatus.ABORTED, b"x", "no")
     assert (goal.phase, goal.feedback_count) == (Phase.ENDED, 3)
     assert registry.find(goal.goal_id, now=4.9) is goal
     assert registry.find(goal.goal_id, now=5.0) is None
@@ -872,7 +873,7 @@ def test_the_labels_of_a_goal_are_told_and_count_until_it_is_forgotten() -> None
     goal.take_origin({"order": "17", "traceparent": "00-1"})
     registry.accept(goal)
     assert (goal.info.labels, registry.budget.used) == ({"order": "17"}, 4 + 7)
-    registry.finish(goal, Outcome(GoalStatus.SUCCEEDED, b"result"), now=0.0, stamp=2)
+    registry.finish(goal, Outcome(GoalStatus.SUCCEEDED, b"result", ended_at=2), now=0.0)
     assert (goal.info.labels, registry.budget.used) == ({"order": "17"}, 6 + 7)
     registry.expire(2.0)
     assert registry.budget.used == 0

@@ -25,6 +25,7 @@ from fibaction import (
     action,
 )
 from fibaction.server.functions import report as reports
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -269,7 +270,7 @@ async def test_a_cancel_arrives_at_a_report_and_once() -> None:
         return "done"
 
     outcome = await canceled_at_the_first(count, window=64)
-    assert outcome == Outcome(GoalStatus.CANCELED, "a part", "")
+    assert outcome == End(GoalStatus.CANCELED, "a part", "")
     assert len(seen.errors) == 1
 
 
@@ -335,7 +336,7 @@ async def test_a_cancel_that_a_thread_swallows_does_not_come_again() -> None:
         return "done"
 
     outcome = await canceled_at_the_first(count, window=64)
-    assert outcome == Outcome(GoalStatus.SUCCEEDED, "stopped at once", "")
+    assert outcome == End(GoalStatus.SUCCEEDED, "stopped at once", "")
 
 
 async def test_a_wrong_type_is_told_where_it_is_reported() -> None:

@@ -30,6 +30,7 @@ from fibaction.border.abc import GoalStream
 from fibaction.words.goals import Sender
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -258,7 +259,7 @@ class Load:
         assert sent.begun < 2, "it began twice"
         if sent.was_waiting:
             assert sent.begun == 0, "it began though it was canceled before"
-            assert outcome == Outcome(GoalStatus.CANCELED)
+            assert outcome == End(GoalStatus.CANCELED)
         elif outcome.status is GoalStatus.SUCCEEDED:
             assert sent.begun == 1
             assert outcome.reason == ""

@@ -367,5 +367,4 @@ class Deeds:
 
 
 def _decoded(outcome: Outcome[bytes]) -> Outcome[Done]:
-    result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
-    return Outcome(outcome.status, result, outcome.reason)
+    return outcome.decoded(SIMULATED.result.decode)

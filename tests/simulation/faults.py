@@ -126,10 +126,10 @@ def a_cancel_races_the_end(real: Any) -> Any:
 def a_cancel_beats_the_result(real: Any) -> Any:
     """End a goal as canceled that yields its result while it is canceling."""
 
-    def outcome_for(self: GoalRegistry, goal: GoalRecord, ending: Ending) -> Any:
+    def outcome_for(self: GoalRegistry, goal: GoalRecord, ending: Ending, *, stamp: int) -> Any:
         if goal.status is GoalStatus.CANCELING and ending.kind is EndKind.RESULT:
             ending = Ending(EndKind.CANCELED, ending.result)
-        return real(self, goal, ending)
+        return real(self, goal, ending, stamp=stamp)
 
     return outcome_for
 

@@ -69,8 +69,7 @@ class Violation(msgspec.Struct, frozen=True):
 
 
 def _decoded(outcome: Outcome[bytes]) -> Outcome[Any]:
-    result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
-    return Outcome(outcome.status, result, outcome.reason)
+    return outcome.decoded(SIMULATED.result.decode)
 
 
 def _reachable() -> dict[GoalStatus, frozenset[GoalStatus]]:

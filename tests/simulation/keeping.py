@@ -56,7 +56,7 @@ class Fact:
         stored = self.stored
         if stored.status.is_active:
             return None
-        return Outcome(stored.status, stored.result, stored.reason)
+        return stored.outcome
 
 
 class Keeping:

@@ -6,6 +6,8 @@ import math
 from typing import Any
 from unittest.mock import patch
 
+from msgspec.structs import replace
+
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.goal_keeper import GoalKeeper
@@ -131,7 +133,7 @@ def the_result_is_not_written(real: Any) -> Any:
     def _note_end(
         self: GoalKeeper, stored: StoredGoal, goal: GoalRecord, outcome: Outcome[bytes]
     ) -> None:
-        real(self, stored, goal, Outcome(outcome.status, None, outcome.reason))
+        real(self, stored, goal, replace(outcome, result=None))
 
     return _note_end
 

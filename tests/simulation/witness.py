@@ -13,6 +13,8 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest.mock import patch
 
+from msgspec.structs import astuple
+
 from fibaction import ActionError, ActionServer, GoalID, Outcome, ProtocolError
 from fibaction.border.abc import GoalStream
 from fibaction.border.goal_store import StoredGoal
@@ -253,8 +255,9 @@ def _telling(real: Any, record: Record) -> Any:
             if isinstance(message, Following | StatusChanged):
                 record.keeping.told(life, goal_id, stamp, message.status)
             elif isinstance(message, Ended):
-                outcome = Outcome(message.status, message.result, message.reason)
-                record.keeping.told(life, goal_id, stamp, message.status, outcome)
+                _, status, result, reason, _, *more = astuple(message)
+                outcome = Outcome(status, result, reason, *more)
+                record.keeping.told(life, goal_id, stamp, status, outcome)
             elif isinstance(message, Feedback):
                 attempt = SIMULATED.feedback.decode(message.payload).attempt
                 record.keeping.told_feedback(life, goal_id, stamp, attempt)

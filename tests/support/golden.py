@@ -149,8 +149,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "93250102",
     ),
     (
-        Ended(1, GoalStatus.SUCCEEDED, RESULT, "", 9),
-        "96260104c40f81a873657175656e63659400010102a009",
+        Ended(1, GoalStatus.SUCCEEDED, RESULT, "", 9, STAMP + 5),
+        "97260104c40f81a873657175656e63659400010102a009cf17979cfe362a0005",
     ),
     (
         CancelAnswered(3, 0, [(GOAL_ID, STAMP, GoalStatus.CANCELING)], ""),

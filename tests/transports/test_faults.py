@@ -27,7 +27,6 @@ from fibaction import (
     GoalHandle,
     GoalID,
     GoalStatus,
-    Outcome,
     Retry,
     ServerNotFound,
     UnknownGoal,
@@ -35,6 +34,7 @@ from fibaction import (
     serve,
 )
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.matching import End
 from tests.transports.hearing import hearing
 from tests.transports.proxy import Line, line_to
 
@@ -483,7 +483,7 @@ async def test_a_server_that_is_killed_and_started_again_no_longer_knows_its_goa
             async with peer("serve", url) as (_, again):
                 assert again == url
                 with anyio.fail_after(10):
-                    assert await goal.outcome() == Outcome(
+                    assert await goal.outcome() == End(
                         GoalStatus.UNKNOWN,
                         None,
                         "it was never accepted, its result has expired, or the server was started"

@@ -77,6 +77,7 @@ from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
+from tests.support.matching import Like
 from tests.support.virtual_time import in_virtual_time
 from tests.wire import memory
 from tests.wire.ends import (
@@ -176,7 +177,11 @@ LARGE = fib.Result([0] * 2000)
 
 
 def ended(request: int, result: fib.Result, place: int = 0) -> Ended:
-    return Ended(request, SUCCEEDED, FIBONACCI.result.encode(result), "", place)
+    return Ended(request, SUCCEEDED, FIBONACCI.result.encode(result), "", place, 10**18)
+
+
+def like_ended(request: int, result: fib.Result, place: int = 0) -> Like:
+    return Like(Ended(request, SUCCEEDED, FIBONACCI.result.encode(result), "", place))
 
 
 async def test_a_result_over_the_clients_limit_fails_that_goal_and_is_not_kept() -> None:
@@ -191,7 +196,7 @@ async def test_a_result_over_the_clients_limit_fails_that_goal_and_is_not_kept()
             go.set()
             heard = await client.hear_by_id()
         text = f"the answer has {len(encode(ended(1, LARGE, 1)))} bytes, and 1024 are the limit"
-        assert heard == {1: [Failed(1, Why.LIMIT, text)], 2: [ended(2, fib.Result([]))]}
+        assert heard == {1: [Failed(1, Why.LIMIT, text)], 2: [like_ended(2, fib.Result([]))]}
         assert [line.getMessage() for line in lines] == [f"an answer is not sent: {text}"]
         await client.send(1, C)
 
@@ -205,7 +210,7 @@ async def test_feedback_over_the_clients_limit_is_left_out_and_costs_no_credit()
             await client.send(1, credit=2)
             assert [message.number for message in await client.hear_all()] == [1, 3]
             await client.say(Credit(1, 1))  # it takes credit to find out that the next is too large
-            assert await client.hear_all() == [ended(1, fib.Result([]), 4)]
+            assert await client.hear_all() == [like_ended(1, fib.Result([]), 4)]
         limit = "its client takes messages of 1024 bytes at most"
         text = f"feedback of goal {A.hex()} is left out: {limit}"
         assert [(line.levelno, line.getMessage()) for line in lines] == [(logging.WARNING, text)]

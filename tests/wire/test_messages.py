@@ -343,6 +343,7 @@ LARGEST = 2**63 - 1
 LIMITS = {
     **dict.fromkeys(["id", "stamp", "after", "place", "number"], (0, LARGEST)),
     **dict.fromkeys(["dropped", "feedback_count", "known", "queue_length"], (0, LARGEST)),
+    "ended_at": (0, LARGEST),
     **dict.fromkeys(["credit", "count", "most"], (0, 2**31 - 1)),
     "attempt": (1, LARGEST),
     "status": (0, 6),
@@ -359,6 +360,7 @@ NULLABLE = {
     (CancelGoals, "goal_id"),
     (CancelGoals, "stamp"),
     (Ended, "result"),
+    (Ended, "ended_at"),
     (Following, "goal"),
     (Following, "parent"),
     (Following, "labels"),

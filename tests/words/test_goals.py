@@ -234,9 +234,23 @@ def test_the_id_of_a_child_follows_from_its_parent_its_action_and_its_step() -> 
 
 @pytest.mark.parametrize(("reason", "begin"), [("", ""), ("stuck", "stuck; ")])
 def test_an_outcome_whose_result_cannot_be_read_says_so(reason: str, begin: str) -> None:
-    outcome = Outcome(GoalStatus.ABORTED, b"?", reason).unreadable(ValueError("it is cut"))
+    def decode(result: bytes) -> None:
+        raise ValueError("it is cut")
+
+    outcome = Outcome(GoalStatus.ABORTED, b"?", reason, ended_at=5)
     told = f"{begin}its result cannot be read: it is cut"
-    assert outcome == Outcome(GoalStatus.ABORTED, None, told)
+    assert outcome.readable(decode) == Outcome(GoalStatus.ABORTED, None, told, 5)
+    with pytest.raises(ValueError, match="it is cut"):
+        outcome.decoded(decode)
+
+
+def test_an_outcome_is_decoded_if_it_has_a_result() -> None:
+    ended = Outcome(GoalStatus.SUCCEEDED, b"3", ended_at=5)
+    assert ended.decoded(int) == Outcome(GoalStatus.SUCCEEDED, 3, ended_at=5)
+    none = Outcome[bytes](GoalStatus.ABORTED, reason="stuck")
+    assert none.readable(int) == none
+    assert (ended.size, none.size) == (1, 5)
+    assert none.members == {"status": "ABORTED", "result": None, "reason": "stuck"}
 
 
 @pytest.mark.parametrize(

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import anyio
-import msgspec
 from msgspec.structs import replace
 
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.progress import on_one_line
 from fibaction.observe.monitor import AnyClient
-from fibaction.words.errors import ActionError, ProtocolError
+from fibaction.words.errors import ActionError
 from fibaction.words.goals import GoalID, Outcome
 
 MOST_ENDS = 50
@@ -49,7 +48,7 @@ class Outcomes:
                     raw = await client.endpoint.get_result(goal_id)
             except ActionError:
                 return  # it may be forgotten by now
-            self._known[goal_id] = readable(raw, client.action.result.decode)
+            self._known[goal_id] = raw.readable(client.action.result.decode)
 
         with anyio.move_on_after(timeout):
             async with anyio.create_task_group() as tasks:
@@ -57,18 +56,6 @@ class Outcomes:
                     if row.info.goal_id not in self._known:
                         tasks.start_soon(ask, row)
         return [with_outcome(row, self._known.get(row.info.goal_id)) for row in rows]
-
-
-def readable(raw: Outcome[bytes], decode: Callable[[bytes], Any]) -> Outcome[Any]:
-    """Return the outcome with its result decoded. If it cannot be, since it was stored by a server
-    with another type, for example, the reason says so.
-    """
-    if raw.result is None:
-        return raw
-    try:
-        return Outcome(raw.status, decode(raw.result), raw.reason)
-    except (ProtocolError, msgspec.DecodeError) as exc:
-        return raw.unreadable(exc)
 
 
 def with_outcome(row: GoalRow, outcome: Outcome[Any] | None) -> GoalRow:

@@ -130,14 +130,7 @@ class JsonPrinter(GoalPrinter):
             say_json({"event": "feedback", "number": number, "feedback": feedback})
 
     def ended(self, outcome: Outcome[Any]) -> None:
-        say_json(
-            {
-                "event": "result",
-                "status": outcome.status.name,
-                "result": outcome.result,
-                "reason": outcome.reason,
-            }
-        )
+        say_json({"event": "result"} | outcome.members)
 
 
 def goal_printer(*, feedback: bool, as_json: bool, full: bool) -> GoalPrinter:
@@ -169,8 +162,7 @@ async def print_goal(
         note(
             f"{stream.dropped} feedback messages were missed: they came faster than they were read"
         )
-    result = None if raw.result is None else action.result.decode(raw.result)
-    printer.ended(Outcome(raw.status, result, raw.reason))
+    printer.ended(raw.decoded(action.result.decode))
     return CODES[raw.status]
 
 

@@ -36,7 +36,7 @@ from fibaction.cli.output.goal_table import (
     picture,
 )
 from fibaction.cli.output.lines import console, note, on_terminal, say, say_csv, say_json
-from fibaction.cli.output.outcomes import Outcomes, readable, with_outcome
+from fibaction.cli.output.outcomes import Outcomes, with_outcome
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.cli.verbs.echo import EventPrinter, print_events
@@ -316,5 +316,5 @@ def _outcome(goal: StoredGoal) -> Outcome[Any] | None:
     """Return the outcome of a goal that has ended, its result as plain data."""
     if goal.told_status.is_active:
         return None
-    raw = Outcome(goal.told_status, goal.result, goal.reason)
-    return readable(raw, msgspec.msgpack.decode)
+    outcome: Outcome[Any] = goal.outcome.readable(msgspec.msgpack.decode)
+    return outcome

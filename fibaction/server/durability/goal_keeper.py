@@ -39,6 +39,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from anyio import CancelScope, current_time, move_on_after
 from anyio.abc import TaskGroup
+from msgspec.structs import replace
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
@@ -243,9 +244,10 @@ class GoalKeeper(Keeper):
     def _write_end(self, run: AnyRun) -> None:
         """Write the outcome; one that is too large is replaced by the reason."""
         goal = run.goal
-        assert run.outcome is not None
+        outcome = run.outcome
+        assert outcome is not None
         stored, goal.stored = _stored(goal), None
-        self._note_end(stored, goal, run.outcome)
+        self._note_end(stored, goal, outcome)
 
         def keep_without(error: RecordTooLarge) -> None:
             goal.stored = stored
@@ -254,7 +256,8 @@ class GoalKeeper(Keeper):
                 self._write_end(run)
             else:
                 reason = f"the result is not kept: {error}"
-                run.outcome = Outcome(GoalStatus.ABORTED, None, reason)
+                status = GoalStatus.ABORTED
+                run.outcome = replace(outcome, status=status, result=None, reason=reason)
                 self.life.step(run, Event.TOO_LARGE)
 
         kept = partial(self.life.step, run, Event.END_KEPT)
@@ -262,10 +265,8 @@ class GoalKeeper(Keeper):
 
     def _note_end(self, stored: StoredGoal, goal: GoalRecord, outcome: Outcome[bytes]) -> None:
         """Bring a stored goal up to date with its end."""
-        stored.status, stored.result = outcome.status, outcome.result
-        stored.reason = outcome.reason
-        stored.is_running = False
-        stored.feedback_count, stored.ended_at = goal.feedback_count, time.time_ns()
+        stored.end(outcome)
+        stored.feedback_count = goal.feedback_count
         seconds = self._outcome_time
         if goal.is_given_up and outcome.status is GoalStatus.ABORTED and self._given_up_time:
             seconds = max(seconds, self._given_up_time)

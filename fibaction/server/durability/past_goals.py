@@ -11,7 +11,7 @@ from fibaction.server.durability.keeper import Keeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.words.errors import LimitReached, ServerFailed, StoreError, UnknownGoal
 from fibaction.words.goal_query import PastPage
-from fibaction.words.goals import GoalID, GoalInfo, Outcome
+from fibaction.words.goals import GoalID, GoalInfo
 
 HISTORY_FAILED = "the server cannot read the history of its goals"
 
@@ -73,8 +73,8 @@ class PastGoals:
         facts.attempt = max(past.attempt, 1)
         facts.feedback_count = past.feedback_count
         facts.told_status = past.status
-        facts.outcome = Outcome(past.status, past.result, past.reason)
-        size = len(past.goal) + len(past.result or b"") + len(past.reason)
+        facts.outcome = past.outcome
+        size = len(past.goal) + facts.outcome.size
         facts.held = CountedBytes(self._budget, size)
         return facts
 

@@ -31,6 +31,7 @@ ended at last, and for goals that end without one. From then on, the goal takes 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from contextvars import Context
 from functools import partial
@@ -346,7 +347,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
                 reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
                 ending = Ending(EndKind.CANCELED, ending.result, reason)
-            run.outcome = self._registry.outcome_for(goal, ending)  # it never changes again
+            # It never changes again.
+            run.outcome = self._registry.outcome_for(goal, ending, stamp=time.time_ns())
             self._step(run, END)
 
     def _release(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:

@@ -204,14 +204,14 @@ class GoalRegistry:
         status = stored.status
         self._last_stamp = max(stored.stamp, self._last_stamp)
         goal_size = 0 if status.is_terminal else len(stored.goal)
-        size = goal_size + len(stored.result or b"") + len(stored.reason)
+        size = goal_size + stored.outcome.size
         held = HeldBytes(self.budget, size)
         goal = GoalRecord.of_stored(stored, held, deadline)
         goal_id, goal.remember_until = goal.goal_id, until
         self._listing = None
         if status.is_terminal:
             goal.status = goal.told_status = status
-            goal.outcome = Outcome(status, stored.result, stored.reason)
+            goal.outcome = stored.outcome
             goal.feedback_count, goal.ended_at = stored.feedback_count, stored.ended_at
             earlier = self._ended.discard(goal_id)
             if earlier is not None:
@@ -266,8 +266,9 @@ class GoalRegistry:
         """
         goal.status = transition(goal.status, GoalEvent.EXECUTE)
 
-    def outcome_for(self, goal: GoalRecord, ending: Ending) -> Outcome[bytes]:
+    def outcome_for(self, goal: GoalRecord, ending: Ending, *, stamp: int) -> Outcome[bytes]:
         """Return the outcome of a goal whose executor has ended, without changing the goal.
+        `stamp` is the wall clock's time in nanoseconds.
 
         An end by cancellation is CANCELED for a goal whose cancel was accepted, else ABORTED.
 
@@ -279,17 +280,19 @@ class GoalRegistry:
             event = GoalEvent.SUCCEED
         elif ending.kind is EndKind.CANCELED and goal.status is GoalStatus.CANCELING:
             event = GoalEvent.CANCELED
-        return Outcome(transition(goal.status, event), ending.result, ending.reason)
+        status = transition(goal.status, event)
+        return Outcome(status, ending.result, ending.reason, stamp)
 
-    def finish(self, goal: GoalRecord, outcome: Outcome[bytes], *, now: float, stamp: int) -> None:
+    def finish(self, goal: GoalRecord, outcome: Outcome[bytes], *, now: float) -> None:
         """End a goal with the outcome that `outcome_for` returned, which is kept from now on.
 
-        `stamp` is the wall clock's time in nanoseconds. Call `expire` afterwards to keep the limit.
+        Call `expire` afterwards to keep the limit.
         """
         goal.status = goal.told_status = outcome.status
         goal.outcome = outcome
-        goal.ended_at = stamp
+        goal.ended_at = outcome.ended_at or 0
         assert goal.held is not None
+        # As `Outcome.size`, without a call for each goal.
         size = len(outcome.result or b"") + len(outcome.reason) + goal.origin.size
         self.results.add(goal.goal_id, goal.sender, goal.held, size)
         del self._active[goal.goal_id]

@@ -37,7 +37,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 from anyio import current_time
-from msgspec.structs import replace
+from msgspec.structs import astuple, replace
 
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import FeedbackItem, GoalUpdate
@@ -215,9 +215,8 @@ class RemoteGoal(Call, UnreadFeedback):
         elif kind is Ended and self.is_answered:
             if message.status.is_active:
                 raise ProtocolError(f"a goal has ended as {message.status.name}")
-            reason = message.reason and shortened(message.reason)
-            outcome = Outcome(message.status, message.result, reason)
-            self._end(outcome, message.place)
+            _, status, result, reason, place, *more = astuple(message)
+            self._end(Outcome(status, result, reason and shortened(reason), *more), place)
             self._post(Received(self.id))
             if self._on_ended is not None:
                 self._on_ended()

@@ -134,12 +134,16 @@ class StatusChanged(WireMessage, tag=37):
 class Ended(WireMessage, tag=38):
     """End of a goal. The last message of that ID; answered by `Received`."""
 
+    # The fields of an `Outcome`, in its order, with `place` after the third: both ends rely on it.
+
     id: ID
     status: GoalStatus
     result: bytes | None
     reason: str
     place: Stamp
     """Number of the last feedback that was sent or left out; what has not arrived is lost."""
+    ended_at: Stamp | None = None
+    """Time of the end: nanoseconds since 1970; nil if the server does not know it."""
 
 
 @final

@@ -23,11 +23,10 @@ from typing import Any, TypeAlias
 from anyio import CancelScope, Lock
 
 from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
+from fibaction._runtime.text import excerpt, sendable
 from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.border.event_loop import Slices
 from fibaction.wire.auth import Permission
-from fibaction.wire.errors import sendable
 from fibaction.wire.messages import (
     Actions,
     AskPeers,

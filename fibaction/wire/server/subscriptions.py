@@ -23,13 +23,15 @@ from collections.abc import Callable, Sequence
 from typing import cast
 
 from anyio import CancelScope
+from msgspec.structs import astuple
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
+from fibaction._runtime.text import sendable
 from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.codec import encode
-from fibaction.wire.errors import failed, failure_of, fitting, sendable
+from fibaction.wire.errors import failed, failure_of, fitting
 from fibaction.wire.messages import (
     Ended,
     Feedback,
@@ -342,8 +344,9 @@ class GoalSubscription(Subscription):
     def _end(self, stream: GoalStream, end: Outcome[bytes]) -> bytes:
         self.leave()
         place = self._place if self.closed else stream.cursor
-        reason = end.reason and sendable(end.reason)
-        frame = encode(Ended(self.request, end.status, end.result, reason, place))
+        status, result, reason, *more = astuple(end)
+        reason = reason and sendable(reason)
+        frame = encode(Ended(self.request, status, result, reason, place, *more))
         if len(frame) > self._max_frame:
             self._fail()
             frame = fitting(self.request, frame, self._max_frame)

@@ -10,12 +10,12 @@ from fibaction import (
     ConnectionLost,
     GoalAborted,
     GoalStatus,
-    Outcome,
     ProtocolError,
 )
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.client import worker_connections
 from fibaction_transports.nats.records import goal_entry
+from tests.support.matching import End
 from tests.support.memory_broker import nothing
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
@@ -77,7 +77,7 @@ async def test_a_goal_that_has_ended_needs_no_worker(fleet: FakeFleet) -> None:
         a.die()
         await anyio.sleep(2)
         a.own(goal.goal_id, **ENDED)
-        assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, "3")
+        assert await goal.outcome() == End(GoalStatus.SUCCEEDED, "3")
         assert [item async for item in goal.feedback] == []
         assert goal.feedback.dropped == 2
 
@@ -105,7 +105,7 @@ async def test_a_goal_whose_record_may_be_written_again_is_waited_for(fleet: Fak
         assert goal.status.is_active
         fleet.broker.records[subject] = record
         a.own(goal.goal_id, **ENDED)
-        assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, "3")
+        assert await goal.outcome() == End(GoalStatus.SUCCEEDED, "3")
 
 
 async def test_a_goal_whose_record_cannot_be_read_fails(fleet: FakeFleet) -> None:
@@ -181,7 +181,7 @@ async def test_records_are_read_when_the_brokers_are_back(fleet: FakeFleet) -> N
         async with Running(goal.outcome) as waiting:
             await anyio.sleep(5)
             fleet.broker.is_away = False
-            assert await waiting.answer() == Outcome(GoalStatus.SUCCEEDED, "3")
+            assert await waiting.answer() == End(GoalStatus.SUCCEEDED, "3")
 
 
 async def test_a_worker_that_does_not_know_its_goal_yet_is_asked_again(fleet: FakeFleet) -> None:

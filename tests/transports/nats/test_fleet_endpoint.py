@@ -16,7 +16,6 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     InvalidMessage,
-    Outcome,
     Parent,
     Schedule,
     ServerFailed,
@@ -26,6 +25,7 @@ from fibaction import (
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest
 from fibaction.words.goals import CancelAnswer, digest_of
 from fibaction_transports.nats.client.free_workers import OFFER_LIFE
+from tests.support.matching import End
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
     COUNT,
@@ -220,7 +220,7 @@ async def test_a_goal_that_was_sent_before_has_the_same_answer(fleet: FakeFleet)
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         endpoint = connection.endpoint(COUNT)
         first = await endpoint.send_goal(GOAL_ID, THREE)
-        assert await first.outcome() == Outcome(GoalStatus.SUCCEEDED, COUNT.result.encode("3"))
+        assert await first.outcome() == End(GoalStatus.SUCCEEDED, COUNT.result.encode("3"))
         a.deafen()  # a question is not needed for it
         again = await endpoint.send_goal(GOAL_ID, THREE)
         assert (again.stamp, await again.outcome()) == (first.stamp, await first.outcome())
@@ -234,7 +234,7 @@ async def test_a_goal_that_has_ended_is_answered_without_its_worker(fleet: FakeF
     async with fleet.connect() as connection:
         endpoint = connection.endpoint(COUNT)
         again = await endpoint.send_goal(GOAL_ID, THREE)
-        assert await again.outcome() == Outcome(GoalStatus.SUCCEEDED, COUNT.result.encode("3"))
+        assert await again.outcome() == End(GoalStatus.SUCCEEDED, COUNT.result.encode("3"))
         with pytest.raises(GoalRejected, match="its ID is in use by another goal"):
             await endpoint.send_goal(GOAL_ID, MINUS_THREE)
         followed = await endpoint.feedback(GOAL_ID, after=-1)

@@ -28,7 +28,6 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     InvalidMessage,
-    Outcome,
     ServerNotFound,
     connect,
     serve,
@@ -36,6 +35,7 @@ from fibaction import (
 from fibaction.interfaces.ros_types import array, struct
 from fibaction.schema.payload import JsonCodec, PayloadError
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.matching import End
 from tests.transports.web.rosbridge.robot import Robot
 
 pytestmark = pytest.mark.anyio
@@ -139,7 +139,7 @@ async def test_two_goals_run_at_once_and_are_told_apart() -> None:
     async with client_of(robot) as client:
         one, other = await client.send_goal(Goal(50)), await client.send_goal(Goal(51))
         await one.cancel()
-        assert await one.outcome() == Outcome(GoalStatus.CANCELED)
+        assert await one.outcome() == End(GoalStatus.CANCELED)
         assert other.status is GoalStatus.EXECUTING
         robot.go_on.set()
         assert await other.result() == Result([51])

@@ -25,7 +25,6 @@ from fibaction import (
     GoalTimeout,
     InvalidMessage,
     Limits,
-    Outcome,
     ProtocolError,
     Retry,
     ServerNotFound,
@@ -40,6 +39,7 @@ from fibaction_transports.web.rosbridge.client import endpoint as endpoint_modul
 from fibaction_transports.web.rosbridge.client import link_opener
 from fibaction_transports.web.rosbridge.client.described_types import UNKNOWN, DescribedTypes
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.matching import End
 from tests.transports.hearing import Hearing
 from tests.transports.web.rosbridge_client.servers import (
     SHOW,
@@ -151,7 +151,7 @@ async def test_two_goals_of_a_robot_run_at_once() -> None:
     async with robot() as (_, client):
         one, other = await client.send_goal(Goal(50)), await client.send_goal(Goal(51))
         await other.cancel()
-        assert await other.outcome() == Outcome(GoalStatus.CANCELED, Result([51]))
+        assert await other.outcome() == End(GoalStatus.CANCELED, Result([51]))
         assert one.status is GoalStatus.EXECUTING
         await one.cancel()
         assert (await one.outcome()).result == Result([50])
@@ -204,7 +204,7 @@ async def test_a_rejection_that_comes_late_aborts_the_goal() -> None:
     async with open_goal() as (peer, names, goal):
         text = "Action goal was rejected"
         await peer.say(op="action_result", **names, values=text, status=0, result=False)
-        assert await goal.outcome() == Outcome(GoalStatus.ABORTED, reason=text)
+        assert await goal.outcome() == End(GoalStatus.ABORTED, reason=text)
 
 
 async def test_a_result_without_a_status_is_a_success() -> None:

@@ -44,7 +44,7 @@ from fibaction.words.errors import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
+from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway
 from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
 from fibaction_transports.nats.names import FleetNames
@@ -233,9 +233,8 @@ class RetryTime:
 
 def finish(goal: RemoteGoal, stored: StoredGoal) -> None:
     """End a goal by its record."""
-    outcome: Outcome[bytes] = Outcome(stored.status, stored.result, stored.reason)
     goal.told_info = stored.info
-    goal.finish(outcome, stored.feedback_count, max(stored.attempt, 1))
+    goal.finish(stored.outcome, stored.feedback_count, max(stored.attempt, 1))
 
 
 def ended_goal(opening: SendGoal | Follow, stored: StoredGoal) -> RemoteGoal:

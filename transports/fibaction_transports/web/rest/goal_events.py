@@ -15,7 +15,7 @@ import msgspec
 
 from fibaction.border.http_access import Refused
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.payload import JsonCodec
 from fibaction.words.goals import Outcome
 from fibaction_transports.web.http.problems import Problem
 from fibaction_transports.web.rest.goal_list import facts_of
@@ -92,13 +92,9 @@ class GoalEvents:
         """Return the end of a goal as members of an object. If JSON cannot express the result, or
         it was stored in another encoding, the reason says so.
         """
-        result = None
-        try:
-            if outcome.result is not None:
-                result = msgspec.Raw(self.result.to_text(outcome.result).encode())
-        except PayloadError as exc:
-            outcome = outcome.unreadable(exc)
-        return {"status": outcome.status.name, "result": result, "reason": outcome.reason}
+        return outcome.readable(
+            lambda result: msgspec.Raw(self.result.to_text(result).encode())
+        ).members
 
 
 def _json(members: dict[str, object]) -> str:
