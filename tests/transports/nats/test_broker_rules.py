@@ -51,19 +51,8 @@ def subject() -> str:
 async def put(
     broker: Broker, subject: str, data: bytes, expected: int, ttl: float | None = None
 ) -> int | PutError:
-    answers: list[int | PutError] = []
-    news = Notifier()
-
-    def then(answer: int | PutError) -> None:
-        answers.append(answer)
-        news.notify()
-
     with fail_after(10):
-        broker.put(subject, data, expected=expected, ttl=ttl, then=then)
-        assert not answers, "an answer came within the call"
-        while not answers:
-            await news.wait()
-    return answers[0]
+        return await broker.put_and_wait(subject, data, expected=expected, ttl=ttl)
 
 
 async def stored(
@@ -164,7 +153,15 @@ async def test_a_record_that_is_too_large_is_told_apart(brokers: tuple[Broker, B
     answer = await put(one, name, bytes(one.max_record + 1), 0)
     assert isinstance(answer, PutError)
     assert answer.kind is PutFailure.TOO_LARGE
-    await stored(one, name, b"small")
+    await stored(one, name, bytes(one.max_record))
+
+
+async def test_an_answer_never_comes_within_the_call(brokers: tuple[Broker, Broker]) -> None:
+    one, _ = brokers
+    answers: list[int | PutError] = []
+    for data in (b"small", bytes(one.max_record + 1)):
+        one.put(subject(), data, expected=0, then=answers.append)
+    assert not answers
 
 
 # Watches

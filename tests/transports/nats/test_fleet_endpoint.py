@@ -87,24 +87,6 @@ async def test_a_goal_larger_than_a_record_is_not_sent(fleet: FakeFleet) -> None
         assert not a.asked
 
 
-async def test_a_goal_without_feedback_has_its_outcome(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
-        endpoint = connection.endpoint(COUNT)
-        goal = await endpoint.send_goal(GOAL_ID, THREE, feedback=False, timeout=60)
-        assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
-        assert not goal.reads
-
-
-async def test_a_rejection_is_an_answer(fleet: FakeFleet) -> None:
-    def reject(goal: int) -> None:
-        raise GoalRejected(f"{goal} is too far")
-
-    async with fleet.worker("a").serve(server(on_goal=reject)) as a, fleet.connect() as connection:
-        with pytest.raises(GoalRejected, match="3 is too far"):
-            await client_of(connection).call(3)
-        assert len(a.asked) == 1
-
-
 async def test_a_worker_that_is_busy_by_now_is_left_for_another(fleet: FakeFleet) -> None:
     async with (
         fleet.worker("a").serve(server(schedule=Schedule(concurrency=1))),

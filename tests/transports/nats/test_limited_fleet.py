@@ -107,14 +107,3 @@ async def test_a_fleet_without_a_limit_has_no_stream_for_it(
         async with open_broker(FleetSettings("x", (shared_broker.address,))) as broker:
             assert await broker.find_stream(names.goals) is not None
             assert await broker.find_stream(names.keys) is None
-
-
-async def test_two_schedules_of_one_worker_cannot_have_the_same_name(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    arms, url = Arms(), shared_broker.url(fleet)
-    other = Action("grasp", goal=str, feedback=int, result=str)
-    moves, grasps = (ActionServer(one, arms.move, schedule=limit()) for one in (MOVE, other))
-    with pytest.raises(ValueError, match="two schedules of this worker have fleet_limit='arms'"):
-        async with serve([moves, grasps], url):
-            raise AssertionError("it serves")

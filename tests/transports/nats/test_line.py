@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 import anyio
 import pytest
 
-from fibaction import ActionServer, GoalCanceled, GoalHandle, ServerNotFound, connect, serve
+from fibaction import ActionServer, GoalHandle, ServerNotFound, connect, serve
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader
@@ -36,34 +36,6 @@ def transport_to(server: NatsServer, fleet: str, heartbeat: float = 1.0) -> Line
 
 
 # The wire protocol on them
-
-
-async def test_goals_feedback_and_results_go_over_a_line(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    transport = transport_to(shared_broker, fleet)
-    async with serve(ActionServer(FIBONACCI, fibonacci), transport):
-        async with connect(transport, FIBONACCI) as client:
-            goal = await client.send_goal(Goal(5))
-            feedback = [item.partial_sequence async for item in goal.feedback]
-            assert feedback[-1] == [0, 1, 1, 2, 3, 5]
-            assert (await goal.result()).sequence == [0, 1, 1, 2, 3, 5]
-
-
-async def test_a_goal_is_canceled_over_a_line(shared_broker: NatsServer, fleet: str) -> None:
-    async def forever(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        yield Feedback([1])
-        await anyio.sleep_forever()
-
-    transport = transport_to(shared_broker, fleet)
-    async with serve(ActionServer(FIBONACCI, forever), transport):
-        async with connect(transport, FIBONACCI) as client:
-            goal = await client.send_goal(Goal(5))
-            async for _ in goal.feedback:
-                break
-            await goal.cancel()
-            with pytest.raises(GoalCanceled):
-                await goal.result()
 
 
 async def test_a_frame_may_be_larger_than_a_message_of_the_broker(

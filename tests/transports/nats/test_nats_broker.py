@@ -17,7 +17,6 @@ from fibaction_transports.nats.broker.broker import (
     BrokerRecord,
     BrokerWatch,
     Message,
-    NoResponders,
     PutError,
     PutFailure,
 )
@@ -46,17 +45,8 @@ async def opened(server: NatsServer, fleet: str) -> AsyncGenerator[NatsBroker, N
 async def put(
     broker: Broker, subject: str, data: bytes, expected: int = 0, ttl: float | None = None
 ) -> int | PutError:
-    done = anyio.Event()
-    found: list[int | PutError] = []
-
-    def then(outcome: int | PutError) -> None:
-        found.append(outcome)
-        done.set()
-
-    broker.put(subject, data, expected=expected, ttl=ttl, then=then)
     with anyio.fail_after(10):
-        await done.wait()
-    return found[0]
+        return await broker.put_and_wait(subject, data, expected=expected, ttl=ttl)
 
 
 async def stored(
@@ -88,57 +78,6 @@ async def until(watch: BrokerWatch, data: bytes) -> list[BrokerRecord]:
 # Messages
 
 
-async def test_messages_come_to_every_subscriber_and_once_to_a_queue(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with open_broker(settings_of(shared_broker)) as one:
-        async with open_broker(settings_of(shared_broker)) as other:
-            heard: list[str] = []
-            await one.subscribe(names.offer("a"), lambda m: heard.append(f"one {m.data!r}"), "q")
-            await other.subscribe(names.offer("a"), lambda m: heard.append(f"two {m.data!r}"), "q")
-            closed = await other.subscribe(names.offer("a"), lambda m: heard.append("closed"))
-            every = await other.subscribe(f"{names.root}.>", lambda m: heard.append(m.subject))
-            closed.close()
-            closed.close()
-            one.publish(names.offer("a"), b"x")
-            await one.flush()
-            await other.flush()
-            assert sorted(heard) in (
-                [names.offer("a"), "one b'x'"],
-                [names.offer("a"), "two b'x'"],
-            )
-            every.close()
-
-
-async def test_a_request_gets_the_first_answer_or_learns_that_has_no_responders(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async with open_broker(settings_of(shared_broker)) as one:
-        async with open_broker(settings_of(shared_broker)) as other:
-
-            def answer(message: Message) -> None:
-                other.publish(message.reply, b"yes " + message.data)
-
-            await other.subscribe(f"fib.{fleet}.x", answer)
-            assert await one.request(f"fib.{fleet}.x", b"?", 5) == b"yes ?"
-            with pytest.raises(NoResponders):
-                await one.request(f"fib.{fleet}.y", b"?", 5)
-
-
-async def test_a_message_to_nobody_comes_back_to_its_reply(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async with open_broker(settings_of(shared_broker)) as broker:
-        heard: list[Message] = []
-        await broker.subscribe(f"fib.{fleet}.back", heard.append)
-        broker.publish(f"fib.{fleet}.nobody", b"x", f"fib.{fleet}.back")
-        await broker.flush()
-        [message] = heard
-        assert message.subject == f"fib.{fleet}.back"
-        assert message.has_no_responders
-
-
 async def test_a_subscription_that_is_closed_gets_nothing_more(
     shared_broker: NatsServer, fleet: str
 ) -> None:
@@ -157,60 +96,6 @@ async def test_a_subscription_that_is_closed_gets_nothing_more(
 
 
 # Records
-
-
-async def test_a_record_is_stored_in_place_of_the_expected_one_only(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with opened(shared_broker, fleet) as broker:
-        subject = names.worker("w")
-        assert await broker.get(names.workers, subject) is None
-        first = await stored(broker, subject, b"one")
-        refused = await put(broker, subject, b"two")
-        assert isinstance(refused, PutError)
-        assert refused.kind is PutFailure.REFUSED
-        assert await broker.get(names.workers, subject) == BrokerRecord(subject, b"one", first)
-        second = await stored(broker, subject, b"two", first)
-        assert second > first
-        assert await broker.get(names.workers, subject) == BrokerRecord(subject, b"two", second)
-
-
-async def test_a_record_ends_with_its_time_to_live_and_leaves_a_marker(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with opened(shared_broker, fleet) as broker:
-        subject = names.worker("w")
-        async with broker.watch(names.workers, names.worker()) as watch:
-            assert await first_of(watch) == []
-            first = await stored(broker, subject, b"one", ttl=0.3)
-            (record, marker) = await until(watch, b"")
-            assert record == BrokerRecord(subject, b"one", first)
-            assert marker.subject == subject
-            assert marker.sequence > first
-        assert await broker.get(names.workers, subject) == marker
-        await stored(broker, subject, b"again", marker.sequence)
-
-
-async def test_a_put_without_data_deletes_the_record(shared_broker: NatsServer, fleet: str) -> None:
-    names = FleetNames(fleet)
-    async with opened(shared_broker, fleet) as broker:
-        subject = names.worker("w")
-        first = await stored(broker, subject, b"one")
-        second = await stored(broker, subject, b"", first)
-        assert await broker.get(names.workers, subject) == BrokerRecord(subject, b"", second)
-
-
-async def test_a_record_larger_than_the_broker_takes_is_not_stored(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async with opened(shared_broker, fleet) as broker:
-        subject = FleetNames(fleet).worker("w")
-        await stored(broker, subject, bytes(broker.max_record))
-        outcome = await put(broker, subject, bytes(broker.max_record + 1), 1)
-        assert isinstance(outcome, PutError)
-        assert outcome.kind is PutFailure.TOO_LARGE
 
 
 async def test_a_put_into_a_stream_that_is_missing_is_unknown(
@@ -254,28 +139,6 @@ async def test_a_watch_returns_the_newest_records_then_none_then_each_change(
 
 
 # Notes
-
-
-async def test_a_note_goes_to_one_reader_and_comes_again_until_it_is_done(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with opened(shared_broker, fleet) as broker:
-        broker.add_note(names.want("a"), b"one")
-        broker.add_note(names.want("a"), b"two")
-        broker.add_note(names.want("b"), b"other")
-        one, two = broker.notes(names.want("a")), broker.notes(names.want("a"))
-        with anyio.fail_after(20):
-            first, second = await anext(one), await anext(two)
-            assert [first.data, second.data] == [b"one", b"two"]
-            second.done()
-            again = await anext(two)
-            assert again.data == b"one"
-            again.done()
-            other = broker.notes(names.want("b"))
-            assert (await anext(other)).data == b"other"
-        for notes in (one, two, other):
-            await notes.aclose()
 
 
 # Streams

@@ -74,15 +74,6 @@ def lease(shared: MemoryBrokers, name: str = "robot") -> Any:
     return lease_entry(record.data)
 
 
-async def test_a_goal_is_run_by_a_worker() -> None:
-    async with MemoryBrokers() as shared:
-        async with serving(shared.member(), ActionServer(COUNT, count)) as worker:
-            assert worker.name == "robot"
-            async with client(shared.member()) as caller:
-                with fail_after(10):
-                    assert await caller.call(1) == 1
-
-
 async def test_a_lease_lists_what_the_worker_serves() -> None:
     async with MemoryBrokers() as shared:
         async with serving(shared.member(), ActionServer(COUNT, count)):
