@@ -20,7 +20,7 @@ from fibaction.interfaces import (
     python_source,
     read_action,
 )
-from fibaction.interfaces.known import define_action, remember
+from fibaction.interfaces.files import define_action, remember
 from fibaction.types.action import Action
 
 __all__ = ["InterfaceError", "action_source", "define_action", "load_action"]

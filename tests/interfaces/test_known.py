@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fibaction.action_files import InterfaceError, load_action
-from fibaction.interfaces.known import define_action, known_action
+from fibaction.interfaces.files import define_action, known_action
 
 
 def write(path: Path, field: str) -> Path:

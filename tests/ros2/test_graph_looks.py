@@ -11,12 +11,16 @@ import pytest
 from anyio import current_time
 
 from fibaction import ConnectionLost, TransportError
-from fibaction_transports.ros2.client import graph_looks
-from fibaction_transports.ros2.client.graph_looks import GraphLooks
-from fibaction_transports.ros2.node import scouted_view
-from fibaction_transports.ros2.node.graph_view import DiscoveryState, GraphView, JoinedViews
+from fibaction_transports.ros2.client import endpoint
+from fibaction_transports.ros2.client.endpoint import GraphLooks
+from fibaction_transports.ros2.node import graph_view
+from fibaction_transports.ros2.node.graph_view import (
+    DiscoveryState,
+    GraphView,
+    JoinedViews,
+    no_scout,
+)
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.node.scouted_view import no_scout
 from fibaction_transports.ros2.qos import EndQos
 
 pytestmark = pytest.mark.anyio
@@ -69,7 +73,7 @@ def nodes_of(view: GraphView) -> set[str]:
 
 @pytest.fixture(autouse=True)
 def short_pause(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graph_looks, "GRAPH_PAUSE", 0.001)
+    monkeypatch.setattr(endpoint, "GRAPH_PAUSE", 0.001)
 
 
 async def test_a_look_waits_for_participants_whose_ends_have_not_come() -> None:
@@ -110,7 +114,7 @@ async def test_the_quiet_time_begins_when_the_view_is_open(monkeypatch: pytest.M
     graph = Graph(grow)
     graph.names, graph.quiet = {"/robot1"}, 1.0
     monkeypatch.setattr(graph, "observed", observed)
-    monkeypatch.setattr(graph_looks, "current_time", lambda: now)
+    monkeypatch.setattr(endpoint, "current_time", lambda: now)
     assert await looks(graph).settled(nodes_of) == {"/robot1", "/robot2"}
 
 
@@ -123,7 +127,7 @@ async def test_that_there_is_nothing_is_said_after_the_timeout_only() -> None:
 async def test_a_participant_that_tells_nothing_more_is_not_waited_for_without_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(graph_looks, "LONGEST", 0.05)
+    monkeypatch.setattr(endpoint, "LONGEST", 0.05)
     graph = Graph()
     graph.names, graph.pending = {"/robot1"}, 1
     with anyio.fail_after(10):
@@ -133,7 +137,7 @@ async def test_a_participant_that_tells_nothing_more_is_not_waited_for_without_e
 async def test_a_node_that_has_been_there_for_long_looks_at_once_and_without_a_scout(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(graph_looks, "GROWN", 0.0)
+    monkeypatch.setattr(endpoint, "GROWN", 0.0)
     graph = Graph()
     graph.names, graph.quiet = {"/robot1"}, 1000.0
     monkeypatch.setattr(graph, "observed", None)
@@ -168,7 +172,7 @@ def test_two_views_of_a_graph_know_what_either_of_them_knows() -> None:
     assert joined.discovery().pending == 7
 
 
-def scouting(graph: Graph) -> scouted_view.ScoutOpener:
+def scouting(graph: Graph) -> graph_view.ScoutOpener:
     @asynccontextmanager
     async def opened(domain: int) -> AsyncGenerator[GraphView, None]:
         yield graph
@@ -177,18 +181,18 @@ def scouting(graph: Graph) -> scouted_view.ScoutOpener:
 
 
 async def test_a_scout_counts_only_if_it_sees_the_node(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scouted_view, "SCOUT_PATIENCE", 0.05)
+    monkeypatch.setattr(graph_view, "SCOUT_PATIENCE", 0.05)
     own, scout = Graph(), Graph()
     scout.names = {"/other"}
-    async with scouted_view.scouted_view(own, "/own", 7, scouting(scout)) as view:
+    async with graph_view.scouted_view(own, "/own", 7, scouting(scout)) as view:
         assert view is own
-    async with scouted_view.scouted_view(own, "/other", 7, scouting(scout)) as view:
+    async with graph_view.scouted_view(own, "/other", 7, scouting(scout)) as view:
         assert view.nodes() == {"/other"}
 
 
 async def test_without_a_scout_a_node_looks_by_itself() -> None:
     own = Graph()
-    async with scouted_view.scouted_view(own, "/own", 7, no_scout) as view:
+    async with graph_view.scouted_view(own, "/own", 7, no_scout) as view:
         assert view is own
     with pytest.raises(TransportError, match="nothing looks at the domain 7"):
         no_scout(7)

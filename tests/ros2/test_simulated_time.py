@@ -22,7 +22,7 @@ from fibaction_transports.ros2.node.stamps import (
     FollowedStamps,
     ServedStamps,
 )
-from fibaction_transports.ros2.on_rclpy.clock import NodeClock
+from fibaction_transports.ros2.on_rclpy.rclpy_node import NodeClock
 from tests.ros2.ends import PATIENCE, forever, new_url
 from tests.ros2.spun import spun_node
 from tests.ros2.stock.waiting import eventually

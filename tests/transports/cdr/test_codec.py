@@ -13,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction.interfaces import make_structs, read_action
-from fibaction_transports.cdr.cdr_error import CdrError
 from fibaction_transports.cdr.codec import CdrCodec
-from fibaction_transports.cdr.streams import HEADER
+from fibaction_transports.cdr.streams import HEADER, CdrError
 from tests.transports.cdr.definitions import POSES, TESTS, Goal, action_of
 from tests.transports.cdr.generated import GeneratedGoal, goals
 from tests.transports.cdr.recorded import RECORDED, recorded

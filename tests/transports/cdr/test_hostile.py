@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from fibaction.words.errors import ProtocolError
-from fibaction_transports.cdr.cdr_error import CdrError
-from fibaction_transports.cdr.streams import MAX_VALUES
+from fibaction_transports.cdr.streams import MAX_VALUES, CdrError
 from tests.transports.cdr.definitions import POSES, Goal
 
 MANY = "ffffffff"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.interfaces import known
+from fibaction.interfaces import files
 from tests.support.ros_domain import own_domain
 
 ROOT = Path(__file__).parents[3]
@@ -29,8 +29,8 @@ def domain() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def no_loaded_types(monkeypatch: pytest.MonkeyPatch) -> None:
     """Know no types that other tests of the process have loaded, such as those of pages."""
-    monkeypatch.setattr(known, "_KNOWN", {})
-    monkeypatch.setattr(known, "_TEXTS", {})
+    monkeypatch.setattr(files, "_KNOWN", {})
+    monkeypatch.setattr(files, "_TEXTS", {})
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -12,8 +12,7 @@ import pytest
 from fibaction import Action, ActionInfo, ProtocolError, TransportError
 from fibaction.action_files import action_source, define_action, load_action
 from fibaction.interfaces.ros_types import Int32
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
-from fibaction_transports.ros2.on_dds.messages.interface_files import InterfaceFiles
+from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, InterfaceFiles
 
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
 

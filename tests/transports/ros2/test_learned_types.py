@@ -34,11 +34,14 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     DescriptionRequest,
     DescriptionResponse,
 )
-from fibaction_transports.ros2.on_dds.descriptions.looked_up_types import TypeQuestions
+from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeQuestions
 from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.on_dds.messages import dds_types
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, ServerVersion
-from fibaction_transports.ros2.on_dds.messages.interface_files import InterfaceFiles
+from fibaction_transports.ros2.on_dds.messages.dds_types import (
+    DdsTypes,
+    InterfaceFiles,
+    ServerVersion,
+)
 from fibaction_transports.ros2.on_dds.messages.message_type import TypeHashes, read_hashes
 from fibaction_transports.ros2.on_dds.services import provide
 from fibaction_transports.ros2.qos import EndQos

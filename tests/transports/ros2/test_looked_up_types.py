@@ -15,7 +15,6 @@ from fibaction import ConnectionLost, TransportError
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.on_dds.descriptions import (
     described_types,
-    looked_up_types,
     type_learner,
     type_objects,
 )
@@ -24,7 +23,7 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     FieldTypeDescription,
     UnusableDescription,
 )
-from fibaction_transports.ros2.on_dds.descriptions.looked_up_types import TypeQuestions
+from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeQuestions
 from fibaction_transports.ros2.on_dds.descriptions.type_objects import read_types
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.qos import EndQos
@@ -159,7 +158,7 @@ async def test_what_cannot_be_used_is_logged_and_the_feedback_is_asked_for(
     elif change == "nothing":
         answers = {key: bytes(4) for key in ANSWERS}
     elif change == "too many":
-        monkeypatch.setattr(looked_up_types, "MOST_TYPES", 1)
+        monkeypatch.setattr(type_learner, "MOST_TYPES", 1)
     elif change == "too large":
         monkeypatch.setattr(described_types, "MOST_VALUES", 0)
     elif change == "no action":

@@ -5,20 +5,20 @@ from __future__ import annotations
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.ros2.on_dds.arguments.parameter_overrides import Override
-from fibaction_transports.ros2.on_dds.arguments.ros_arguments import (
-    NameResolver,
-    RosArguments,
-    node_name,
-    read_arguments,
-)
-from fibaction_transports.ros2.on_dds.names import (
+from fibaction_transports.ros2.on_dds.messages.message_type import (
     dds_type,
     reply_topic,
     request_topic,
     ros_topic,
     ros_type,
     topic_name,
+)
+from fibaction_transports.ros2.on_dds.ros_arguments import (
+    NameResolver,
+    Override,
+    RosArguments,
+    node_name,
+    read_arguments,
 )
 
 

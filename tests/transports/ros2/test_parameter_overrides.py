@@ -9,12 +9,12 @@ import anyio
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.ros2.on_dds.arguments.parameter_overrides import (
+from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
+from fibaction_transports.ros2.on_dds.ros_arguments import (
     overrides_of,
+    read_arguments,
     read_parameters_file,
 )
-from fibaction_transports.ros2.on_dds.arguments.ros_arguments import read_arguments
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 

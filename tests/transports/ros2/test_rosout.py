@@ -8,7 +8,7 @@ import uuid
 
 import pytest
 
-from fibaction_transports.ros2.on_dds.messages.rosout import LOG, LogMessage
+from fibaction_transports.ros2.on_dds.messages.node_messages import LOG, LogMessage
 from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.qos import EndQos
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio

@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, TransportError, connect, serve
-from fibaction_transports.ros2.on_dds.scout import open_scout
+from fibaction_transports.ros2.on_dds.graph import open_scout
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.transports.ros2.test_dds_node import until

@@ -17,18 +17,16 @@ from fibaction_transports.ros2.on_dds.messages.parameter_messages import (
     NamesRequest,
     ValuesResponse,
 )
-from fibaction_transports.ros2.on_dds.service_identity import (
-    client_of,
-    identity_in,
-    identity_items,
-    split_header,
-)
 from fibaction_transports.ros2.on_dds.services import (
     ANSWERED_REQUESTS,
     OPEN_REQUESTS,
     DdsCaller,
     DdsProvider,
     ServiceEnds,
+    client_of,
+    identity_in,
+    identity_items,
+    split_header,
 )
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, OWN_VENDOR, Guid

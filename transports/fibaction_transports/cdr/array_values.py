@@ -13,7 +13,7 @@ from itertools import starmap
 from typing import Any, TypeGuard
 
 from fibaction.border.peer_text import excerpt
-from fibaction_transports.cdr.cdr_error import CdrError
+from fibaction_transports.cdr.streams import CdrError
 
 LISTS: Any = (list, tuple)
 """The types of lists that are taken as they are. `Any`, since a check by them tells nothing of the

@@ -16,9 +16,15 @@ from fibaction_transports.cdr.array_values import (
     octets_of,
     size_of,
 )
-from fibaction_transports.cdr.cdr_error import CdrError
 from fibaction_transports.cdr.steps import CdrStep
-from fibaction_transports.cdr.streams import NATIVE, CdrReader, CdrWriter, pack_count, too_short
+from fibaction_transports.cdr.streams import (
+    NATIVE,
+    CdrError,
+    CdrReader,
+    CdrWriter,
+    pack_count,
+    too_short,
+)
 
 _WORD = 4
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 from fibaction_transports.cdr.array_values import UNFIT, octets_of, unfit
-from fibaction_transports.cdr.cdr_error import CdrError
 from fibaction_transports.cdr.streams import (
     LITTLE_ENDIAN,
+    CdrError,
     CdrReader,
     CdrWriter,
     pack_count,

@@ -12,7 +12,7 @@ from fibaction.border.settings import TransportSettings
 from fibaction.border.urls import without_settings
 from fibaction.words.errors import InvalidURL
 from fibaction_transports.ros2.dds_transport import DdsTransport
-from fibaction_transports.ros2.on_dds.scout import open_scout
+from fibaction_transports.ros2.on_dds.graph import open_scout
 from fibaction_transports.ros2.ros_transport import RosTransport
 from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 

@@ -15,11 +15,10 @@ from fibaction.border.abc import Connection, Endpoint
 from fibaction.wire.transport import ConfiguredTransport
 from fibaction.words.errors import TransportError
 from fibaction.words.plain_data import is_list
-from fibaction_transports.ros2.adapter import RosAdapter
 from fibaction_transports.ros2.client.endpoint import connect_actions
 from fibaction_transports.ros2.names import ActionNames, action_names
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
-from fibaction_transports.ros2.node.ros_node import RosTypes
+from fibaction_transports.ros2.node.ros_node import RosAdapter, RosTypes
 from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
 from fibaction_transports.ros2.settings import RosSettings
 

@@ -12,8 +12,7 @@ from anyio import current_time
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
 from fibaction_transports.ros2 import qos
-from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
-from fibaction_transports.ros2.client.type_versions import explain_versions
+from fibaction_transports.ros2.client.mismatches import explain_mismatch, explain_versions
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node.parts import ServiceCaller, TopicSubscription
 from fibaction_transports.ros2.node.ros_node import RosNode

@@ -236,3 +236,17 @@ class RosNode(GraphView):
     @abstractmethod
     def answer_writers(self, service: str) -> Sequence[EndInfo]:
         """Return the ends at which servers of a service answer; none if it is not known."""
+
+
+class RosAdapter(ABC):
+    """The way to a graph of ROS."""
+
+    types: RosTypes
+
+    @abstractmethod
+    def open(self) -> AbstractAsyncContextManager[RosNode]:
+        """Open a node for as long as the block lasts.
+
+        Raises:
+            TransportError: ROS does not allow such a node, or it cannot be made.
+        """

@@ -12,18 +12,18 @@ from typing import ClassVar
 from fibaction.border.peer_text import excerpt
 from fibaction.border.settings import check_range
 from fibaction.words.errors import TransportError
-from fibaction_transports.ros2.adapter import RosAdapter
-from fibaction_transports.ros2.on_dds.arguments.parameter_overrides import overrides_of
-from fibaction_transports.ros2.on_dds.arguments.ros_arguments import (
-    NameResolver,
-    RosArguments,
-    node_name,
-    read_arguments,
-)
+from fibaction_transports.ros2.node.ros_node import RosAdapter
 from fibaction_transports.ros2.on_dds.graph import NodeName
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.on_dds.node import DdsNode, open_node
 from fibaction_transports.ros2.on_dds.parameters import USE_SIM_TIME
+from fibaction_transports.ros2.on_dds.ros_arguments import (
+    NameResolver,
+    RosArguments,
+    node_name,
+    overrides_of,
+    read_arguments,
+)
 from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 from fibaction_transports.rtps.ports import IP_VERSIONS, DiscoveryRange, DomainSettings
 

@@ -6,14 +6,16 @@ a topic of its own: https://design.ros2.org/articles/Node_to_Participant_mapping
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+import os
+from collections.abc import AsyncGenerator, Container, Sequence
+from contextlib import asynccontextmanager
 
 from anyio import current_time
 from msgspec import Struct
 
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
-from fibaction.words.errors import ProtocolError
+from fibaction.words.errors import ProtocolError, TransportError
 from fibaction_transports.cdr.standard_messages import (
     GidMessage,
     NodeEntitiesInfo,
@@ -22,9 +24,9 @@ from fibaction_transports.cdr.standard_messages import (
 from fibaction_transports.ros2.node.graph_view import DiscoveryState, GraphView
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.on_dds.messages.action_types import standard_type
-from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes
-from fibaction_transports.ros2.on_dds.names import (
+from fibaction_transports.ros2.on_dds.messages.message_type import (
     GRAPH_TOPIC,
+    read_hashes,
     ros_topic,
     ros_type,
     topic_name,
@@ -34,8 +36,10 @@ from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.events import Event, ParticipantLost, SampleReceived
 from fibaction_transports.rtps.messages.ids import PREFIX_SIZE, READER_KINDS, WRITER_KINDS, Guid
-from fibaction_transports.rtps.network import ParticipantNetwork
+from fibaction_transports.rtps.network import ParticipantNetwork, open_network
+from fibaction_transports.rtps.ports import DomainSettings
 from fibaction_transports.rtps.qos import Durability, Qos, Reliability
 
 MOST_ENTITIES = 4_096
@@ -217,3 +221,38 @@ class DdsGraph(GraphView):
         if isinstance(end, EndpointData):
             data, type_id = end.user_data, end.type_id
         return EndInfo(bytes(end.guid), node, _end_qos(end.qos), *read_hashes(data), type_id)
+
+
+_NO_NODE = NodeName("", "/")
+
+
+@asynccontextmanager
+async def open_scout(domain: int) -> AsyncGenerator[DdsGraph, None]:
+    """Look at the graph of a domain, with the other settings of ROS in the environment: a scout for
+    a node of another middleware.
+
+    rclpy tells what it knows of the graph, and not what it knows to be missing: Fast DDS takes one
+    or two seconds to find ten nodes, with pauses longer than one. Our RTPS knows of each
+    participant whether all of its endpoints have come, and mostly has them after 0.2 s. A scout has
+    no node, so others see nothing of it in the graph.
+
+    Raises:
+        TransportError: The sockets cannot be opened, or a variable of the environment has a value
+            that ROS does not know.
+    """
+    found: list[DdsGraph] = []
+
+    def handle(event: Event) -> None:
+        for graph in found:
+            if isinstance(event, ParticipantLost):
+                graph.forget(event.prefix)
+            elif isinstance(event, SampleReceived):
+                graph.receive(event.sample)
+
+    try:
+        settings = DomainSettings.from_environment({**os.environ, "ROS_DOMAIN_ID": str(domain)})
+    except ValueError as exc:
+        raise TransportError(str(exc)) from exc
+    async with open_network(settings, handle) as network:
+        found.append(DdsGraph(network, _NO_NODE))
+        yield found[0]

@@ -27,19 +27,28 @@ from fibaction_transports.ros2.node.parts import (
     ServiceProvider,
 )
 from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.on_dds.arguments.ros_arguments import NameResolver
 from fibaction_transports.ros2.on_dds.clock import CLOCK_TOPIC, DdsClock
 from fibaction_transports.ros2.on_dds.descriptions.description_messages import GET_TYPE_DESCRIPTION
-from fibaction_transports.ros2.on_dds.descriptions.looked_up_types import TypeQuestions
-from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeLearner
+from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeLearner, TypeQuestions
 from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.on_dds.graph import DdsGraph, NodeName, dds_qos
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
-from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.on_dds.messages.node_messages import CLOCK
-from fibaction_transports.ros2.on_dds.messages.rosout import LOG, ROSOUT, ROSOUT_QOS, RosoutLog
-from fibaction_transports.ros2.on_dds.names import reply_topic, request_topic, topic_name
+from fibaction_transports.ros2.on_dds.messages.message_type import (
+    MessageType,
+    ServiceType,
+    reply_topic,
+    request_topic,
+    topic_name,
+)
+from fibaction_transports.ros2.on_dds.messages.node_messages import (
+    CLOCK,
+    LOG,
+    ROSOUT,
+    ROSOUT_QOS,
+    RosoutLog,
+)
 from fibaction_transports.ros2.on_dds.parameters import DdsParameters
+from fibaction_transports.ros2.on_dds.ros_arguments import NameResolver
 from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds, provide
 from fibaction_transports.ros2.on_dds.topics import (
     DdsLifeWatch,

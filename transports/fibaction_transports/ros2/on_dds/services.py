@@ -4,9 +4,15 @@ Theory of operation
 -------------------
 
 Servers of several vendors may serve one service, and clients of several may call it. A request goes
-to each server in the way of its vendor (`service_identity`): one sample for all servers of one way,
+to each server in the way of its vendor: one sample for all servers of one way,
 or one for each server if there are both ways. A reply goes to the readers of its client only, which
 other readers are told by a GAP: a reader of Fast DDS cannot take the longer replies for Cyclone.
+
+The middlewares write the identity of a request, which is its client and its number there, in two
+ways, and each reads its own only. Fast DDS has it in the inline QoS: a request names the reader of
+its client's replies, and a reply the same reader and the number of the request's sample. Cyclone
+DDS has a header of 16 bytes ahead of the message, in requests and replies alike, which the server
+returns as it is. Our own ends write it as Fast DDS does.
 
 A client that waits for an answer asks the writers of replies for what it may have missed: after
 `FIRST_ASK` seconds, and then after twice the time each, up to `LONGEST_ASK`. Without this a lost
@@ -15,9 +21,10 @@ answer of Fast DDS comes after 3 s, with its next heartbeat.
 
 from __future__ import annotations
 
+import struct
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import anyio
 from anyio import current_time
@@ -34,23 +41,76 @@ from fibaction_transports.ros2.node.parts import (
 )
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.on_dds.service_identity import (
-    UNKNOWN_NUMBER,
-    client_of,
-    header_of,
-    identity_in,
-    identity_items,
-    number_in,
-    split_header,
-    with_header,
-)
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
-from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, PREFIX_SIZE, Guid
-from fibaction_transports.rtps.messages.parameters import SampleIdentity
+from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, OWN_VENDOR, PREFIX_SIZE, Guid
+from fibaction_transports.rtps.messages.layout import ENCAPSULATION
+from fibaction_transports.rtps.messages.parameters import (
+    FAST_DDS_RELATED_SAMPLE_IDENTITY,
+    RELATED_SAMPLE_IDENTITY,
+    SampleIdentity,
+    identity_value,
+)
 from fibaction_transports.rtps.network import ParticipantNetwork
+
+UNKNOWN_NUMBER: Final = -(2**32)
+"""The number in the identity of a request of Fast DDS: that of the sample itself counts."""
+CLIENT_SIZE: Final = 8
+"""Bytes of the ID of a client in a header."""
+_HEADER = struct.Struct("<8sq")
+
+
+def identity_items(identity: SampleIdentity) -> list[tuple[int, bytes]]:
+    """Return an identity as inline QoS."""
+    value = identity_value(identity)
+    return [(FAST_DDS_RELATED_SAMPLE_IDENTITY, value), (RELATED_SAMPLE_IDENTITY, value)]
+
+
+def identity_in(sample: Sample) -> SampleIdentity | None:
+    """Return the identity in the inline QoS of a sample; None if there is none."""
+    if sample.inline_qos is None:
+        return None
+    related = sample.inline_qos.identity(RELATED_SAMPLE_IDENTITY)
+    if related is None:
+        related = sample.inline_qos.identity(FAST_DDS_RELATED_SAMPLE_IDENTITY)
+    return related
+
+
+def header_of(client: bytes, number: int) -> bytes:
+    """Return the header of a request; `client` has 8 bytes."""
+    return _HEADER.pack(client, number)
+
+
+def number_in(header: bytes) -> tuple[bytes, int]:
+    """Return the client and the number in a header."""
+    client, number = _HEADER.unpack(header)
+    return client, number
+
+
+def with_header(header: bytes, payload: bytes) -> bytes:
+    """Return a payload with a header ahead of its message."""
+    return payload[:ENCAPSULATION] + header + payload[ENCAPSULATION:]
+
+
+def split_header(payload: bytes) -> tuple[bytes, bytes] | None:
+    """Return the header of a payload, and the payload without it; None if it is too short."""
+    end = ENCAPSULATION + _HEADER.size
+    if len(payload) < end:
+        return None
+    return payload[ENCAPSULATION:end], payload[:ENCAPSULATION] + payload[end:]
+
+
+def client_of(reader: Guid) -> bytes:
+    """Return the ID of a client in headers, made of the GUID of its reader of replies.
+
+    A server sends replies to all clients, so each needs an ID of its own: the first random bytes of
+    the participant's GUID, and the number of the reader in it.
+    """
+    random, number = reader.prefix[len(OWN_VENDOR) :], reader.entity[:-1]
+    return random[: CLIENT_SIZE - 2] + number[-2:]
+
 
 FIRST_ASK, LONGEST_ASK = 0.03, 2.0
 """Seconds after which a client asks for an answer: the first time, and at most."""

@@ -15,12 +15,11 @@ import anyio
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
-from fibaction_transports.ros2.adapter import RosAdapter
-from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.node.scouted_view import ScoutOpener, no_scout
-from fibaction_transports.ros2.on_rclpy.parameters import parameter_services
+from fibaction_transports.ros2.node.graph_view import ScoutOpener, no_scout
+from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
 from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
+    ParameterService,
     SignalHandlerOptions,
     rclpy,
     validate_namespace,
@@ -29,6 +28,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
+from fibaction_transports.ros2.on_rclpy.waitable import Source
 from fibaction_transports.ros2.settings import LAST_DOMAIN, NodeSettings
 
 UNSPUN = 2.0
@@ -171,3 +171,36 @@ async def _warn_if_unspun(ros: RclpyNode) -> None:
             " thread, and do not wait for fibaction in a callback of a single-threaded executor",
             ros.full_name,
         )
+
+
+class ParameterRequests(Source):
+    """The requests to one of the services. They are answered in the thread that spins the node."""
+
+    kind = "service"
+
+    def __init__(self, service: Any) -> None:
+        super().__init__(service.handle, sink=lambda _: None)  # `take` does all
+        self._service = service
+
+    def take(self) -> None:
+        """Answer one request. If there are more, the executor wakes again."""
+        request, header = self.handle.service_take_request(self._service.srv_type.Request)
+        if header is not None:
+            response = self._service.callback(request, self._service.srv_type.Response())
+            self._service.send_response(response, header)
+
+
+def parameter_services(node: Any) -> list[ParameterRequests]:
+    """Make the services of a node's parameters, for `ros2 param`, and return the sources of their
+    requests.
+
+    rclpy makes them, and its executor would answer their requests. But a `Spinner` does without
+    that executor, except for what is rclpy's own. So they are taken from the node, and their
+    requests are taken together with everything else.
+    """
+    others = set(node.services)
+    node._parameter_service = ParameterService(node)
+    services = [one for one in node.services if one not in others]
+    for service in services:
+        node._services.remove(service)
+    return [ParameterRequests(service) for service in services]

@@ -12,7 +12,13 @@ from typing import Any, cast
 
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost, TransportError
-from fibaction_transports.ros2.node.graph_view import DiscoveryState, GraphView
+from fibaction_transports.ros2.node.graph_view import (
+    DiscoveryState,
+    GraphView,
+    ScoutOpener,
+    no_scout,
+    scouted_view,
+)
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
@@ -22,9 +28,7 @@ from fibaction_transports.ros2.node.parts import (
     ServiceCaller,
     ServiceProvider,
 )
-from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.node.scouted_view import ScoutOpener, no_scout, scouted_view
-from fibaction_transports.ros2.on_rclpy.clock import NodeClock
+from fibaction_transports.ros2.node.ros_node import RosClock, RosNode
 from fibaction_transports.ros2.on_rclpy.ends import (
     RclpyCaller,
     RclpyLifeWatch,
@@ -34,11 +38,12 @@ from fibaction_transports.ros2.on_rclpy.ends import (
     end_info,
     profile_of,
 )
-from fibaction_transports.ros2.on_rclpy.mailbox import Mailbox, Sink
 from fibaction_transports.ros2.on_rclpy.rcl import (
     LIVELINESS_CHANGED,
+    Duration,
     IntrospectionState,
     InvalidHandle,
+    JumpThreshold,
     UnsupportedEventType,
     check_for_type_support,
     middleware,
@@ -47,13 +52,47 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.waitable import (
+    Mailbox,
     Messages,
     Requests,
     Responses,
     RosWaitable,
+    Sink,
     Source,
 )
 from fibaction_transports.ros2.qos import EndQos
+
+
+class NodeClock(RosClock):
+    """The clock of a node, and the number of times that it has begun again."""
+
+    def __init__(self, node: Any) -> None:
+        self._clock = node.get_clock()
+        self.era = 0
+        self._jumps = self._clock.create_jump_callback(
+            JumpThreshold(
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+            ),
+            post_callback=self._begin_anew,
+        )
+
+    def _begin_anew(self, jump: Any) -> None:
+        # In the thread that rclpy spins. No other thread writes it.
+        self.era += 1
+
+    @property
+    def is_the_machines(self) -> bool:
+        return self.era == 0 and not self._clock.ros_time_is_active
+
+    def now(self) -> int:
+        nanoseconds: int = self._clock.now().nanoseconds
+        return nanoseconds
+
+    def close(self) -> None:
+        """Note no more jumps."""
+        with suppress(InvalidHandle):  # the user has destroyed the node
+            self._jumps.unregister()
+
 
 SURE = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds")
 """Middlewares that tell of each sign of life. rmw_zenoh_cpp had no such event, and since

@@ -56,7 +56,6 @@ from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.feedback_counts import PublishedCounts
-from fibaction_transports.ros2.node.goal_info import goal_info_to_ros
 from fibaction_transports.ros2.node.rivals import warn_of_rivals
 from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import ServedStamps
@@ -352,3 +351,11 @@ async def serve_actions(
             last = max(server.sent_at for server in servers)
             with anyio.CancelScope(shield=True):
                 await anyio.sleep_until(last + LINGER)
+
+
+def goal_info_to_ros(types: RosTypes, info: GoalInfo) -> Any:
+    """Return the `action_msgs/msg/GoalInfo` of a goal. It has no field for the status."""
+    message = types.GoalInfo()
+    message.goal_id.uuid = types.uuid(info.goal_id)
+    message.stamp.sec, message.stamp.nanosec = divmod(info.stamp, 10**9)
+    return message

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, Protocol
 
 import anyio
@@ -43,14 +43,87 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
+    FieldDescription,
+    IndividualTypeDescription,
     UnusableDescription,
 )
-from fibaction_transports.ros2.on_dds.descriptions.looked_up_types import TypeQuestions
+from fibaction_transports.ros2.on_dds.descriptions.type_objects import TypeObject, read_types
 from fibaction_transports.ros2.on_dds.messages.action_types import action_of
 from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, ServerVersion
-from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
+from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType, ros_type
 from fibaction_transports.ros2.on_dds.services import DdsCaller
 from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.rtps.events import TypesAnswered
+
+AT_ONCE: Final = 10
+"""Types in one question."""
+MOST_TYPES: Final = 300
+"""Types that an action may nest."""
+
+
+class TypeQuestions:
+    """The questions of a node about types, by TypeLookup of XTypes.
+
+    Nodes on Fast DDS 3, as of ROS 2 Kilted, tell the types of all messages in this way, those of
+    requests and answers among them: so goals and results, too.
+    """
+
+    def __init__(self, ask: Callable[[bytes, Sequence[bytes]], int]) -> None:
+        """`ask` sends a question to a participant, and returns its number, or 0 if it cannot."""
+        self._ask = ask
+        self._waiting: dict[int, tuple[bytes, anyio.Event]] = {}
+        self._answers: dict[int, bytes] = {}
+
+    def take(self, event: TypesAnswered) -> None:
+        """Take an answer, if it is waited for."""
+        prefix, is_answered = self._waiting.get(event.number, (b"", None))
+        if is_answered is not None and prefix == event.prefix:
+            self._answers[event.number] = event.types
+            is_answered.set()
+
+    async def look_up(
+        self, prefix: bytes, type_ids: Iterable[bytes]
+    ) -> dict[str, IndividualTypeDescription]:
+        """Return types of a participant with all that they nest, by their names.
+
+        Raises:
+            UnusableDescription: The participant does not tell them.
+        """
+        known: dict[bytes, TypeObject] = {}
+        wanted = dict.fromkeys(type_ids)
+        while missing := [one for one in wanted if one not in known][:AT_ONCE]:
+            found = read_types(await self._answer(prefix, missing))
+            for one in missing:
+                if one not in found:
+                    raise UnusableDescription("it does not tell a type that it was asked for")
+                known[one] = found[one]
+                wanted |= {field.nested: None for field in found[one].fields if field.nested}
+            if len(wanted) > MOST_TYPES:
+                raise UnusableDescription(f"it nests more than {MOST_TYPES} types")
+        return {ros_type(one.name): _described(one, known) for one in known.values()}
+
+    async def _answer(self, prefix: bytes, type_ids: Sequence[bytes]) -> bytes:
+        number = self._ask(prefix, type_ids)
+        if not number:
+            raise UnusableDescription("its participant does not answer questions about types")
+        is_answered = anyio.Event()
+        self._waiting[number] = prefix, is_answered
+        try:
+            await is_answered.wait()
+            return self._answers[number]
+        finally:
+            del self._waiting[number]
+            self._answers.pop(number, None)
+
+
+def _described(found: TypeObject, known: dict[bytes, TypeObject]) -> IndividualTypeDescription:
+    fields: list[FieldDescription] = []
+    for name, field_type, nested in found.fields:
+        if nested:
+            field_type.nested_type_name = ros_type(known[nested].name)
+        fields.append(FieldDescription(name, field_type))
+    return IndividualTypeDescription(ros_type(found.name), fields)
+
 
 ASK_TIME: Final = 1.0
 """Seconds in which the type of an action is learned."""

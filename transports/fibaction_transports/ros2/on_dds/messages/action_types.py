@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 from types import SimpleNamespace
-from typing import Final
+from typing import Any, Final
 
-from fibaction.interfaces.files import ActionFile, read_action_texts
+import msgspec
+
+from fibaction.interfaces.definitions import FieldType
+from fibaction.interfaces.files import ActionFile, InterfaceMessage, read_action_texts
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import TransportError
 from fibaction_transports.cdr.action_messages import (
     ActionCodecs,
     FeedbackMessage,
@@ -24,10 +30,96 @@ from fibaction_transports.cdr.standard_messages import (
     UuidMessage,
     composed,
 )
-from fibaction_transports.ros2.convert.conversion import RosAction
-from fibaction_transports.ros2.on_dds.messages.message_kinds import message_kind
+from fibaction_transports.ros2.convert.conversion import RosAction, RosCodec, RosCodecs
+from fibaction_transports.ros2.convert.fields import SINGLES, Kind, array_kind, text_kind
+from fibaction_transports.ros2.convert.message_types import DurationKind, MessageKind, TimeKind
 from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.on_dds.messages.partly_known import PartlyKnownAction
+
+_NIL = msgspec.msgpack.encode(None)
+
+
+class PartlyKnownAction(RosAction):
+    """An action whose goal and result are not known: its goals are followed, and none is sent."""
+
+    def __init__(
+        self,
+        type_name: str,
+        impl: Any,
+        kinds: Sequence[MessageKind],
+        problem: str,
+        *,
+        has_feedback: bool = True,
+    ) -> None:
+        """Describe it. `problem` says what is not known, and what makes it known. Without
+        `has_feedback`, the feedback is not known, either.
+        """
+        super().__init__(type_name, impl, kinds)
+        self.problem = problem
+        self._has_feedback = has_feedback
+
+    def info(self, name: str) -> ActionInfo:
+        feedback = super().info(name).feedback if self._has_feedback else {}
+        return ActionInfo(name, self.type_name, feedback=feedback)
+
+    def codecs(self, info: ActionInfo) -> RosCodecs:
+        if info.goal or info.result or (info.feedback and not self._has_feedback):
+            raise TransportError(self.problem)
+        unknown = _UnknownPart()
+        feedback = super().codecs(info).feedback if self._has_feedback else unknown
+        return RosCodecs(_UnknownGoal(self.problem), feedback, unknown)
+
+
+class _UnknownGoal(RosCodec):
+    """The codec of goals that cannot be made."""
+
+    def __init__(self, problem: str) -> None:
+        self._problem = problem
+
+    def to_ros(self, payload: bytes | None) -> Any:
+        raise TransportError(self._problem)
+
+
+class _UnknownPart(RosCodec):
+    """The codec of results, or of feedback, that cannot be read: each is None."""
+
+    def __init__(self) -> None:
+        pass
+
+    def to_ros(self, payload: bytes | None) -> Any:
+        return None
+
+    def from_ros(self, message: Any) -> bytes:
+        return _NIL
+
+
+_CHAR = "uint8"
+"""The type that ROS 2 has for a `char`."""
+_TEXTS = {"string": False, "wstring": True}
+_TIMES = {
+    "builtin_interfaces/msg/Time": TimeKind,
+    "builtin_interfaces/msg/Duration": DurationKind,
+}
+
+
+def message_kind(
+    message: InterfaceMessage, structs: Mapping[str, type[msgspec.Struct]]
+) -> MessageKind:
+    """Return the kind of a message whose structs are those of `make_structs`."""
+    fields: dict[str, Kind] = {}
+    for field in message.definition.fields:
+        nested, kind = message.nested.get(field.name), field.type
+        single = _single_kind(kind) if nested is None else message_kind(nested, structs)
+        is_array = kind.is_array
+        fields[field.name] = array_kind(single, kind.size, kind.bound) if is_array else single
+    cls = structs[message.class_name]
+    name = f"{message.package}/{message.definition.name}"
+    return _TIMES.get(message.type_name, MessageKind)(name, cls, fields, cls)
+
+
+def _single_kind(kind: FieldType) -> Kind:
+    if kind.base in _TEXTS:
+        return text_kind(_TEXTS[kind.base], kind.characters)
+    return SINGLES.get(kind.base, SINGLES[_CHAR])
 
 
 @cache

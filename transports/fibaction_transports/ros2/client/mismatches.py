@@ -1,13 +1,14 @@
-"""The explanation why a server that is in the graph cannot be reached: its quality of service.
+"""The explanations why a server that is in the graph cannot be reached or used: its quality of
+service, and other versions of its types.
 
-It names reliability and durability, the two that an action of ROS may have otherwise. All policies
-of DDS are compared in `rtps.qos`.
+The former names reliability and durability, the two that an action of ROS may have otherwise. All
+policies of DDS are compared in `rtps.qos`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.names import ActionNames
@@ -84,3 +85,38 @@ def _mismatches(way: _Way, theirs: EndQos) -> list[str]:
 def _word(end: EndQos, policy: str) -> str:
     word: str = getattr(end, policy)
     return word
+
+
+_SHOWN = len("RIHS01_") + 8
+"""Characters of a hash that are shown."""
+
+
+def explain_versions(ros: RosNode, full: ActionNames, impl: Any) -> str:
+    """Return a sentence that says which types of a server are other versions than here, and what to
+    do; empty if there is none, or if hashes are not known. One server with the right versions is
+    enough.
+
+    Two ends with another definition of a type match in DDS, and read each other's bytes wrongly.
+    The hashes that endpoints announce tell the versions apart.
+    """
+    wrong: list[str] = []
+    for message_type, ends in (
+        (impl.SendGoalService.Request, ros.request_readers(full.send_goal)),
+        (impl.GetResultService.Response, ros.answer_writers(full.get_result)),
+        (impl.FeedbackMessage, ros.publishers(full.feedback)),
+    ):
+        ours = ros.types.version(message_type)
+        theirs = {end.type_hash for end in ends}
+        if ours is not None and theirs and theirs.isdisjoint({ours.type_hash, ""}):
+            there = ", ".join(_short(one) for one in sorted(theirs))
+            wrong.append(f"{ours.type_name} is {there} there, and {_short(ours.type_hash)} here")
+    if not wrong:
+        return ""
+    return (
+        f"its server has another version of the types: {'; '.join(wrong)}; use the interface files"
+        " with which the server was built, at both ends"
+    )
+
+
+def _short(type_hash: str) -> str:
+    return f"{type_hash[:_SHOWN]}.."
