@@ -26,7 +26,6 @@ from fibaction_transports.rtps.messages.submessages import (
     Data,
     DataFragment,
     Destination,
-    FragmentHeartbeat,
     FragmentNack,
     Gap,
     NumberSet,
@@ -261,12 +260,6 @@ def test_what_is_for_a_reader_that_is_not_matched_is_ignored() -> None:
     beat, gap = WriterHeartbeat(other, writer, 1, 1, 1), Gap(other, writer, 1, NumberSet(2))
     unknown = Data(b"\0\0\x77\4", writer, 1, payload("x"))
     assert victim.receive(data, whole, beat, gap, unknown) == 0
-    assert victim.works
-
-
-def test_a_heartbeat_of_fragments_is_ignored() -> None:
-    victim = Victim()
-    assert victim.receive(FragmentHeartbeat(*victim.ends, 1, 2, 1)) == 0
     assert victim.works
 
 

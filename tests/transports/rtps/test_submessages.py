@@ -35,11 +35,9 @@ from fibaction_transports.rtps.messages.submessages import (
     Data,
     DataFragment,
     Destination,
-    FragmentHeartbeat,
     FragmentNack,
     Gap,
     NumberSet,
-    ReplyLocators,
     SourceInfo,
     Submessage,
     Timestamp,
@@ -86,10 +84,6 @@ def submessages(draw: st.DrawFn, order: Order) -> Submessage:
     entity, number, count = draw(ENTITY), draw(NUMBER), draw(COUNT)
     ends = entity, draw(ENTITY)
     flag, other = draw(st.booleans()), draw(st.booleans())
-    locators = st.lists(
-        st.builds(Locator, st.integers(0, 20), COUNT, st.binary(min_size=16, max_size=16)),
-        max_size=3,
-    ).map(tuple)
     content = draw(st.none() | st.binary(min_size=4, max_size=50))
     last = draw(st.integers(number - 1, MAX_NUMBER - 1))
     found: list[Submessage] = [
@@ -102,14 +96,12 @@ def submessages(draw: st.DrawFn, order: Order) -> Submessage:
         ),
         draw(fragments(order)),
         WriterHeartbeat(*ends, number, last, count, flag, other),
-        FragmentHeartbeat(*ends, number, count, count),
         AckNack(*ends, draw(number_sets(least=0)), count, flag),
         FragmentNack(*ends, number, draw(number_sets(largest=2**31)), count),
         Gap(*ends, number, NumberSet(last + (last < number))),
         Destination(draw(PREFIX)),
         Timestamp(None if flag else draw(st.integers(0, 2**31 - 2))),
         SourceInfo(draw(st.binary(min_size=2, max_size=2)), draw(PREFIX)),
-        ReplyLocators(draw(locators), draw(locators)),
     ]
     return draw(st.sampled_from(found))
 
@@ -126,21 +118,17 @@ def test_submessages_are_read_as_they_were_written(case: tuple[Order, list[Subme
     assert list(packet.submessages) == written
 
 
-LOCATOR = udp_locator(("10.0.0.1", 7410))
 EXAMPLES: list[Submessage] = [
     Data(*ENDS, 1, b"\0\1\0\0abcd", None, True),
     Data(*ENDS, 2**40),
     DataFragment(*ENDS, 3, 2, 2, 8, 23, bytes(15), None, True),
     WriterHeartbeat(*ENDS, 5, 4, 7, True, True),
-    FragmentHeartbeat(*ENDS, 5, 4, 7),
     AckNack(*ENDS, NumberSet(2**33, (2**33, 2**33 + 255)), 8, True),
     FragmentNack(*ENDS, 5, NumberSet(1, (3, 33)), 9),
     Gap(*ENDS, 5, NumberSet(9, (11,))),
     SourceInfo(b"\1\x0f", bytes(range(12))),
     Timestamp(1_000_000),
     Timestamp(None),
-    ReplyLocators((LOCATOR, LOCATOR), (LOCATOR,)),
-    ReplyLocators(()),
 ]
 
 
@@ -252,10 +240,6 @@ INVALID = {
         "number 8 is not between 9",
     ),
     "a short prefix": (raw(layout.INFO_DST, bytes(8)), "destination is shorter than a prefix"),
-    "a million locators": (
-        raw(layout.INFO_REPLY, struct.pack("<I", 10**6)),
-        "1000000 locators exceed 64",
-    ),
     "endless parameters": (
         raw(
             layout.DATA,

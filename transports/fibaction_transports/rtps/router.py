@@ -23,7 +23,6 @@ from fibaction_transports.rtps.messages.submessages import (
     DataFragment,
     Destination,
     FragmentNack,
-    Gap,
     Packet,
     SourceInfo,
     Timestamp,
@@ -37,11 +36,7 @@ are requested again.
 
 
 class MessageRouter:
-    """Takes packets, and gives each submessage to the endpoints that it is for.
-
-    INFO_REPLY is not used: answers go to the addresses that discovery has told. HEARTBEAT_FRAG is
-    not used either: fragments are requested after a pause, whether it has told of them or not.
-    """
+    """Takes packets, and gives each submessage to the endpoints that it is for."""
 
     def __init__(
         self,
@@ -101,7 +96,7 @@ class MessageRouter:
                 self._heartbeat(prefix, submessage, now)
             elif isinstance(submessage, AckNack | FragmentNack):
                 self._nack(sender, submessage, now)
-            elif isinstance(submessage, Gap):
+            else:  # a GAP
                 writer = Guid(prefix + submessage.writer)
                 for matched in self._endpoints.matched(submessage.reader, writer):
                     matched.receive_gap(submessage, now)

@@ -19,19 +19,16 @@ from fibaction_transports.rtps.messages.layout import (
     read_bits,
     seconds_of,
 )
-from fibaction_transports.rtps.messages.locators import LOCATOR_SIZE, Locator, read_locator
 from fibaction_transports.rtps.messages.parameters import Parameters, read_parameters
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
     DataFragment,
     Destination,
-    FragmentHeartbeat,
     FragmentNack,
     Gap,
     NumberSet,
     Packet,
-    ReplyLocators,
     SourceInfo,
     Submessage,
     Timestamp,
@@ -40,12 +37,11 @@ from fibaction_transports.rtps.messages.submessages import (
 
 MAX_FRAGMENTS = 2**16
 """The most fragments of one sample."""
-MAX_LOCATORS = 64
-"""The most locators of one INFO_REPLY."""
 
 
 def read_packet(datagram: bytes) -> Packet:
-    """Read a datagram. Submessages of unknown kinds, such as those of vendors, are left out.
+    """Read a datagram. Submessages of kinds that are not used, such as those of vendors,
+    are left out.
 
     Raises:
         InvalidPacket: The datagram breaks the rules, or a limit. None of it is to be used.
@@ -142,11 +138,6 @@ def _heartbeat(body: memoryview, flags: int, order: Order) -> WriterHeartbeat:
     return WriterHeartbeat(reader, writer, first, last, count, is_final, is_alive)
 
 
-def _fragment_heartbeat(body: memoryview, _: int, order: Order) -> FragmentHeartbeat:
-    reader, writer, high, low, last, count = layout.HEARTBEAT_FRAG_BODY[order].unpack_from(body)
-    return FragmentHeartbeat(reader, writer, checked_number(high, low), last, count)
-
-
 def _acknack(body: memoryview, flags: int, order: Order) -> AckNack:
     reader, writer, high, low = layout.ACK_NACK_HEAD[order].unpack_from(body)
     base = checked_number(high, low, least=0)  # Fast DDS begins with 0
@@ -188,22 +179,6 @@ def _source(body: memoryview, _: int, order: Order) -> SourceInfo:
     return SourceInfo(vendor, prefix)
 
 
-def _reply(body: memoryview, flags: int, order: Order) -> ReplyLocators:
-    unicast, place = _locators(body, order, 0)
-    if not flags & layout.MULTICAST_FLAG:
-        return ReplyLocators(unicast)
-    return ReplyLocators(unicast, _locators(body, order, place)[0])
-
-
-def _locators(body: memoryview, order: Order, place: int) -> tuple[tuple[Locator, ...], int]:
-    (count,) = U32[order].unpack_from(body, place)
-    if count > MAX_LOCATORS:
-        raise InvalidPacket(f"{count} locators exceed {MAX_LOCATORS}")
-    place += U32.size
-    end = place + count * LOCATOR_SIZE
-    return tuple(read_locator(body, order, at) for at in range(place, end, LOCATOR_SIZE)), end
-
-
 _READERS: dict[int, Callable[[memoryview, int, Order], Submessage]] = {
     layout.ACK_NACK: _acknack,
     layout.HEARTBEAT: _heartbeat,
@@ -211,9 +186,7 @@ _READERS: dict[int, Callable[[memoryview, int, Order], Submessage]] = {
     layout.INFO_TS: _timestamp,
     layout.INFO_SRC: _source,
     layout.INFO_DST: _destination,
-    layout.INFO_REPLY: _reply,
     layout.NACK_FRAG: _fragment_nack,
-    layout.HEARTBEAT_FRAG: _fragment_heartbeat,
     layout.DATA: _data,
     layout.DATA_FRAG: _fragment,
 }

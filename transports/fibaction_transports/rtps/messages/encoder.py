@@ -10,24 +10,20 @@ from fibaction_transports.rtps.messages.ids import PREFIX_SIZE
 from fibaction_transports.rtps.messages.layout import (
     LITTLE,
     LOW,
-    U32,
     Order,
     bits_bytes,
     halves,
     time_halves,
 )
-from fibaction_transports.rtps.messages.locators import Locator, locator_bytes
 from fibaction_transports.rtps.messages.parameters import parameters_bytes
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
     DataFragment,
     Destination,
-    FragmentHeartbeat,
     FragmentNack,
     Gap,
     NumberSet,
-    ReplyLocators,
     SourceInfo,
     Submessage,
     Timestamp,
@@ -113,11 +109,8 @@ def _fragment(fragment: DataFragment, order: Order) -> _Parts:
     return layout.DATA_FRAG, flags, b"".join((head, inline, fragment.payload))
 
 
-def _heartbeat(heartbeat: WriterHeartbeat | FragmentHeartbeat, order: Order) -> _Parts:
+def _heartbeat(heartbeat: WriterHeartbeat, order: Order) -> _Parts:
     ends = heartbeat.reader, heartbeat.writer
-    if isinstance(heartbeat, FragmentHeartbeat):
-        numbers = (*halves(heartbeat.number), heartbeat.last, heartbeat.count)
-        return layout.HEARTBEAT_FRAG, 0, layout.HEARTBEAT_FRAG_BODY[order].pack(*ends, *numbers)
     first, last = heartbeat.first, heartbeat.last
     span = first >> 32, first & LOW, last >> 32, last & LOW, heartbeat.count
     flags = layout.FINAL_FLAG if heartbeat.is_final else 0
@@ -136,29 +129,14 @@ def _nack(nack: AckNack | FragmentNack, order: Order) -> _Parts:
     return layout.ACK_NACK, layout.FINAL_FLAG if nack.is_final else 0, head + tail
 
 
-def _reply(reply: ReplyLocators, order: Order) -> _Parts:
-    body = _locators(reply.unicast, order)
-    if not reply.multicast:
-        return layout.INFO_REPLY, 0, body
-    return layout.INFO_REPLY, layout.MULTICAST_FLAG, body + _locators(reply.multicast, order)
-
-
-def _locators(locators: tuple[Locator, ...], order: Order) -> bytes:
-    return U32[order].pack(len(locators)) + b"".join(
-        locator_bytes(locator, order) for locator in locators
-    )
-
-
 _ENCODERS: dict[type[Any], Callable[[Any, Order], _Parts]] = {
     Data: _data,
     DataFragment: _fragment,
     AckNack: _nack,
     FragmentNack: _nack,
     WriterHeartbeat: _heartbeat,
-    FragmentHeartbeat: _heartbeat,
     Gap: _gap,
     Destination: _destination,
     SourceInfo: _source,
     Timestamp: _timestamp,
-    ReplyLocators: _reply,
 }

@@ -36,7 +36,6 @@ class Layout(dict[Order, Struct]):
         self.size = self[LITTLE].size
 
 
-U16 = Layout("H")
 U32 = Layout("I")
 _PAIR = Layout("iI")
 
@@ -141,9 +140,7 @@ GAP = 0x08
 INFO_TS = 0x09
 INFO_SRC = 0x0C
 INFO_DST = 0x0E
-INFO_REPLY = 0x0F
 NACK_FRAG = 0x12
-HEARTBEAT_FRAG = 0x13
 DATA = 0x15
 DATA_FRAG = 0x16
 
@@ -155,14 +152,12 @@ PAYLOAD_FLAG = 0x04
 KEY_FLAG = 0x08
 FRAGMENT_KEY_FLAG = 0x04
 INVALID_FLAG = 0x02
-MULTICAST_FLAG = 0x02
 
 DATA_HEAD = Layout("HH4s4siI")
 FRAGMENT_HEAD = Layout("HH4s4siIIHHI")
 TO_INLINE = 4
 """Bytes before the place from which the distance to the inline QoS counts."""
 HEARTBEAT_BODY = Layout("4s4siIiIi")
-HEARTBEAT_FRAG_BODY = Layout("4s4siIIi")
 ACK_NACK_HEAD = Layout("4s4siI")
 NACK_FRAG_HEAD = Layout("4s4siII")
 GAP_HEAD = Layout("4s4siIiI")

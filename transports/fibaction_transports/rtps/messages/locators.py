@@ -14,7 +14,6 @@ Address: TypeAlias = tuple[str, int]
 
 UDP_V4, UDP_V6 = 1, 2
 _LOCATOR = Layout("iI16s")
-LOCATOR_SIZE = _LOCATOR.size
 _PORTS = range(1, 2**16)
 
 
@@ -65,15 +64,15 @@ def udp_locator(address: Address) -> Locator:
     return Locator(UDP_V4, port, bytes(12) + ipaddress.IPv4Address(host).packed)
 
 
-def locator_bytes(locator: Locator, order: Order = LITTLE) -> bytes:
+def locator_bytes(locator: Locator) -> bytes:
     """Return a locator as on the wire."""
-    return _LOCATOR[order].pack(locator.kind, locator.port, locator.host)
+    return _LOCATOR[LITTLE].pack(locator.kind, locator.port, locator.host)
 
 
-def read_locator(value: bytes | memoryview, order: Order, offset: int = 0) -> Locator:
+def read_locator(value: bytes, order: Order) -> Locator:
     """Read a locator.
 
     Raises:
         struct.error: There are too few bytes.
     """
-    return Locator(*_LOCATOR[order].unpack_from(value, offset))
+    return Locator(*_LOCATOR[order].unpack_from(value))

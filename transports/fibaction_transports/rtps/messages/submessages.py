@@ -10,7 +10,6 @@ from typing import TypeAlias
 
 from msgspec import Struct
 
-from fibaction_transports.rtps.messages.locators import Locator
 from fibaction_transports.rtps.messages.parameters import Parameters
 
 
@@ -70,16 +69,6 @@ class WriterHeartbeat(Struct, frozen=True):
     """True if the writer says that it is alive."""
 
 
-class FragmentHeartbeat(Struct, frozen=True):
-    """HEARTBEAT_FRAG: the fragments of a sample that a writer has sent."""
-
-    reader: bytes
-    writer: bytes
-    number: int
-    last: int
-    count: int
-
-
 class AckNack(Struct, frozen=True):
     """ACKNACK: the samples that a reader has, and those that it misses."""
 
@@ -130,25 +119,16 @@ class SourceInfo(Struct, frozen=True):
     prefix: bytes
 
 
-class ReplyLocators(Struct, frozen=True):
-    """INFO_REPLY: addresses for answers to the following submessages."""
-
-    unicast: tuple[Locator, ...]
-    multicast: tuple[Locator, ...] = ()
-
-
 Submessage: TypeAlias = (
     Data
     | DataFragment
     | WriterHeartbeat
-    | FragmentHeartbeat
     | AckNack
     | FragmentNack
     | Gap
     | Destination
     | Timestamp
     | SourceInfo
-    | ReplyLocators
 )
 
 
