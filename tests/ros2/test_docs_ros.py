@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import re
 import signal
 import subprocess
@@ -17,7 +15,6 @@ from pathlib import Path
 import pytest
 
 import fibaction_transports.ros2
-from fibaction_transports.ros2 import Ros2Transport
 from tests import test_docs as docs
 from tests.support.processes import Finished, ended
 
@@ -51,17 +48,6 @@ def test_the_public_names_are_in_the_reference() -> None:
         sorted(name.rpartition(".")[2] for name in documented) == fibaction_transports.ros2.__all__
     )
     assert all(docs.resolve(name) is not None for name in documented)
-
-
-def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
-    page = (docs.DOCS / "reference" / "ros2.md").read_text(encoding="utf-8")
-    section = page.partition("\n## Settings\n")[2].partition("\n:::")[0]
-    settings = dict(inspect.signature(Ros2Transport).parameters)
-    del settings["node_name"]  # it is what the URL itself says
-
-    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", section, re.MULTILINE)
-    documented = {name: ast.literal_eval(default.strip("`")) for name, default in rows}
-    assert documented == {name: setting.default for name, setting in settings.items()}
 
 
 # The programs that "Coming from rclpy" sets side by side
