@@ -153,6 +153,11 @@ def test_values_that_json_writes_as_text_are_checked_as_text() -> None:
     assert fits({1: 2}, {"properties": {"1": {"type": "integer"}}})
 
 
+def only(name: str, value: str) -> dict[str, Any]:
+    """A map whose one field has one value."""
+    return {"type": "object", "properties": {name: {"const": value}}}
+
+
 TEXT: Any = {"type": "string", "contentEncoding": "base64"}
 FIELDS: Any = {"properties": {"a": {"default": 1}, "b": {"contentEncoding": "base64"}}}
 MAP: Any = FIELDS | {"type": "object"}
@@ -196,6 +201,8 @@ LOOSE: Any = {"type": "object", "additionalProperties": {"type": "integer"}}
         (OBJECT | {"minProperties": 1}, {"a": 1.0}, {"a": 1}),
         ({"items": FIELDS}, [{}, {}], [{"a": 1}, {"a": 1}]),
         (TEXT, b"hi", b"hi"),
+        ({"enum": ["a"], "minLength": 1}, "a", "a"),
+        ({"anyOf": [only("k", "l"), only("j", "r")]}, {"j": "r"}, {"j": "r"}),
     ],
 )
 def test_a_value_is_sent_in_the_form_of_its_schema(schema: Any, value: Any, made: Any) -> None:
@@ -355,13 +362,16 @@ def doubled(levels: int, leaf: Any, keyword: str = "allOf") -> dict[str, Any]:
     definitions = {
         str(level): {keyword: [{"$ref": f"#/$defs/{level + 1}"}] * 2} for level in range(levels)
     }
-    return {"$ref": "#/$defs/0", "$defs": {**definitions, str(levels): leaf}}
+    with_default = {"properties": {"a": {"$ref": "#/$defs/0", "default": 5}}}
+    whole = {**definitions, str(levels): leaf, "a": with_default}
+    return {"$ref": "#/$defs/0", "$defs": whole}
 
 
 @pytest.mark.parametrize(
     ("schema", "value"),
     [
         (doubled(40, True), 5),
+        (doubled(40, True) | {"$ref": "#/$defs/a"}, {}),
         (doubled(40, False, "anyOf"), 5),
         (doubled(40, False, "oneOf"), 5),
         (doubled(10, {"enum": [list(range(1000))]}), list(range(1000))),

@@ -418,3 +418,11 @@ def test_what_a_message_leaves_to_the_server_is_named_up_to_a_hundred_fields() -
 
     assert codec.left_out({}) == [f"a{i}" for i in range(100)]
     assert JsonCodec({}).left_out({"a": 1}) == []
+
+
+def test_what_is_wrong_is_told_before_that_a_schema_takes_too_long() -> None:
+    endless = {"anyOf": [{"$ref": "#/$defs/a"}]}
+    fields = {"a": {"type": "null"}, "b": {"$ref": "#/$defs/a"}}
+    codec = JsonCodec({"properties": fields, "$defs": {"a": endless}})
+    with pytest.raises(PayloadError, match=r"^goal\.a must be null, not 1$"):
+        codec.encode({"a": 1, "b": 2})

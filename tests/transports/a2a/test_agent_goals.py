@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -13,7 +15,7 @@ from fibaction import ActionClient, serve
 from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.border.gateway import group_of
 from fibaction.words.errors import ConnectionLost, LimitReached
-from fibaction.words.goals import CancelAnswer, GoalID
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction_transports._agents import agent_goals
 from fibaction_transports.a2a import A2aHttpTransport
 from tests.transports.a2a.agent_talk import (
@@ -160,3 +162,22 @@ async def test_the_newest_feedback_of_a_goal_of_others_is_known_at_once() -> Non
             task = await talk.get(str(goal.goal_id))
             assert data_of(task.status.message.parts) == {"meters": 2}
         robot.go(98)
+
+
+async def test_a_goal_whose_agent_stops_waiting_while_it_is_sent_is_canceled() -> None:
+    class Undecided:
+        canceled: GoalID
+
+        async def send_goal(self, *_: object) -> None:
+            scope.cancel()
+            await anyio.sleep_forever()
+
+        async def cancel_goals(self, goal_id: GoalID) -> CancelAnswer:
+            self.canceled = goal_id
+            return CancelAnswer(CancelCode.NONE)
+
+    skill, goal_id = SimpleNamespace(endpoint=Undecided()), GoalID.random()
+    goals: Any = agent_goals.AgentGoals(cast("Any", None))
+    with anyio.CancelScope() as scope:
+        await goals.send(skill, goal_id, b"")
+    assert skill.endpoint.canceled == goal_id

@@ -294,3 +294,4 @@ async def test_a_result_that_is_too_long_for_a_model_is_cut(
 
 async def test_what_json_cannot_express_is_said() -> None:
     assert "cannot be written as JSON" in answers.json_text({"a": object()})
+    assert "error" in answers.message_in(b"\xc1")
