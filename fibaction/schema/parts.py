@@ -112,8 +112,8 @@ class SchemaPart:
         self._tests: dict[type, list[_Test]] = {}
         self._fields: dict[bool, _Fields] = {}
         self._items: tuple[list[SchemaPart], SchemaPart] | None = None
-        self._likely: dict[type, list[SchemaPart]] = {}
-        self._by_tag: tuple[str, dict[Any, SchemaPart]] = "", {}
+        self._likely: dict[tuple[str, type], list[SchemaPart]] = {}
+        self._by_tag: dict[str, tuple[str, dict[Any, SchemaPart]]] = {}
 
     def learn_types(self, levels: int) -> None:
         """Find out which values are plain, and which may fit."""
@@ -294,17 +294,18 @@ class SchemaPart:
     def likely(self, check: Check, keyword: str, value: Any) -> Sequence[SchemaPart]:
         """Return the alternatives of a keyword that a value may fit, which is fast to tell."""
         kind: type[Any] = value.__class__ if value.__class__ in IN_JSON else str
-        likely = self._likely.get(kind)
+        likely = self._likely.get((keyword, kind))
         if likely is None:
             parts = self.alternatives(keyword)
             likely = [one for one in parts if one.kinds is None or kind in one.kinds]
-            self._likely[kind] = likely
             if kind is dict:
-                self._by_tag = _by_tag(likely)
+                self._by_tag[keyword] = _by_tag(likely)
+            self._likely[keyword, kind] = likely
         if kind is dict:
-            tag = value.get(self._by_tag[0])
-            if type(tag) is str and tag in self._by_tag[1]:
-                return [self._by_tag[1][tag]]
+            name, by_tag = self._by_tag[keyword]
+            tag = value.get(name)
+            if type(tag) is str and tag in by_tag:
+                return [by_tag[tag]]
         if kind in (dict, float) and len(likely) > 1:
             check.steps.spend(len(likely))
             likely = [one for one in likely if one.may_fit(check, value)]

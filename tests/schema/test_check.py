@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
@@ -90,6 +90,7 @@ def opened(schema: Any) -> Any:
 
 
 @given(PARTS, LEAVES, LEAVES, VALUES)
+@example({"anyOf": [True], "oneOf": [False]}, {}, {}, None)
 def test_a_value_matches_where_a_complete_validator_says_so(
     part: Any, one: Any, other: Any, value: Any
 ) -> None:
