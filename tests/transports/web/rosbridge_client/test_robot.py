@@ -430,7 +430,7 @@ async def test_a_server_that_answers_pings_lives_and_one_that_does_not_is_dead()
 async def test_a_server_that_does_not_accept_the_websocket_is_not_found(
     half: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(link_opener, "HANDSHAKE", 0.05)
+    monkeypatch.setattr(link_opener, "HANDSHAKE", 0.25)
 
     async def say_half(stream: Any) -> None:
         async with stream:
@@ -441,7 +441,7 @@ async def test_a_server_that_does_not_accept_the_websocket_is_not_found(
     async with serving(SilentServer, say_half) as server:
         async with connect(server.url, FIBONACCI) as client:
             for _ in range(2):
-                with pytest.raises(ServerNotFound, match=r"not accepted the WebSocket within 0.05"):
+                with pytest.raises(ServerNotFound, match=r"not accepted the WebSocket within 0.25"):
                     await client.send_goal(Goal(3))
 
 
