@@ -19,10 +19,10 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction_transports._http.problems import problem_of
 from fibaction_transports.a2a import A2aHttpTransport
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import McpBridge
-from fibaction_transports.web.http.problems import problem_of
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.a2a.agent_talk import TOKEN, state_of, talking, text_of
 from tests.transports.mcp.robot import UNASKED, talk

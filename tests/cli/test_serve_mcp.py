@@ -211,9 +211,9 @@ def test_over_http_the_token_may_come_from_the_environment(
         (
             ["--http", "0.0.0.0:0"],
             {},
-            "use TLS, with cert= and key= at mcp+https",
+            "use mcp+https://, or",
         ),
-        (["--http", "no.invalid:0"], {}, "use TLS"),
+        (["--http", "no.invalid:0"], {}, "use mcp+https"),
         (["--http", ":0"], {"FIBACTION_MCP_TOKEN": "x" * 5000}, "FIBACTION_MCP_TOKEN: token has"),
         (["--http", "8090"], {}, "--http is like :8090 or 127.0.0.1:8090, not '8090'"),
         (["--cert", "a.pem"], {}, "are settings of --http"),

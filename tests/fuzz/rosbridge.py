@@ -18,11 +18,7 @@ import anyio
 from fibaction import ActionServer
 from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
-from fibaction_transports.web.rosbridge.server.channel import (
-    RosbridgeAsgiChannel,
-    new_translator,
-    serve_rosbridge,
-)
+from fibaction_transports.web.rosbridge.server.channel import RosbridgeGuest
 from tests.fuzz.fuzzer import fuzz, run_without_errors
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
@@ -51,9 +47,7 @@ async def serve(data: bytes) -> None:
         ActionServer(FIBONACCI, fibonacci, max_goals=4) as server,
         open_server({"fibonacci": server}, settings) as wire,
     ):
-        translator = new_translator(wire, "the fuzzer", {})
-        channel = RosbridgeAsgiChannel(receive, send, "the fuzzer", translator)
-        await serve_rosbridge(wire, channel)
+        await RosbridgeGuest().serve_asgi(wire, receive, send, "the fuzzer", {})
 
 
 def one_input(data: bytes) -> None:

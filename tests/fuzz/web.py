@@ -21,7 +21,8 @@ from fibaction.border.http_access import rules
 from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.web.http.application import WebApplication
-from fibaction_transports.web.http.server import HttpServer
+from fibaction_transports.web.http.web_server import WebServer
+from fibaction_transports.web.rosbridge.server.channel import RosbridgeGuest
 from tests.fuzz.fuzzer import fuzz, run_without_errors
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
@@ -62,8 +63,8 @@ async def serve(data: bytes) -> None:
         ActionServer(FIBONACCI, fibonacci, max_goals=4) as server,
         open_server({"fibonacci": server}, WireSettings(limits=LIMITS)) as wire,
     ):
-        application = WebApplication(wire, RULES)
-        await HttpServer(application, wire, RULES, "http").serve(Given(pieces))
+        application = WebApplication(wire, RULES, RosbridgeGuest())
+        await WebServer(application, "http").serve(Given(pieces))
         await application.close()
 
 

@@ -21,6 +21,11 @@ ALSO = {
     "fibaction/words": ["tests/observe"],
     "transports/fibaction_transports/_agents": ["tests/transports/a2a", "tests/transports/mcp"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
+    "transports/fibaction_transports/_http": [
+        "tests/transports/a2a",
+        "tests/transports/mcp",
+        "tests/transports/web",
+    ],
     "transports/fibaction_transports/_socket_lines": [
         "tests/transports/tcp",
         "tests/transports/web",

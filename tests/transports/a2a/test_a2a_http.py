@@ -140,8 +140,8 @@ async def test_a_part_that_is_no_goal_is_an_error(skill: Any, part: Any, text: s
 
 async def test_a_document_that_is_too_large_or_too_deep_is_an_error() -> None:
     async with robot_and_talk(limits=Limits(frame=2000)) as (robot, talk):
-        large = (await post(talk.url, b'"' + b"x" * 3000 + b'"')).json()
-        assert large["error"]["message"] == "Payload too large"
+        large = await post(talk.url, b'"' + b"x" * 3000 + b'"')
+        assert large.status_code == 413
         deep = {**GOAL["message"], "parts": [{"data": json.loads("[" * 500 + "]" * 500)}]}
         answer = (await post(talk.url, call("SendMessage", {"message": deep}))).json()
         assert "error" in answer
@@ -165,7 +165,7 @@ async def test_it_has_the_limits_of_connections() -> None:
 
 
 async def test_beyond_this_machine_it_takes_tls_or_a_word_for_it() -> None:
-    with pytest.raises(TransportError, match=r"use TLS, with cert= and key= at a2a[+]https://"):
+    with pytest.raises(TransportError, match=r"use a2a[+]https://, or"):
         async with robot_and_talk(host="0.0.0.0"):
             pass
     files = pems()

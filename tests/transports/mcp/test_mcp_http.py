@@ -20,7 +20,7 @@ from fibaction import InvalidURL, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports._agents.http_server import is_loopback
+from fibaction_transports._socket_lines.host_transport import is_loopback
 from fibaction_transports.mcp import McpHttpTransport
 from tests.support.certificates import pems
 from tests.transports.mcp.robot import DRIVE, MODES, PATIENCE, Drive, Mode, Robot, Talk
@@ -148,6 +148,17 @@ async def test_a_request_without_the_token_or_of_a_foreign_page_is_refused(
         assert "server" not in allowed.headers
 
 
+async def test_a_page_that_is_named_may_ask() -> None:
+    page = {"Origin": "https://robot.example"}
+    async with served(origins=[page["Origin"]]) as (_, url):
+        async with httpx2.AsyncClient(trust_env=False) as http:
+            before = await http.options(url, headers=page)
+        assert before.status_code == 204
+        assert "mcp-session-id" in before.headers["Access-Control-Allow-Headers"]
+        got = await answer(url, GOOD | page)
+        assert got.headers["Access-Control-Allow-Origin"] == page["Origin"]
+
+
 async def test_a_header_that_comes_twice_does_not_count() -> None:
     async with served() as (_, url):
         async with httpx2.AsyncClient(trust_env=False) as http:
@@ -179,7 +190,7 @@ async def test_this_machine_has_several_names(host: str) -> None:
 async def test_a_port_that_is_taken_is_an_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(TransportError, match=f"cannot listen at 127.0.0.1:{port}: "):
+        with pytest.raises(TransportError, match=f"already in use: mcp.*:{port}"):
             async with serve(Robot().drive, McpHttpTransport(port=port, token=TOKEN)):
                 pass
 

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web.http.exchange`: answers that clients take slowly."""
+"""`fibaction_transports._http.exchange`: answers that clients take slowly, and those of others."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import anyio
 import pytest
 
 from fibaction.border.byte_budgets import ByteBudget
+from fibaction.border.http_access import Refused
 from fibaction.wire.frames import FrameMemory
 from fibaction.words.errors import ConnectionLost
-from fibaction_transports.web.http.exchange import Exchange
+from fibaction_transports._http.exchange import Exchange
 
 pytestmark = pytest.mark.anyio
 
@@ -82,3 +83,69 @@ async def test_an_answer_that_is_larger_than_all_may_be_is_given_up() -> None:
     exchange = Exchange(SCOPE, receive, deaf, 60.0, FrameMemory(ByteBudget(1000)))
     with pytest.raises(ConnectionLost, match="at a busy server"):
         await exchange.answer(200, bytes(100_000))
+
+
+# Applications of others
+
+
+class Asked:
+    """What an application of others was asked, and what its client got."""
+
+    def __init__(self) -> None:
+        self.scope: Any = {}
+        self.received: list[Any] = []
+        self.sent: list[Any] = []
+
+    async def app(self, scope: Any, receive: Any, send: Any) -> None:
+        self.scope = scope
+        self.received.append(await receive())
+        headers = [(b"content-type", b"text/plain")]
+        await send({"type": "http.response.start", "status": 201, "headers": headers})
+        for has_more in (True, True, False):
+            await send({"type": "http.response.body", "body": b"piece", "more_body": has_more})
+        self.received.append(await receive())
+
+    async def send(self, message: Any) -> None:
+        self.sent.append(message)
+
+    async def be_asked(self, send: Any, *messages: Any, **scope: Any) -> None:
+        """Ask for the body in these messages, after which the client goes."""
+        left = list(messages)
+
+        async def receive() -> Any:
+            return left.pop(0) if left else {"type": "http.disconnect"}
+
+        exchange = Exchange({**SCOPE, **scope}, receive, send, 0.05)
+        exchange.more_headers.append(("Vary", "Origin"))
+        await exchange.hand_to(self.app, {"client": "a robot"}, 10, ByteBudget(100))
+
+
+async def test_another_application_gets_the_whole_body_and_the_state_and_answers() -> None:
+    asked = Asked()
+    piece = {"type": "http.request", "body": b"12345"}
+    await asked.be_asked(asked.send, piece | {"more_body": True}, piece, state={"own": 1})
+    assert asked.scope["state"] == {"own": 1, "client": "a robot"}
+    assert [one.get("body") for one in asked.received] == [b"1234512345", None]
+    begin, *body = asked.sent
+    assert (begin["status"], begin["headers"][-1]) == (201, (b"Vary", b"Origin"))
+    assert b"".join(one["body"] for one in body) == b"piece" * 3
+
+
+async def test_another_application_answers_head_without_a_body() -> None:
+    asked = Asked()
+    await asked.be_asked(asked.send, {"type": "http.request"}, method="HEAD")
+    assert b"".join(one.get("body", b"") for one in asked.sent) == b""
+
+
+async def test_the_body_for_another_application_has_a_limit() -> None:
+    asked = Asked()
+    with pytest.raises(Refused, match="larger than the limit of 10 bytes"):
+        await asked.be_asked(asked.send, {"type": "http.request", "body": bytes(11)})
+    assert asked.received == []
+
+
+async def test_another_application_goes_on_when_its_client_does_not_read() -> None:
+    asked = Asked()
+    with anyio.fail_after(20):
+        await asked.be_asked(deaf, {"type": "http.request"})
+    assert asked.received[-1] == {"type": "http.disconnect"}

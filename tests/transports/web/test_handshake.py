@@ -16,7 +16,8 @@ from fibaction.words.errors import (
     LimitReached,
     ProtocolError,
 )
-from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake, http_answer
+from fibaction_transports._http.http_exchange import http_answer
+from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
 from tests.transports.web.upgrade import UPGRADE, upgrade
 
 

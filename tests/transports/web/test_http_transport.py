@@ -12,9 +12,9 @@ import pytest
 from anyio.streams.tls import TLSStream
 
 from fibaction import InvalidURL, LimitReached, Limits, TransportError, connect, serve
+from fibaction_transports._http import http_exchange
+from fibaction_transports._http import server as server_module
 from fibaction_transports.web import HttpTransport, TlsFiles
-from fibaction_transports.web.http import http_exchange
-from fibaction_transports.web.http import server as server_module
 from fibaction_transports.web.http.application import WebApplication
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Goal, Result
@@ -170,7 +170,7 @@ async def test_a_request_that_trickles_is_not_waited_for(data: bytes, log: Heari
 async def test_a_body_that_trickles_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch, log: Hearing
 ) -> None:
-    from fibaction_transports.web.http import exchange
+    from fibaction_transports._http import exchange
 
     monkeypatch.setattr(exchange, "BODY_TIMEOUT", 0.1)
     head = f"POST {GOALS} HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
@@ -366,10 +366,16 @@ async def test_a_client_that_may_still_read_its_answer_keeps_its_place(
 
 
 async def test_a_client_that_asks_before_it_has_its_answer_makes_room() -> None:
-    transport = HttpTransport(port=0, limits=Limits(connections=1))
+    servers: list[Any] = []
+
+    class Known(HttpTransport):
+        def accept_lines(self, server: Any) -> Any:
+            servers.append(server)
+            return super().accept_lines(server)
+
+    transport = Known(port=0, limits=Limits(connections=1))
     async with serve(new_server(), transport) as (url,), client_of(url) as hasty:
-        (server,) = transport._served
-        async with server.turn:
+        async with servers[0].turn:
             await hasty.stream.send(b"GET /actions HTTP/1.1\r\nHost: [::1]\r\n\r\n" * 2)
             await let_in(url)
 
@@ -419,7 +425,7 @@ async def test_a_bug_ends_its_connection_only(
     async with served() as url, connect(url, FIBONACCI) as client:
         await client.wait_for_server()
         with monkeypatch.context() as patch:
-            patch.setattr(WebApplication, "handle", broken)
+            patch.setattr(WebApplication, "__call__", broken)
             assert await said_to(url, b"GET / HTTP/1.1\r\nHost: [::1]\r\n\r\n") == b""
         await log.until("the connection failed")
         await client.wait_for_server()

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web.http.problems`."""
+"""`fibaction_transports._http.problems`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fibaction.schema.payload import PayloadError
 from fibaction.words.errors import ActionError, ConnectionLost, GoalKept, LimitReached, UnknownGoal
 from fibaction.words.goals import ID_IN_USE
 from fibaction.words.statuses import GoalEvent, GoalStatus, InvalidTransition
-from fibaction_transports.web.http.problems import RETRY, STATUSES, problem_of
+from fibaction_transports._http.problems import RETRY, STATUSES, problem_of
 
 GOAL = GoalID(bytes(15) + b"\1")
 

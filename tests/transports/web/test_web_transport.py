@@ -15,8 +15,9 @@ from fibaction import InvalidURL, Limits, TransportError, connect, serve
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.messages import VERSION, Goodbye, Hello, Welcome
+from fibaction_transports._http import application
 from fibaction_transports.web import WebTransport
-from fibaction_transports.web.http import application
+from fibaction_transports.web.http.application import NOT_SERVING
 from tests.transports.hearing import Hearing, hearing
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.test_rest import Held
@@ -150,7 +151,7 @@ async def test_it_serves_once_at_a_time() -> None:
 async def test_it_answers_while_it_serves() -> None:
     web = WebTransport()
     status, problem = await answer_of(web, http())
-    assert (status, problem["detail"]) == (503, application.NOT_SERVING)
+    assert (status, problem["detail"]) == (503, NOT_SERVING)
     async with served(web):
         assert (await answer_of(web, http()))[0] == 200
     assert (await answer_of(web, http()))[0] == 503

@@ -26,9 +26,9 @@ from fibaction import (
 from fibaction.wire import channel
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import VERSION, Hello
+from fibaction_transports._http.http_exchange import http_answer
 from fibaction_transports._socket_lines import protocol_line
 from fibaction_transports.web import TlsFiles, WebSocketTransport
-from fibaction_transports.web.http.handshake import http_answer
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI
 from tests.transports.hearing import Hearing, port_of, raw

@@ -1,1 +1,1 @@
-"""The parts that transports for agents share: policy, actions, goals, and the HTTP server."""
+"""The parts that transports for agents share: policy, actions, goals, and what requests get in."""

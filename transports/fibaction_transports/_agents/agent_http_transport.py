@@ -8,7 +8,7 @@ from ssl import SSLContext
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult
 
-from fibaction.border.event_loop import asyncio_task
+from fibaction.border.event_loop import Background, asyncio_task
 from fibaction.border.http_access import rules
 from fibaction.border.settings import TransportSettings
 from fibaction.wire.auth import AccessPolicy, check_token
@@ -16,10 +16,12 @@ from fibaction.wire.settings import DEFAULT_LIMITS, Limits
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import host_only
 from fibaction.words.errors import TransportError
+from fibaction_transports._agents.agent_application import AgentApplication
 from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports._agents.agent_transport import AgentTransport
-from fibaction_transports._agents.http_guard import App, Guarded
-from fibaction_transports._agents.http_server import is_loopback, served_over_http
+from fibaction_transports._http.exchange import App
+from fibaction_transports._http.server import SPEAKS_TLS, HttpServer
+from fibaction_transports._socket_lines.host_transport import check_is_safe, listen_at
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import AgentHttpKeywords
@@ -38,7 +40,8 @@ class AgentHttpSettings(AgentPolicy, frozen=True, kw_only=True):
     tokens: Mapping[str, str] | None = None
     """Several tokens, each with the name of its owner."""
     limits: Limits = DEFAULT_LIMITS
-    """`connections`, `per_address`, `frame` and `handshake` of these limits hold here."""
+    """Of these limits, `connections`, `per_address`, `handshake`, `frame`, `total_memory` and
+    `write` hold here."""
     tls: TlsFiles | SSLContext | None = None
     """The files to make TLS from, or a context; in a URL the paths `ca`, `cert` and `key`."""
     insecure: bool = False
@@ -137,13 +140,16 @@ class AgentHttpTransport(AgentTransport):
             TransportError: The address cannot be used.
         """
         access = self._checked_access()
-        tls = self._tls.server() if isinstance(self._tls, TlsFiles) else self._tls
+        tls, limits = self._tls, self.limits
         admitted = rules(
-            self.host, path, hosts=self.hosts, origins=self._origins, has_tls=tls is not None
+            self.host, "/", hosts=self.hosts, origins=self._origins, has_tls=tls is not None
         )
-        guarded = Guarded(app, admitted, access, public)
-        async with served_over_http(guarded, self.host, self._port, tls, self.limits) as port:
-            yield f"{'https' if tls else 'http'}://{self._netloc(port)}{path}"
+        scheme = "https" if tls else "http"
+        application = AgentApplication(app, admitted, access, limits, public)
+        server = HttpServer(application, "/", scheme)
+        listener, port = await listen_at(self.host, self._port, self.url, tls, limits, SPEAKS_TLS)
+        async with Background() as tasks, server.accepting(listener, tasks, self.url):
+            yield f"{scheme}://{self._netloc(port)}{path}"
 
     def _checked_access(self) -> AccessPolicy:
         """Return the tokens, if the address can be used with them.
@@ -151,11 +157,7 @@ class AgentHttpTransport(AgentTransport):
         Raises:
             TransportError: It cannot.
         """
-        if not (self._tls or self._insecure or is_loopback(self.host)):
-            raise TransportError(
-                f"{self.url} can be reached from other machines: use TLS, with cert= and key= at"
-                f" {self.schemes[True]}://, or, if the network is your own, insecure=true"
-            )
+        check_is_safe(self.url, self.host, self.schemes[True], self._tls or self._insecure)
         if self._access is None:
             raise TransportError(
                 f"{self.url} needs a token, since an agent moves things: append ?token=... to the"

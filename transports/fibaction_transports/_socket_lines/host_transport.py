@@ -18,7 +18,7 @@ from fibaction.border.event_loop import asyncio_task
 from fibaction.border.settings import TransportSettings
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader, Framing
-from fibaction.wire.settings import WireSettings
+from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import TransportError
 from fibaction_transports._socket_lines import on_asyncio, tls_lines
@@ -98,34 +98,61 @@ class HostTransport(StreamTransport):
         return TlsChannel(wrapped, self.url, framing)
 
     async def _listen(self) -> tuple[Listener[Any], str]:
-        if not (self._insecure or self._tls or is_loopback(self._host)):
-            raise TransportError(
-                f"{self.url} can be reached from other machines: use {self.tls_schemes[0]}://, or,"
-                f" if the network is your own, append ?insecure=true to the URL"
-                f" (in code insecure=True)"
-            )
-        context = self._tls
-        if isinstance(context, TlsFiles):
-            context = telling(context.server())
-        try:
-            listener = await anyio.create_tcp_listener(local_host=self._host, local_port=self._port)
-        except (OSError, UnicodeError) as exc:
-            if isinstance(exc, OSError) and exc.errno == EADDRINUSE:
-                raise TransportError(f"address already in use: {self.url}") from exc
-            text = getattr(exc, "strerror", None) or exc
-            raise TransportError(f"cannot listen at {self.url}: {text}") from exc
-        url = self._url(listener.extra(SocketAttribute.local_port))
-        if context is None:
-            return listener, url
+        check_is_safe(self.url, self._host, self.tls_schemes[0], self._insecure or self._tls)
         limits = self.settings.limits
-        tls = TlsListener(
-            listener,
-            context,
-            handshake_timeout=limits.handshake,
-            most=limits.connections,
-            speaks_tls=self.speaks_tls,
+        listener, port = await listen_at(
+            self._host, self._port, self.url, self._tls, limits, self.speaks_tls
         )
-        return tls, url
+        return listener, self._url(port)
+
+
+def check_is_safe(url: str, host: str, tls_scheme: str, is_permitted: object) -> None:
+    """Check that other machines can reach a host only with TLS, or if it is permitted.
+
+    Raises:
+        TransportError: They can reach it.
+    """
+    if not (is_permitted or is_loopback(host)):
+        raise TransportError(
+            f"{url} can be reached from other machines: use {tls_scheme}://, or, if the network is"
+            f" your own, append ?insecure=true to the URL (in code insecure=True)"
+        )
+
+
+async def listen_at(
+    host: str,
+    port: int,
+    url: str,
+    tls: TlsFiles | SSLContext | None,
+    limits: Limits,
+    speaks_tls: bytes,
+) -> tuple[Listener[Any], int]:
+    """Begin to listen, with or without TLS; return the port as well.
+
+    `url` is for errors, and `speaks_tls` for clients that do not begin with TLS.
+
+    Raises:
+        TransportError: Nothing can listen there, or the files of TLS cannot be used.
+    """
+    context = telling(tls.server()) if isinstance(tls, TlsFiles) else tls
+    try:
+        listener = await anyio.create_tcp_listener(local_host=host, local_port=port)
+    except (OSError, UnicodeError) as exc:
+        if isinstance(exc, OSError) and exc.errno == EADDRINUSE:
+            raise TransportError(f"address already in use: {url}") from exc
+        text = getattr(exc, "strerror", None) or exc
+        raise TransportError(f"cannot listen at {url}: {text}") from exc
+    port = listener.extra(SocketAttribute.local_port)
+    if context is None:
+        return listener, port
+    shaken = TlsListener(
+        listener,
+        context,
+        handshake_timeout=limits.handshake,
+        most=limits.connections,
+        speaks_tls=speaks_tls,
+    )
+    return shaken, port
 
 
 def port_in(parts: SplitResult, default: int) -> int:

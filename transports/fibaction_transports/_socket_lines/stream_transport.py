@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ssl
 from abc import abstractmethod
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import anyio
@@ -74,22 +75,13 @@ class StreamTransport(WireTransport):
     @asynccontextmanager
     async def accept_lines(self, server: WireServer) -> AsyncGenerator[str, None]:
         listener, url = await self._listen()
-        try:
-            async with Background() as accepting:
-                parts: Sequence[Listener[Any]] = [listener]
-                if isinstance(listener, MultiListener):  # a host with several addresses
-                    parts = listener.listeners
-                elif isinstance(listener, TlsListener):
-                    parts = listener.parts()
-                for one in parts:
-                    accepting.start_soon(self._accept, one, server)
+        async with accepting(listener, partial(self._accept_all, server), self.url):
+            try:
                 yield url
-        finally:
-            self._unlisten()
-            with anyio.CancelScope(shield=True):
-                await listener.aclose()
+            finally:
+                self._unlisten()
 
-    async def _accept_all(self, listener: Listener[Any], server: WireServer) -> None:
+    async def _accept_all(self, server: WireServer, listener: Listener[Any]) -> None:
         """Serve each client that connects in a task of its own, until accepting fails.
 
         Raises:
@@ -103,11 +95,35 @@ class StreamTransport(WireTransport):
         else:
             await on_asyncio.accept(listener, new_framing, server.serve, server.tasks)
 
-    async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
+
+@asynccontextmanager
+async def accepting(
+    listener: Listener[Any], accept: Callable[[Listener[Any]], Awaitable[None]], where: str
+) -> AsyncGenerator[None, None]:
+    """Accept clients at each address of a listener during the block, and close it at the end.
+
+    `accept` runs until accepting fails; `where` is for errors.
+    """
+    parts: Sequence[Listener[Any]] = [listener]
+    if isinstance(listener, MultiListener):  # a host with several addresses
+        parts = listener.listeners
+    elif isinstance(listener, TlsListener):
+        parts = listener.parts()
+
+    async def accept_always(part: Listener[Any]) -> None:
         while True:
             try:
-                await self._accept_all(listener, server)
+                await accept(part)
             except Exception as exc:
                 # For example too many open files. The connections that are open must not suffer.
-                logger.error("%s cannot accept connections: %s", self.url, exc, exc_info=exc)
+                logger.error("%s cannot accept connections: %s", where, exc, exc_info=exc)
                 await anyio.sleep(ACCEPT_PAUSE)
+
+    try:
+        async with Background() as tasks:
+            for part in parts:
+                tasks.start_soon(accept_always, part)
+            yield
+    finally:
+        with anyio.CancelScope(shield=True):
+            await listener.aclose()

@@ -10,9 +10,8 @@ from a2a.server.routes import create_agent_card_routes, create_jsonrpc_routes
 from a2a.types import AgentCard
 from a2a.utils.constants import AGENT_CARD_WELL_KNOWN_PATH
 from starlette.applications import Starlette
-from starlette.exceptions import HTTPException
 
-from fibaction_transports._agents.http_guard import App, Receive, Scope, Send
+from fibaction_transports._http.exchange import App, Receive, Scope, Send
 from fibaction_transports.a2a.agent_card import CardMaker
 
 PATH = "/"
@@ -44,10 +43,8 @@ def note_request(url: str, *, is_known: bool) -> None:
 class A2aApp:
     """The routes of one server, for clients that were let in."""
 
-    def __init__(self, requests: RequestHandler, cards: CardMaker, largest: int) -> None:
-        """Answer requests of at most `largest` bytes."""
+    def __init__(self, requests: RequestHandler, cards: CardMaker) -> None:
         self._cards = cards
-        self._largest = largest
         made_for_each_request = cards.card(f"http://localhost{PATH}", is_known=False)
         routes = [
             *create_agent_card_routes(made_for_each_request, self._card),
@@ -60,21 +57,7 @@ class A2aApp:
             host = dict(scope["headers"]).get(b"host", b"").decode("latin-1")
             url = f"{scope['scheme']}://{host}{PATH}"
             note_request(url, is_known=scope["state"]["client"] is not None)
-        await self._app(scope, self._limited(receive), send)
-
-    def _limited(self, receive: Receive) -> Receive:
-        """Return what receives a body, and fails when it is too large."""
-        left = self._largest
-
-        async def receive_limited() -> Scope:
-            nonlocal left
-            message = await receive()
-            left -= len(message.get("body", b""))
-            if left < 0:
-                raise HTTPException(413)  # the SDK makes an answer of it
-            return message
-
-        return receive_limited
+        await self._app(scope, receive, send)
 
     async def _card(self, _: AgentCard) -> AgentCard:
         asked = asked_request()

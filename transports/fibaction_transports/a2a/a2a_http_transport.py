@@ -38,7 +38,7 @@ class A2aHttpTransport(AgentHttpTransport):
         cards = CardMaker(skills, self.policy)
         goals = AgentGoals(skills)
         requests = GoalRequests(skills, goals, cards, self.policy)
-        app = A2aApp(requests, cards, self.limits.frame)
+        app = A2aApp(requests, cards)
         async with goals.followed(), self.serve_app(app, PATH, CARD_PATH) as url:
             yield _A2aGateway(url, skills)
 

@@ -10,9 +10,12 @@ from collections.abc import AsyncGenerator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, ClassVar
 
+import anyio
+from anyio.abc import TaskStatus
 from mcp.server import Server
 from mcp.server.transport_security import TransportSecuritySettings
 
+from fibaction.border.event_loop import Background
 from fibaction.border.gateway import Gateway, ServerGroup
 from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
 from fibaction_transports._agents.agent_transport import AgentTransport
@@ -51,13 +54,23 @@ class McpHttpTransport(AgentHttpTransport, McpTransport):
     tls_schemes: ClassVar[tuple[str, ...]] = ("mcp+https",)
     default_port: ClassVar[int] = 8090
 
-    def offer(self, server: Server[Any]) -> AbstractAsyncContextManager[str]:
+    @asynccontextmanager
+    async def offer(self, server: Server[Any]) -> AsyncGenerator[str, None]:
         # The rules of this transport are stricter.
         off = TransportSecuritySettings(enable_dns_rebinding_protection=False)
         app = server.streamable_http_app(
             streamable_http_path=PATH, transport_security=off, host=self.host
         )
-        return self.serve_app(app, PATH)
+
+        async def run(*, task_status: TaskStatus[None]) -> None:
+            async with app.router.lifespan_context(app):
+                task_status.started()
+                await anyio.sleep_forever()
+
+        async with Background() as tasks:  # a task of its own, so no error of the block is in it
+            await tasks.start(run)
+            async with self.serve_app(app, PATH) as url:
+                yield url
 
 
 class _McpGateway(Gateway):

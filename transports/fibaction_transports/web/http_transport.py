@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, ClassVar, Unpack
 
-from anyio.abc import Listener
-
-from fibaction.border.event_loop import asyncio_task
 from fibaction.border.settings import TransportSettings
 from fibaction.observe.metrics import Metrics
 from fibaction.wire.wire_server import WireServer
-from fibaction_transports._socket_lines.sockets import accept_sockets
-from fibaction_transports._socket_lines.tls import TlsListener
+from fibaction_transports._http.server import SPEAKS_TLS
 from fibaction_transports.web.http.application import WebApplication
-from fibaction_transports.web.http.handshake import http_answer
-from fibaction_transports.web.http.server import HttpServer
+from fibaction_transports.web.http.web_server import WebServer
+from fibaction_transports.web.rosbridge.server.channel import RosbridgeGuest
 from fibaction_transports.web.websocket_transport import (
     HOST,
     WebSocketLineTransport,
@@ -58,7 +53,7 @@ class HttpTransport(WebSocketLineTransport):
     settings_type: ClassVar[type[TransportSettings]] = HttpSettings
     plain_scheme = "http"
     tls_schemes: ClassVar[tuple[str, ...]] = ("https",)
-    speaks_tls = http_answer(400, "this server speaks TLS: use https://")
+    speaks_tls = SPEAKS_TLS
 
     def __init__(
         self,
@@ -84,33 +79,17 @@ class HttpTransport(WebSocketLineTransport):
         self._metrics = made.metrics
         self._recording = made.recording
 
-    @cached_property
-    def _served(self) -> dict[WireServer, HttpServer]:
-        return {}
-
     @asynccontextmanager
     async def accept_lines(self, server: WireServer) -> AsyncGenerator[str, None]:
-        admitted = self._rules()
         application = WebApplication(
             server,
-            admitted,
+            self._rules(),
+            RosbridgeGuest(),
             console=self._console,
             metrics=self._metrics,
             recording=self._recording,
         )
-        self._served[server] = HttpServer(application, server, admitted, self._scheme)
-        try:
-            async with super().accept_lines(server) as url:
-                try:
-                    yield url
-                finally:
-                    await application.close()
-        finally:
-            del self._served[server]
-
-    async def _accept_all(self, listener: Listener[Any], server: WireServer) -> None:
-        served = self._served[server]
-        if asyncio_task() is not None and not isinstance(listener, TlsListener):
-            await accept_sockets(listener, served.serve_socket, server.tasks)
-        else:
-            await listener.serve(served.serve, server.tasks)
+        listener, url = await self._listen()
+        web = WebServer(application, self._scheme)
+        async with web.accepting(listener, server.tasks, self.url):
+            yield url

@@ -15,8 +15,9 @@ from fibaction.wire.settings import WireSettings
 from fibaction.wire.transport import WireTransport
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import TransportError
+from fibaction_transports._http.exchange import Receive, Scope, Send
 from fibaction_transports.web.http.application import WebApplication, refuse
-from fibaction_transports.web.http.exchange import Receive, Scope, Send
+from fibaction_transports.web.rosbridge.server.channel import RosbridgeGuest
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import WebKeywords
@@ -103,7 +104,7 @@ class WebTransport(WireTransport):
         if self._application is not None:
             raise TransportError("this WebTransport serves already: make another one")
         application = self._application = WebApplication(
-            server, self._rules, console=self._console, metrics=self._metrics
+            server, self._rules, RosbridgeGuest(), console=self._console, metrics=self._metrics
         )
         try:
             yield URL
@@ -118,4 +119,4 @@ class WebTransport(WireTransport):
         if self._application is None:
             await refuse(scope, receive, send)
         else:
-            await self._application.handle(scope, receive, send)
+            await self._application(scope, receive, send)

@@ -10,12 +10,13 @@ from fibaction.border.http_access import HttpRules, rules
 from fibaction.border.settings import TransportSettings
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.transport import without_user
+from fibaction_transports._http.http_exchange import http_answer
 from fibaction_transports._socket_lines.host_transport import (
     HostSettings,
     HostTransport,
     port_in,
 )
-from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake, http_answer
+from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
 from fibaction_transports.web.http.websocket_frames import WebSocketFraming
 
 if TYPE_CHECKING:

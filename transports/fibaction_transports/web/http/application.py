@@ -1,44 +1,32 @@
-"""`WebApplication`: the ASGI application of one server.
+"""`WebApplication`: the ASGI application of one server for web clients.
 
-Theory of operation
--------------------
-
-An ASGI server calls the application for each request and for each WebSocket, in a task of its own.
 What the client says decides what it gets, at one address:
 
 - WebSocket with the subprotocol `fibaction.1`: the wire protocol, a `Session` of the `WireServer`.
-- WebSocket without a subprotocol: rosbridge, which is another form of such a `Session`.
+- WebSocket without a subprotocol: the protocol of a `SocketGuest`.
 - HTTP: the files of the console and of the client for JavaScript, the probes of operators, and the
   REST interface.
 
-Before that the `Host` and the `Origin` are checked, for all of them; pages of `origins` get the
-headers of CORS.
-
-The application lives as long as the block of `serve`, which is in another task than the requests.
-At its end, `close` waits a moment for the streams of events to tell the ends of goals, and cancels
-what is left of HTTP. WebSockets end later: the `WireServer` says goodbye first, and the end of its
-task group, in which `_hold` is, cancels the rest. So nothing runs after the block.
+WebSockets end later than requests: the `WireServer` says goodbye first, and the end of its task
+group, in which `_hold` is, cancels the rest.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from os import PathLike
 
 import anyio
 from anyio import CancelScope
+from anyio.abc import ByteStream
 
-from fibaction.border.abc import Notifier
 from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.observe.metrics import Metrics
-from fibaction.schema.payload import PayloadError
-from fibaction.wire.errors import failure_of
-from fibaction.wire.wire_server import LEAVE_TIMEOUT, WireServer
-from fibaction.words.errors import ActionError, AuthenticationFailed
-from fibaction_transports.web.http.asgi_channel import AsgiChannel
-from fibaction_transports.web.http.assets import Assets, answer_with
-from fibaction_transports.web.http.exchange import (
+from fibaction.wire.wire_server import WireServer
+from fibaction_transports._http.application import HttpApplication
+from fibaction_transports._http.exchange import (
     Exchange,
     Receive,
     Scope,
@@ -46,34 +34,53 @@ from fibaction_transports.web.http.exchange import (
     path_of,
     peer_of,
 )
+from fibaction_transports._http.problems import RETRY, Problem, problem_of
+from fibaction_transports.web.http.asgi_channel import AsgiChannel
+from fibaction_transports.web.http.assets import Assets, answer_with
 from fibaction_transports.web.http.handshake import SUBPROTOCOL
 from fibaction_transports.web.http.probes import Probes
-from fibaction_transports.web.http.problems import RETRY, Problem, problem_of
 from fibaction_transports.web.http.recording_answer import ServedRecording
 from fibaction_transports.web.rest.handlers import RestInterface
-from fibaction_transports.web.rosbridge.server.channel import (
-    RosbridgeAsgiChannel,
-    new_translator,
-    serve_rosbridge,
-)
 
 NOT_SERVING = "the server does not run: serve() it in the lifespan of the program"
-CORS = (
-    ("Access-Control-Allow-Methods", "GET, POST, PUT, DELETE"),
-    ("Access-Control-Allow-Headers", "authorization, content-type, last-event-id"),
-    ("Access-Control-Max-Age", "600"),
-)
 
 logger = clean_logger("fibaction.web")
 
 
-class WebApplication:
+class SocketGuest(ABC):
+    """Another protocol than ours over WebSocket, for clients that offer no subprotocol."""
+
+    @abstractmethod
+    async def serve_stream(
+        self,
+        server: WireServer,
+        stream: ByteStream,
+        peer: str,
+        headers: Mapping[str, str],
+        rules: HttpRules,
+    ) -> None:
+        """Serve one client until its connection ends. The stream begins with its request."""
+
+    @abstractmethod
+    async def serve_asgi(
+        self,
+        server: WireServer,
+        receive: Receive,
+        send: Send,
+        peer: str,
+        headers: Mapping[str, str],
+    ) -> None:
+        """Serve one client, whose WebSocket was accepted, until its connection ends."""
+
+
+class WebApplication(HttpApplication):
     """Answers the requests of all web clients of one server."""
 
     def __init__(
         self,
         server: WireServer,
         rules: HttpRules,
+        guest: SocketGuest,
         *,
         console: bool = True,
         metrics: Metrics | None = None,
@@ -82,17 +89,14 @@ class WebApplication:
         """Serve the console, too, unless it is not wanted, and metrics and a recording, if there
         are some.
         """
-        self._server = server
+        super().__init__(rules, server.settings.limits, server.frames)
+        self.server = server
+        self.guest = guest
         self._assets = Assets(console=console)
-        self._rules = rules
         self._rest = RestInterface(server)
         self._probes = Probes(metrics, self._rest.admit)
         self._recording = ServedRecording(recording, self._rest.admit)
-        self._requests: set[CancelScope] = set()
         self._sockets: set[CancelScope] = set()
-        self._changed = Notifier()  # of both
-        self.is_closing = False
-        """True if no more requests are answered."""
         server.tasks.start_soon(self._hold)
         if metrics is not None:
             server.tasks.start_soon(metrics.run)
@@ -104,87 +108,22 @@ class WebApplication:
             with CancelScope(shield=True):
                 await self._end(self._sockets)
 
-    async def close(self) -> None:
-        """Answer no more requests; end those that have begun."""
-        self.is_closing = True
-        with CancelScope(shield=True):
-            with anyio.move_on_after(LEAVE_TIMEOUT):
-                while self._requests:
-                    await self._changed.wait()
-            await self._end(self._requests)
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request or a WebSocket, as ASGI has it."""
+        if scope["type"] == "websocket":
+            with self._counted(self._sockets):
+                await self._handle_socket(scope, receive, send)
+        else:
+            await super().__call__(scope, receive, send)
 
-    async def _end(self, scopes: set[CancelScope]) -> None:
-        while scopes:
-            for scope in scopes:  # more may have come
-                scope.cancel()
-            await self._changed.wait()
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request or a WebSocket."""
-        is_socket = scope["type"] == "websocket"
-        scopes = self._sockets if is_socket else self._requests
-        with CancelScope() as life:
-            scopes.add(life)
-            self._changed.notify()
-            try:
-                if is_socket:
-                    await self._handle_socket(scope, receive, send)
-                else:
-                    limit, answers = self._server.settings.limits.write, self._server.frames
-                    exchange = Exchange(scope, receive, send, limit, answers)
-                    await self._handle_request(exchange)
-            finally:
-                scopes.discard(life)
-                self._changed.notify()
-
-    # HTTP
-
-    async def _handle_request(self, exchange: Exchange) -> None:
-        try:
-            await self._answer(exchange)
-        except Refused as exc:
-            await self._tell(exchange, problem_of(exc))
-        except (ActionError, PayloadError) as exc:
-            is_wrong = isinstance(exc, PayloadError | AuthenticationFailed)
-            await self._tell(exchange, problem_of(exc), is_wrong=is_wrong)
-        except Exception as exc:
-            # A bug of an endpoint or of fibaction. It concerns this client only.
-            logger.error("%s: its request failed", exchange.peer, exc_info=exc)
-            await self._tell(exchange, problem_of(failure_of(exc)), is_wrong=False)
-
-    async def _answer(self, exchange: Exchange) -> None:
-        headers = exchange.headers
-        self._rules.check_sources(headers, has_tls=exchange.has_tls)
-        if "origin" in headers:
-            exchange.more_headers += [
-                ("Access-Control-Allow-Origin", headers["origin"]),
-                ("Access-Control-Expose-Headers", "location, link"),
-                ("Vary", "Origin"),
-            ]
-        if self.is_closing:
-            raise Refused(503, "the server is closing", RETRY)
-        most = self._server.settings.limits.connections
-        if len(self._requests) > most:
-            raise Refused(503, f"the server is full: it answers {most} requests", RETRY)
-        if exchange.method == "OPTIONS":
-            await exchange.answer(204, b"", *CORS)
-        elif exchange.path == "" and self._assets.has_page:
+    async def answer(self, exchange: Exchange) -> None:
+        if exchange.path == "" and self._assets.has_page:
             # The addresses in the page are relative to its own.
             await exchange.answer(308, b"", ("Location", f"{exchange.root}/"))
         elif (asset := self._assets.find(exchange)) is not None:
             await answer_with(asset, exchange)
         elif not (await self._probes.answer(exchange) or await self._recording.answer(exchange)):
             await self._rest.handle(exchange)
-
-    async def _tell(self, exchange: Exchange, problem: Problem, *, is_wrong: bool = True) -> None:
-        """Answer with a problem, if there is no answer yet; log it if the request is wrong."""
-        if is_wrong:
-            detail = excerpt(problem.detail)
-            kind = {"kind": problem.status}
-            logger.warning("%s: HTTP %d: %s", exchange.peer, problem.status, detail, extra=kind)
-        if not exchange.has_begun:
-            with suppress(ActionError):  # the client may have gone
-                await exchange.tell(problem)
 
     # WebSocket
 
@@ -200,18 +139,16 @@ class WebApplication:
             return
         if not scope.get("subprotocols"):
             await send({"type": "websocket.accept"})
-            translator = new_translator(self._server, peer, headers_in(scope["headers"]))
-            await serve_rosbridge(
-                self._server, RosbridgeAsgiChannel(receive, send, peer, translator)
-            )
+            headers = headers_in(scope["headers"])
+            await self.guest.serve_asgi(self.server, receive, send, peer, headers)
             return
         await send({"type": "websocket.accept", "subprotocol": SUBPROTOCOL})
-        reader = self._server.new_reader()
-        await self._server.serve(AsgiChannel(receive, send, peer, reader))
+        reader = self.server.new_reader()
+        await self.server.serve(AsgiChannel(receive, send, peer, reader))
 
     def _check_socket(self, scope: Scope) -> None:
         has_tls = scope.get("scheme") == "wss"
-        self._rules.check_sources(headers_in(scope["headers"]), has_tls=has_tls)
+        self.rules.check_sources(headers_in(scope["headers"]), has_tls=has_tls)
         if path_of(scope) not in ("", "/"):
             raise Refused(404, f"there is no WebSocket at {excerpt(path_of(scope))}")
         offered = scope.get("subprotocols")

@@ -15,7 +15,7 @@ from fibaction.border.peer_text import excerpt
 from fibaction.wire.channel import LEAVE, Channel
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError
-from fibaction_transports.web.http.exchange import Receive, Send
+from fibaction_transports._http.exchange import Receive, Send
 
 NORMAL, UNSUPPORTED, INVALID, TOO_BIG, TRY_AGAIN = 1000, 1003, 1007, 1009, 1013
 """Codes of a close, of RFC 6455."""

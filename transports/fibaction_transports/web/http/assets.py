@@ -22,7 +22,7 @@ from pathlib import PurePosixPath
 
 from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import excerpt
-from fibaction_transports.web.http.exchange import Exchange
+from fibaction_transports._http.exchange import Exchange
 from fibaction_transports.web.http.page_source import COMMENTED, as_served
 
 PAGE_POLICY = (

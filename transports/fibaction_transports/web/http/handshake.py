@@ -25,11 +25,10 @@ from fibaction.words.errors import (
     LimitReached,
     ProtocolError,
 )
+from fibaction_transports._http.http_exchange import LONGEST_HEAD, http_answer
 
 SUBPROTOCOL = "fibaction.1"
 """The name of the wire protocol among WebSocket's subprotocols."""
-LONGEST_HEAD = 2**14
-"""Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
 WEBSOCKET_VERSION = "13"
 """The version of WebSocket, of RFC 6455."""
 FULL = frozenset({429, 503})
@@ -38,19 +37,6 @@ AWAY = frozenset({408, 500, 502, 504})
 """Statuses of a proxy that does not reach the server now."""
 REJECTED = frozenset({401, 403, 407})
 """Statuses that say that this client is not let in."""
-
-
-def http_answer(status: int, text: str, *headers: tuple[str, str]) -> bytes:
-    """Return an answer in plain text, after which the connection ends."""
-    body = f"{text}\n".encode()
-    lines = [
-        f"HTTP/1.1 {status} {HTTPStatus(status).phrase}",
-        *(f"{name}: {value}" for name, value in headers),
-        "Content-Type: text/plain; charset=utf-8",
-        f"Content-Length: {len(body)}",
-        "Connection: close",
-    ]
-    return "\r\n".join([*lines, "", ""]).encode() + body
 
 
 class ServerHandshake:

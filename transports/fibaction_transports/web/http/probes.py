@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from fibaction.border.http_access import Refused
 from fibaction.observe.metrics import Metrics
-from fibaction_transports.web.http.exchange import Exchange
+from fibaction_transports._http.exchange import Exchange
 
 ALIVE = ("/healthz", "/readyz")
 """The paths that say that the server answers. They need no token, as the probes of an orchestrator

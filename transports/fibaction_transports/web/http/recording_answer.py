@@ -8,7 +8,7 @@ from os import PathLike
 import anyio
 
 from fibaction.border.http_access import Refused
-from fibaction_transports.web.http.exchange import Exchange
+from fibaction_transports._http.exchange import Exchange
 
 PATH = "/recording"
 KIND = "application/jsonl"

@@ -10,8 +10,8 @@ from fibaction.schema.payload import PayloadError
 from fibaction.wire.channel import CHUNK
 from fibaction.words.errors import ActionError, ConnectionLost
 from fibaction.words.goals import Outcome
-from fibaction_transports.web.http.exchange import Exchange
-from fibaction_transports.web.http.problems import problem_of
+from fibaction_transports._http.exchange import Exchange
+from fibaction_transports._http.problems import problem_of
 from fibaction_transports.web.rest.goal_events import KEEP_ALIVE, GoalEvents
 
 LONGEST_WAIT = 3600.0

@@ -17,7 +17,7 @@ from fibaction.border.http_access import Refused
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.schema.payload import JsonCodec
 from fibaction.words.goals import Outcome
-from fibaction_transports.web.http.problems import Problem
+from fibaction_transports._http.problems import Problem
 from fibaction_transports.web.rest.goal_list import facts_of
 
 END = "end"

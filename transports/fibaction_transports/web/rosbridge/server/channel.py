@@ -1,4 +1,4 @@
-"""`serve_rosbridge`, and the channels of its two forms: over a stream, and over ASGI."""
+"""`RosbridgeGuest`, and the channels of its two forms: over a stream, and over ASGI."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import anyio
 from anyio.abc import ByteStream
 
 from fibaction.border.event_loop import Background
-from fibaction.border.http_access import bearer_in
+from fibaction.border.http_access import HttpRules, bearer_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import LEAVE, Channel, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.link import PING
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
-from fibaction_transports.web.http.exchange import Receive, Send
+from fibaction_transports._http.exchange import Receive, Send
+from fibaction_transports.web.http.application import SocketGuest
+from fibaction_transports.web.http.handshake import ServerHandshake
 from fibaction_transports.web.rosbridge.close_codes import (
     BINARY,
     INVALID,
@@ -146,7 +148,34 @@ class RosbridgeAsgiChannel(_RosbridgeChannel):
             await self._send(close)
 
 
-def new_translator(
+class RosbridgeGuest(SocketGuest):
+    """rosbridge at a server of HTTP."""
+
+    async def serve_stream(
+        self,
+        server: WireServer,
+        stream: ByteStream,
+        peer: str,
+        headers: Mapping[str, str],
+        rules: HttpRules,
+    ) -> None:
+        handshake = ServerHandshake(rules, subprotocol="")
+        framing = RosbridgeFraming(server, handshake, _new_translator(server, peer, headers))
+        await _serve(server, RosbridgeStreamChannel(stream, peer, framing))
+
+    async def serve_asgi(
+        self,
+        server: WireServer,
+        receive: Receive,
+        send: Send,
+        peer: str,
+        headers: Mapping[str, str],
+    ) -> None:
+        translator = _new_translator(server, peer, headers)
+        await _serve(server, RosbridgeAsgiChannel(receive, send, peer, translator))
+
+
+def _new_translator(
     server: WireServer, peer: str, headers: Mapping[str, str]
 ) -> RosbridgeTranslator:
     """Return the translator of a new connection, by the headers of its request."""
@@ -154,7 +183,7 @@ def new_translator(
     return RosbridgeTranslator(peer, server.endpoints, server.settings, server.frames, token)
 
 
-async def serve_rosbridge(
+async def _serve(
     server: WireServer, channel: RosbridgeStreamChannel | RosbridgeAsgiChannel
 ) -> None:
     """Serve one client until its connection ends."""

@@ -1,13 +1,13 @@
-"""`HttpServer`: a `WebApplication` at an address of its own, over h11.
+"""`HttpServer`: an `HttpApplication` at an address of its own, over h11.
 
 Theory of operation
 -------------------
 
 A task serves each connection. It reads the head of a request, of limited length and in limited
-time, and then either hands the stream to the wire protocol, which works on it without ASGI between
-(on asyncio without TLS, as a `ProtocolLine` over the socket), or calls the application. While that
-answers, what the client sends is read when the application asks for it, so it knows at once if the
-client goes. After the answer the connection waits for the next request, for a limited time.
+time, and then either hands the stream to the subclass, if WebSocket is asked for, or calls the
+application. While that answers, what the client sends is read when the application asks for it, so
+it knows at once if the client goes. After the answer the connection waits for the next request, for
+a limited time.
 
 If the limit of connections is reached, one that waits for a request is ended, or one whose client
 does not read its answer: connections that say or read nothing keep no client out. It is one of the
@@ -24,58 +24,78 @@ all work. This server ends 1.1 s after the signal, on both, with three such clie
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import replace
-from functools import cached_property, partial
+from collections.abc import AsyncGenerator, Iterable, Iterator
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from socket import socket
-from typing import Any
+from typing import Any, NamedTuple
 
 import anyio
 import h11
 from anyio import CancelScope
-from anyio.abc import ByteStream
+from anyio.abc import ByteStream, Listener, TaskGroup
 from anyio.streams.buffered import BufferedByteStream
 
-from fibaction.border.http_access import HttpRules, Refused, headers_in
+from fibaction.border.event_loop import asyncio_task
+from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import clean_logger, excerpt
-from fibaction.wire.channel import CHUNK, LEAVE, Line, StreamChannel
+from fibaction.wire.channel import CHUNK, LEAVE
 from fibaction.wire.server.addresses import Addresses, Candidate
-from fibaction.wire.wire_server import WireServer, too_many
-from fibaction_transports._socket_lines.on_anyio import peer_of
-from fibaction_transports._socket_lines.on_asyncio import LineMaker
-from fibaction_transports._socket_lines.sockets import SocketStream
-from fibaction_transports.web.http.application import WebApplication
-from fibaction_transports.web.http.handshake import LONGEST_HEAD, ServerHandshake, http_answer
-from fibaction_transports.web.http.http_exchange import (
+from fibaction.wire.wire_server import too_many
+from fibaction_transports._http.application import HttpApplication
+from fibaction_transports._http.http_exchange import (
     BROKEN,
+    LONGEST_HEAD,
     HttpExchange,
+    http_answer,
     is_upgrade,
 )
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
-from fibaction_transports.web.rosbridge.server.channel import (
-    RosbridgeStreamChannel,
-    new_translator,
-    serve_rosbridge,
-)
-from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming
+from fibaction_transports._socket_lines.on_anyio import peer_of
+from fibaction_transports._socket_lines.sockets import SocketStream, accept_sockets
+from fibaction_transports._socket_lines.stream_transport import accepting
+from fibaction_transports._socket_lines.tls import TlsListener
 
 UNREAD = 1.0
 """Seconds after which a client that does not take its answer makes room for another one."""
+SPEAKS_TLS = http_answer(400, "this server speaks TLS: use https://")
+"""The answer of a server with TLS to a client that does not begin with TLS."""
 
 logger = clean_logger("fibaction.web")
+
+
+class Upgrade(NamedTuple):
+    """A connection whose client asks for WebSocket."""
+
+    request: h11.Request
+    stream: ByteStream
+    received: bytes
+    """The bytes that were read of the stream: the request, and maybe more."""
+    peer: str
+    place: CountedPlace
+
+    def buffered(self) -> BufferedByteStream:
+        """Return a stream that begins with what was read of the request."""
+        stream = BufferedByteStream(self.stream)
+        stream.feed_data(self.received)
+        return stream
 
 
 class HttpServer:
     """Serves an application to every client that connects, within the limits."""
 
-    def __init__(
-        self, application: WebApplication, server: WireServer, rules: HttpRules, scheme: str
-    ) -> None:
+    speaks_websocket = False
+    """True if a request for WebSocket goes to `upgrade`, and not to the application."""
+
+    def __init__(self, application: HttpApplication, path: str, scheme: str) -> None:
+        """Serve the application at a path, which begins with `/`."""
         self.application = application
-        self.server = server
-        self.rules = rules
+        self.limits = application.limits
+        self.root = path.rstrip("/")
         self.scheme = scheme
+        self.addresses = Addresses(self.limits.per_address)
+        """The connections of each address."""
+        self.turn = anyio.Lock()
+        """The turn of the connections that ask before they have their answers."""
         self._open = 0
         # With their addresses, in the order of their begin: those that wait for a request, their
         # first one or another, and those whose clients have an answer to take, since when.
@@ -83,10 +103,39 @@ class HttpServer:
         self._idle: dict[CancelScope, str] = {}
         self._writing: dict[CancelScope, tuple[str, float]] = {}
 
-    @cached_property
-    def lines(self) -> LineMaker:
-        """The maker of lines, which only asyncio has."""
-        return LineMaker()
+    # The parts of a subclass
+
+    async def upgrade(self, upgrade: Upgrade) -> None:
+        """Serve a client of WebSocket until its connection ends.
+
+        Raises:
+            Refused: The request is not permitted.
+        """
+        raise NotImplementedError
+
+    def silent(self) -> Iterable[Candidate]:
+        """Return the connections of WebSocket that have said nothing yet."""
+        return ()
+
+    # The part that all have in common
+
+    @asynccontextmanager
+    async def accepting(
+        self, listener: Listener[Any], tasks: TaskGroup, where: str
+    ) -> AsyncGenerator[None, None]:
+        """Serve each client that connects during the block in one of these tasks."""
+
+        async def accept(listener: Listener[Any]) -> None:
+            if asyncio_task() is not None and not isinstance(listener, TlsListener):
+                await accept_sockets(listener, self.serve_socket, tasks)
+            else:
+                await listener.serve(self.serve, tasks)
+
+        async with accepting(listener, accept, where):
+            try:
+                yield
+            finally:
+                await self.application.close()
 
     async def serve_socket(self, accepted: socket) -> None:
         """Serve one client on asyncio, without TLS, until its connection ends."""
@@ -95,7 +144,7 @@ class HttpServer:
     async def serve(self, stream: ByteStream) -> None:
         """Serve one client until its connection ends."""
         peer = peer_of(stream)
-        place = CountedPlace(self.server.addresses, peer)
+        place = CountedPlace(self.addresses, peer)
         try:
             if reason := self._why_not(place.address):
                 place.leave()  # while it reads the answer it keeps no other client out
@@ -122,7 +171,7 @@ class HttpServer:
 
     def _why_not(self, address: str) -> str:
         """Return the reason for which a client of that address is not served; empty if it is."""
-        addresses, most = self.server.addresses, self.server.settings.limits.connections
+        addresses, most = self.addresses, self.limits.connections
         if addresses.has_too_many(address) and not addresses.make_room(self._useless(), address):
             return too_many(address, addresses.most)
         if self._open >= most and not addresses.make_room(self._useless()):
@@ -135,7 +184,7 @@ class HttpServer:
         """
         for scope, address in self._new.items():
             yield Candidate(address, partial(_end, self._new, scope))
-        yield from self.server.silent()
+        yield from self.silent()
         for scope, address in self._idle.items():
             yield Candidate(address, partial(_end, self._idle, scope))
         now = anyio.current_time()
@@ -203,7 +252,6 @@ class _Connection:
         self._peer = peer
         self._place = place
         self._http = h11.Connection(h11.SERVER, max_incomplete_event_size=LONGEST_HEAD)
-        self._root = server.rules.path.rstrip("/")
         self._received = b""  # of the request that is being read
         self._has_asked = False
 
@@ -215,13 +263,18 @@ class _Connection:
                 if request is None:
                     return
                 path = request.target.decode("ascii").partition("?")[0]
-                if not f"{path}/".startswith(f"{self._root}/"):
-                    raise Refused(404, f"there is nothing at {path}: the server is at {self._root}")
-                if is_upgrade(request):
-                    await self._upgrade(request)
+                if not f"{path}/".startswith(f"{self._server.root}/"):
+                    raise Refused(
+                        404, f"there is nothing at {path}: the server is at {self._server.root}"
+                    )
+                if self._server.speaks_websocket and is_upgrade(request):
+                    stream, received = self._stream, self._received
+                    await self._server.upgrade(
+                        Upgrade(request, stream, received, self._peer, self._place)
+                    )
                     return
                 send = partial(self._server.write, self._stream, self._place.address)
-                scheme, root = self._server.scheme, self._root
+                scheme, root = self._server.scheme, self._server.root
                 exchange = HttpExchange(
                     self._http, self._stream, send, request, self._peer, scheme, root
                 )
@@ -233,7 +286,7 @@ class _Connection:
                 return
             self._has_asked = True
             application = self._server.application
-            await application.handle(exchange.scope, exchange.receive, exchange.send)
+            await application(exchange.scope, exchange.receive, exchange.send)
             if application.is_closing or not exchange.can_go_on():
                 await leave(self._stream)
                 return
@@ -251,7 +304,7 @@ class _Connection:
             h11.RemoteProtocolError: The client does not speak HTTP.
             Refused: The request has not arrived in time.
         """
-        seconds = self._server.server.settings.limits.handshake
+        seconds = self._server.limits.handshake
         with anyio.move_on_after(seconds) as scope:
             self._server.waits(scope, self._place.address, is_new=not self._has_asked)
             try:
@@ -271,7 +324,7 @@ class _Connection:
         with CancelScope() as scope:
             self._server.waits(scope, self._place.address, is_new=False)
             try:
-                async with self._server.server.turn:
+                async with self._server.turn:
                     return True
             finally:
                 self._server.goes_on(scope)
@@ -291,46 +344,6 @@ class _Connection:
         kind = {"kind": refused.status}
         logger.warning("%s: HTTP %d: %s", self._peer, refused.status, reason, extra=kind)
         await leave(self._stream, http_answer(refused.status, reason, *refused.headers))
-
-    # WebSocket
-
-    async def _upgrade(self, request: h11.Request) -> None:
-        """Speak the wire protocol from now on, or rosbridge.
-
-        Raises:
-            Refused: The request is not permitted.
-        """
-        rules = self._server.rules
-        path = request.target.decode("ascii").partition("?")[0]
-        if f"{path}/" == rules.path or path == f"{rules.path}/":
-            rules = replace(rules, path=path)
-        headers = headers_in(request.headers)
-        server = self._server.server
-        if "sec-websocket-protocol" in headers:
-            framing = WebSocketFraming("the client", server.new_reader(), ServerHandshake(rules))
-            line = await self._line(framing)
-            self._place.leave()  # the line takes it
-            await server.serve(line)
-        else:
-            translator = new_translator(server, self._peer, headers)
-            handshake = ServerHandshake(rules, subprotocol="")
-            rosbridge = RosbridgeFraming(server, handshake, translator)
-            channel = RosbridgeStreamChannel(self._buffered(), self._peer, rosbridge)
-            self._place.leave()  # the channel takes it
-            await serve_rosbridge(server, channel)
-
-    async def _line(self, framing: WebSocketFraming) -> Line:
-        """Give up the stream for a line, which begins with what was read of the request."""
-        if isinstance(self._stream, SocketStream):
-            accepted = self._stream.detach()
-            return await self._server.lines.make(accepted, framing, self._received)
-        return StreamChannel(self._buffered(), self._peer, framing)
-
-    def _buffered(self) -> BufferedByteStream:
-        """Return a stream that begins with what was read of the request."""
-        stream = BufferedByteStream(self._stream)
-        stream.feed_data(self._received)
-        return stream
 
 
 async def leave(stream: ByteStream, last: bytes = b"") -> None:

@@ -24,12 +24,13 @@ from fibaction.border.http_access import Refused, headers_in
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import UNCOUNTED, FrameMemory
 from fibaction.words.errors import ConnectionLost
-from fibaction_transports.web.http.problems import PROBLEM_JSON, RETRY, Problem
+from fibaction_transports._http.problems import PROBLEM_JSON, RETRY, Problem
 
 Scope: TypeAlias = MutableMapping[str, Any]
 Message: TypeAlias = MutableMapping[str, Any]
 Receive: TypeAlias = Callable[[], Awaitable[Message]]
 Send: TypeAlias = Callable[[Message], Awaitable[None]]
+App: TypeAlias = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 BODY_TIMEOUT = 30.0
 """Seconds in which the body of a request must have arrived."""
@@ -74,6 +75,7 @@ class Exchange:
         """Let a client take that long for a piece of the answer; count a large one while it is
         written, if there is a memory for that.
         """
+        self.scope = scope
         self.method: str = scope["method"]
         self.path = path_of(scope)
         self.root: str = scope.get("root_path", "").rstrip("/")
@@ -123,16 +125,24 @@ class Exchange:
         return EVENT_STREAM in self.headers.get("accept", "").lower()
 
     async def json_body(self, limit: int, memory: ByteBudget) -> bytes:
-        """Return the body, whose bytes count in the memory for as long as this exchange lasts.
+        """Return the body, as `body` does.
 
         Raises:
-            Refused: It is not JSON by its type, larger than the limit, or slow; or the memory is
-                used up.
+            Refused: It is not JSON by its type; or as for `body`.
             ConnectionLost: The client has gone.
         """
         kind = self.headers.get("content-type", "").partition(";")[0].strip().lower()
         if kind != JSON:
             raise Refused(415, f"the body must be {JSON}: set the header Content-Type")
+        return await self.body(limit, memory)
+
+    async def body(self, limit: int, memory: ByteBudget) -> bytes:
+        """Return the body, whose bytes count in the memory for as long as this exchange lasts.
+
+        Raises:
+            Refused: It is larger than the limit, or slow; or the memory is used up.
+            ConnectionLost: The client has gone.
+        """
         length = self.headers.get("content-length", "")
         if length.isdecimal() and int(length[:20]) > limit:
             raise _too_large(limit)
@@ -175,6 +185,42 @@ class Exchange:
                 tasks.start_soon(watch)
                 yield scope
                 tasks.cancel_scope.cancel()
+
+    async def hand_to(
+        self, app: App, state: dict[str, Any], limit: int, memory: ByteBudget
+    ) -> None:
+        """Let an application of others answer, which has that state in its scope.
+
+        Its client may take as long as for any other answer, and what it writes for a client that
+        has gone is nothing: then it receives the end, and may finish what it has begun.
+
+        Raises:
+            Refused, ConnectionLost: There is no body for it, see `body`.
+        """
+        pieces = [{"type": "http.request", "body": await self.body(limit, memory)}]
+        listening = CancelScope()
+
+        async def receive() -> Message:
+            if pieces:
+                return pieces.pop()
+            with listening:
+                await self._gone()
+            return {"type": "http.disconnect"}
+
+        async def send(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                self.has_begun, self._start = True, message
+                more = [(name.encode(), value.encode()) for name, value in self.more_headers]
+                message["headers"] = [*message["headers"], *more]
+            elif not listening.cancel_called:
+                body = message.get("body", b"") if self.method != "HEAD" else b""
+                try:
+                    await self._write(body, has_more=message.get("more_body", False))
+                except ConnectionLost:
+                    listening.cancel()
+
+        scope = {**self.scope, "state": {**self.scope.get("state", {}), **state}}
+        await app(scope, receive, send)
 
     # The answer
 

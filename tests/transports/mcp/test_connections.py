@@ -1,4 +1,4 @@
-"""`fibaction_transports.mcp.places`: the connections of MCP over HTTP."""
+"""The connections of MCP over HTTP."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def limited(**limits: Any) -> Any:
 async def test_one_connection_too_many_is_told_so_until_another_one_ends(
     limits: dict[str, int], told: bytes
 ) -> None:
-    with anyio.fail_after(PATIENCE), hearing("fibaction.agents") as log:
+    with anyio.fail_after(PATIENCE), hearing("fibaction.web") as log:
         async with limited(**limits) as (url,), Clients(url) as rejected:
             async with Clients(url) as greedy:
                 for _ in range(2):

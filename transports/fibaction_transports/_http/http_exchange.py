@@ -13,12 +13,27 @@ from anyio.abc import ByteStream
 
 from fibaction.border.http_access import Refused, headers_in
 from fibaction.wire.channel import CHUNK
-from fibaction_transports.web.http.exchange import Message, Scope
+from fibaction_transports._http.exchange import Message, Scope
 
+LONGEST_HEAD = 2**14
+"""Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
 MOST_EARLY = 2**16
 """Bytes of later requests that are read while one is answered; more are left to the socket."""
 BROKEN = (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError, anyio.EndOfStream)
 """The errors of a stream whose peer has gone."""
+
+
+def http_answer(status: int, text: str, *headers: tuple[str, str]) -> bytes:
+    """Return an answer in plain text, after which the connection ends."""
+    body = f"{text}\n".encode()
+    lines = [
+        f"HTTP/1.1 {status} {HTTPStatus(status).phrase}",
+        *(f"{name}: {value}" for name, value in headers),
+        "Content-Type: text/plain; charset=utf-8",
+        f"Content-Length: {len(body)}",
+        "Connection: close",
+    ]
+    return "\r\n".join([*lines, "", ""]).encode() + body
 
 
 def is_upgrade(request: h11.Request) -> bool:
@@ -63,7 +78,7 @@ class HttpExchange:
             "query_string": query,
             "root_path": root,
             "headers": list(request.headers),
-            "client": (host, port) if host else None,
+            "client": (host, int(port)) if host else None,
             "server": None,
         }
         """The request, as ASGI describes it."""
