@@ -27,6 +27,7 @@ import argparse
 import dis
 import gc
 import inspect
+import math
 import sys
 import time
 from collections import Counter, defaultdict
@@ -46,6 +47,7 @@ import fibaction
 import fibaction_transports
 from fibaction import ActionClient, ActionServer, SqliteStore
 from fibaction.border.goal_store import GoalStore
+from fibaction_transports.rtps import network
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.ros_domain import own_domain
 
@@ -192,13 +194,15 @@ async def settle(way: Way) -> None:
 
 @contextmanager
 def frozen_clock() -> Generator[None, None, None]:
-    """Stop the clock of asyncio's event loops until the block ends."""
-    now, clock = time.monotonic(), time.monotonic
-    time.monotonic = lambda: now
+    """Stop the clock of asyncio's event loops until the block ends, and let one turn take all that
+    has arrived over `dds://`.
+    """
+    now, clock, turn = time.monotonic(), time.monotonic, network.TURN
+    time.monotonic, network.TURN = lambda: now, math.inf
     try:
         yield
     finally:
-        time.monotonic = clock
+        time.monotonic, network.TURN = clock, turn
 
 
 async def count(url: str, store: GoalStore | None) -> Way:
