@@ -9,7 +9,7 @@ the keyword arguments from it, for type checkers.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from inspect import get_annotations
+from inspect import formatannotation, get_annotations
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import msgspec
@@ -49,6 +49,12 @@ _FROM_TEXT: dict[str, FromText] = {
 """Readers of settings in a URL, by their types. Settings of other types are given in code."""
 
 
+def _written(kind: object) -> str:
+    """Return a type as it is written, also in a module without deferred annotations."""
+    text = kind if isinstance(kind, str) else formatannotation(kind)
+    return text.replace("collections.abc.", "")
+
+
 class TransportSettings(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """The settings of a transport. A subclass has the fields, and checks their values."""
 
@@ -69,10 +75,10 @@ class TransportSettings(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @classmethod
     def types(cls) -> dict[str, str]:
         """Return the type of each setting, as it is written."""
-        found: dict[str, str] = {}
+        found: dict[str, Any] = {}
         for base in reversed(cls.__mro__):
             found.update(get_annotations(base))
-        return {name: found[name] for name in cls.__struct_fields__}
+        return {name: _written(found[name]) for name in cls.__struct_fields__}
 
     @classmethod
     def in_urls(cls) -> dict[str, FromText]:

@@ -26,7 +26,7 @@ from fibaction.schema.keywords import (
     is_of_type,
     size_in_bytes,
 )
-from fibaction.schema.steps import CONTAINERS, Extent, are_equal, text_steps
+from fibaction.schema.steps import CONTAINERS, CheckSteps, Extent, are_equal, text_steps
 from fibaction.words.plain_data import is_list, is_map
 
 MAX_LEVELS = 10
@@ -56,6 +56,8 @@ class SchemaParts:
     def __init__(self, schema: JsonSchema) -> None:
         self._schema = schema
         self._known: dict[int, SchemaPart] = {}
+        self.steps = CheckSteps(Extent.of(schema.root).size)
+        """The steps of the checks of all defaults together."""
         self.root = self.of(schema.root)
 
     def of(self, schema: Any, levels: int = 0) -> SchemaPart:
@@ -368,7 +370,7 @@ class _Fields:
         """The defaults that are not of their types; they are checked like given values."""
         for name, part in known.items():
             if fills and is_map(part) and "default" in part:
-                made = _default(self.parts[name], part["default"])
+                made = _default(self.parts[name], part["default"], parts.steps)
                 if made is None:
                     self.odd[name] = part["default"]
                 else:
@@ -396,13 +398,15 @@ class _Fields:
         return missing | value
 
 
-def _default(part: SchemaPart, default: Any) -> tuple[Any] | None:
+def _default(part: SchemaPart, default: Any, steps: CheckSteps) -> tuple[Any] | None:
     """Return a default as it is sent, in a tuple; None if it is not of its type."""
     extent = Extent.of(default)
     if extent.levels > MAX_DEPTH:
         return None
+    check = Check(fills=False)
+    check.steps = steps
     try:
-        made, found = part.tried(Check(extent.size, fills=False), default)
+        made, found = part.tried(check, default)
     except (SchemaError, TypeError, ValueError, OverflowError):
         return None
     return None if found else (made,)

@@ -99,10 +99,10 @@ class JsonCodec:
         """
         if self._root is None:
             return []
-        check = Check(fills=False)
         paths: list[Path] = []
-        check.left_out = paths
         with self._errors(), suppress(EnoughMismatches):
+            check = Check(Extent.of(message).size, fills=False)
+            check.left_out = paths
             self._root.visit(check, message)
         return [field_name("", path).removeprefix(".") for path in paths[:MAX_MISMATCHES]]
 

@@ -97,10 +97,10 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     goals that were given up."""
     max_goals: int = MAX_GOALS
     """The number of goals that may be active, or be decided upon, at the same time; more are
-    rejected with a reason that begins with `busy`."""
+    rejected with the code `BUSY`."""
     max_bytes: int = MAX_BYTES
     """The bytes of goals until their end, of remembered feedback, and of results, together. Over it
-    new goals are rejected as `busy`, outcomes are forgotten, the oldest of the client that holds
+    new goals are rejected as `BUSY`, outcomes are forgotten, the oldest of the client that holds
     most first, and executors wait until their feedback is read."""
     shutdown_timeout: float = 5.0
     """Seconds that executors have for their clean-up when the server stops. Then they are killed,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from contextvars import Context, copy_context
 from inspect import iscoroutinefunction
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from fibaction._runtime.log import clean_logger
 from fibaction.border.abc import FeedbackItem
@@ -22,16 +22,6 @@ from fibaction.types.action import ActionInfo
 from fibaction.words.errors import text_of
 from fibaction.words.goals import CancelAnswer, GoalID, Sender
 from fibaction.words.meta import Meta
-
-if TYPE_CHECKING:
-    from contextvars import Context
-
-    from fibaction.border.byte_budgets import ByteBudget
-    from fibaction.border.watchers import Watcher
-    from fibaction.server.registry.goal_record import GoalRecord
-    from fibaction.types.action import ActionInfo
-    from fibaction.words.goals import CancelAnswer, GoalID, Sender
-    from fibaction.words.meta import Meta
 
 
 class Watchers:

@@ -77,7 +77,7 @@ class Limits(msgspec.Struct, frozen=True):
         Raises:
             TypeError: One of them is not a number, or one that counts things or bytes is not a
                 whole one.
-            ValueError: One of them is not positive or not finite, or `frame` is too small.
+            ValueError: One of them is not positive or not finite, or `frame` is out of range.
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
@@ -88,12 +88,16 @@ class Limits(msgspec.Struct, frozen=True):
                 raise ValueError(f"the limit of {name} is finite and more than 0, not {value}")
             if name not in _SECONDS and not isinstance(value, int):
                 raise TypeError(f"the limit of {name} is a whole number, not {value!r}")
-        if self.frame < LEAST_FRAME:
-            raise ValueError(f"the limit of frame is at least {LEAST_FRAME}, not {self.frame}")
+        check_range("the limit of frame", self.frame, LEAST_FRAME, 2**32 - 1)
 
 
 DEFAULT_LIMITS = Limits()
 """The limits of a transport that is given none."""
+
+
+def _check_are_limits(given: object) -> None:
+    if not isinstance(given, Limits):
+        raise TypeError(f"limits are like Limits(connections=100), not {given!r}")
 
 
 class LineSettings(TransportSettings, frozen=True, kw_only=True):
@@ -117,8 +121,10 @@ class LineSettings(TransportSettings, frozen=True, kw_only=True):
         """Check the values.
 
         Raises:
+            TypeError: `limits` are not `Limits`.
             ValueError: A number is out of range, or the token is too long or not valid text.
         """
+        _check_are_limits(self.limits)
         check_token(self.token)
         check_range("heartbeat", self.heartbeat, 0.001, 3600)
         check_range("window", self.window, 1, 2**31 - 1)

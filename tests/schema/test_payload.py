@@ -15,6 +15,7 @@ from msgspec.msgpack import Ext
 from fibaction.schema.json_schema import LISTS_OF_PARTS, PARTS, REFERENCES
 from fibaction.schema.keywords import COMPARISONS
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
+from fibaction.schema.steps import TURN, CheckSteps
 from tests.cli.robot import Gripper, Pick, Pose, Sucker
 
 Aware = Annotated[datetime.datetime, msgspec.Meta(tz=True)]
@@ -418,6 +419,38 @@ def test_what_a_message_leaves_to_the_server_is_named_up_to_a_hundred_fields() -
 
     assert codec.left_out({}) == [f"a{i}" for i in range(100)]
     assert JsonCodec({}).left_out({"a": 1}) == []
+
+
+def test_what_a_large_message_leaves_to_the_server_is_named() -> None:
+    point = {"properties": {name: {"type": "number"} for name in "xyz"}}
+    points = {"type": "array", "items": point}
+    trajectory = {"points": [{"x": 1.0, "y": 2.0, "z": 3.0}] * 5000}
+
+    codec = JsonCodec({"properties": {"points": points, "speed": {"type": "number"}}})
+
+    assert codec.left_out(trajectory) == ["speed"]
+
+
+def test_all_defaults_of_a_schema_are_checked_within_one_bound(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    granted = list[int]()
+    grant = CheckSteps._grant
+
+    def counted(self: CheckSteps) -> None:
+        grant(self)
+        granted.append(TURN)
+
+    monkeypatch.setattr(CheckSteps, "_grant", counted)
+    doubled: Any = {"type": "string"}
+    for _ in range(10):
+        doubled = {"allOf": [doubled, doubled]}
+    fields = {f"f{number}": {**doubled, "default": 0} for number in range(100)}
+
+    with pytest.raises(PayloadError, match=r"goal\.f0 must be text, not 0"):
+        JsonCodec({"properties": fields}).complete({})
+
+    assert sum(granted) < 100_000
 
 
 def test_what_is_wrong_is_told_before_that_a_schema_takes_too_long() -> None:

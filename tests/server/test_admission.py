@@ -292,6 +292,60 @@ async def test_a_goal_whose_decision_is_not_awaited_yet_is_rejected_by_the_stop(
             await asking
 
 
+async def test_a_decision_that_does_not_end_with_the_server_comes_too_late() -> None:
+    asked, go = anyio.Event(), anyio.Event()
+    codes: list[RejectionCode] = []
+
+    async def on_goal(goal: Goal) -> None:
+        asked.set()
+        with anyio.CancelScope(shield=True):
+            await go.wait()
+
+    async def send() -> None:
+        with pytest.raises(GoalRejected) as caught:
+            await waited_for(server.offer_goal(GoalRequest(GoalID.random(), packed(1))))
+        codes.append(caught.value.code)
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            await asked.wait()
+            tasks.start_soon(server.stop)
+            await anyio.wait_all_tasks_blocked()
+            go.set()
+    assert codes == [RejectionCode.STOPPING]
+
+
+@pytest.mark.promise("ACCEPT-6")
+async def test_a_goal_that_runs_is_followed_when_it_is_sent_again_while_the_server_stops() -> None:
+    begun, cleaning, go = anyio.Event(), anyio.Event(), anyio.Event()
+
+    async def executor(goal: GoalHandle[Goal]) -> Items:
+        begun.set()
+        try:
+            await anyio.sleep_forever()
+        finally:
+            cleaning.set()
+            with anyio.CancelScope(shield=True):
+                await go.wait()
+        yield Result([])  # never: it is interrupted
+
+    async with ActionServer(FIBONACCI, executor) as server:
+        request = GoalRequest(GoalID.random(), packed(1))
+        stream = at_once(server.offer_goal(request))
+        await begun.wait()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(server.stop)
+            await cleaning.wait()
+            again = at_once(server.offer_goal(request))
+            assert again.stamp == stream.stamp
+            with pytest.raises(GoalRejected) as caught:
+                server.offer_goal(GoalRequest(GoalID.random(), packed(1)))
+            assert caught.value.code is RejectionCode.STOPPING
+            go.set()
+        assert (await again.outcome()).status is GoalStatus.ABORTED
+
+
 async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:

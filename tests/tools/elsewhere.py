@@ -60,7 +60,10 @@ class Elsewhere:
     """Leaves these tests out."""
 
     def __init__(self, config: pytest.Config) -> None:
-        self._named = {(config.invocation_params.dir / each).resolve() for each in config.args}
+        self._named = {
+            (config.invocation_params.dir / each.partition("::")[0]).resolve()
+            for each in config.args
+        }
         self._left_out = {TESTS / name for names in LEFT_OUT.values() for name in names.split()}
         self._kept = {TESTS / name for name in KEPT}
 

@@ -14,6 +14,12 @@ SHARED = ("tests/contract", "tests/simulation", "tests/fleet_simulation")
 ALSO = {
     "fibaction/_api": ["tests/test_api.py"],
     "fibaction/_runtime": ["tests/observe", "tests/server"],
+    "fibaction/action_files.py": ["tests/interfaces"],
+    "fibaction/border": [
+        "tests/transports/test_inprocess.py",
+        "tests/transports/tcp",
+        "tests/wire",
+    ],
     "fibaction/client": ["tests/observe"],
     "fibaction/observe": ["tests/transports/mcp"],
     "fibaction/types": ["tests/interfaces"],
@@ -21,15 +27,13 @@ ALSO = {
     "fibaction/words": ["tests/observe"],
     "transports/fibaction_transports/_agents": ["tests/transports/a2a", "tests/transports/mcp"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
-    "transports/fibaction_transports/_http": [
-        "tests/transports/a2a",
-        "tests/transports/mcp",
-        "tests/transports/web",
-    ],
+    "transports/fibaction_transports/_http": ["tests/transports/web", "tests/transports/a2a"],
     "transports/fibaction_transports/_socket_lines": [
         "tests/transports/tcp",
         "tests/transports/web",
     ],
+    "transports/fibaction_transports/keywords.py": ["tests/transports/test_setting_keywords.py"],
+    "transports/fibaction_transports/rtps": ["tests/transports/ros2"],
 }
 """Other tests of the modules of a folder."""
 
@@ -37,18 +41,14 @@ ALSO = {
 def tests_of(root: Path, module: Path) -> list[Path]:
     """Return the test files and folders of a module's unit.
 
-    They lie as the module does: `fibaction/wire/client/calls.py` has the nearest folder of
-    `tests/wire/client` and `tests/wire` that exists, and `fibaction/testing.py` has
-    `tests/test_testing.py`.
+    The tests of a package are in a folder of its name, `tests/wire` for `fibaction/wire`, and those
+    of a module in a file, `tests/test_testing.py` for `fibaction/testing.py`.
     """
     source, tests = next(pair for pair in SOURCES.items() if module.is_relative_to(root / pair[0]))
-    top = root / tests
-    folder = top / module.relative_to(root / source).parent
-    while not folder.exists():
-        folder = folder.parent
-    found = [folder if folder != top else top / f"test_{module.stem.strip('_')}.py"]
+    first, *inner = module.relative_to(root / source).parts
+    own = root / tests / (first if inner else f"test_{module.stem.strip('_')}.py")
     also = [root / test for one in ALSO if module.is_relative_to(root / one) for test in ALSO[one]]
-    return [test for test in found if test.exists() or not also] + also
+    return [test for test in [own] if test.exists() or not also] + also
 
 
 def has_code(module: Path) -> bool:

@@ -220,3 +220,7 @@ async def test_a_connection_that_was_closed_says_so() -> None:
         endpoint = connection.endpoint(FIBONACCI)
     with pytest.raises(ConnectionLost, match="the connection to inproc://closed was closed here"):
         await endpoint.status()
+
+
+async def test_a_transport_knows_its_url() -> None:
+    assert InProcessTransport("robot").url == "inproc://robot"

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given, strategies
@@ -45,8 +46,16 @@ def test_a_limit_may_be_small(name: str, value: int) -> None:
 def test_messages_of_a_kibibyte_pass_everywhere() -> None:
     limits = Limits(frame=LEAST_FRAME)
     assert limits.frame == ClientSettings(limits=limits).max_frame
-    with pytest.raises(ValueError, match=r"^the limit of frame is at least 1024, not 1023$"):
+    with pytest.raises(ValueError, match=r"^the limit of frame is between 1024 and 42949672"):
         Limits(frame=LEAST_FRAME - 1)
+    with pytest.raises(ValueError, match="not 4294967296"):
+        Limits(frame=2**32)
+
+
+def test_limits_are_not_none() -> None:
+    limits: Any = None
+    with pytest.raises(TypeError, match=r"limits are like Limits\(connections=100\), not None"):
+        ClientSettings(limits=limits)
 
 
 def test_a_fraction_of_a_second_is_time_for_a_handshake() -> None:

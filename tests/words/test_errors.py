@@ -213,3 +213,11 @@ def test_a_copy_of_an_error_says_the_same_and_has_no_traceback(error: ActionErro
     assert copy is not error
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
     assert copy.__traceback__ is None
+
+
+@pytest.mark.parametrize("number", [7, 1000, -1])
+def test_the_code_of_a_newer_peer_counts_as_a_rejection_without_one(number: int) -> None:
+    assert RejectionCode(number) is RejectionCode.REJECTED
+    text: Any = "busy"
+    with pytest.raises(ValueError, match="busy"):
+        RejectionCode(text)

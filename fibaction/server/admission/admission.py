@@ -38,7 +38,12 @@ from fibaction.border.goal_store import StoreFull
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.schema.goal_check import GoalCheck
 from fibaction.server.admission.callbacks import SERVER_STOPPING, GoalCallbacks
-from fibaction.server.durability.keeper import GOAL_IS_TAKEN, Keeper
+from fibaction.server.durability.keeper import (
+    GOAL_IS_TAKEN,
+    STORE_FAILED,
+    STORE_IS_LATE,
+    Keeper,
+)
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.life import Effect, Event
@@ -50,6 +55,7 @@ from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import (
     ConnectionLost,
+    GoalKept,
     GoalRejected,
     ProtocolError,
     RejectionCode,
@@ -123,13 +129,14 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         sent = offer.sent
         goal_id = sent.goal_id
         self._keeper.check()
-        if self._is_closed:
-            raise GoalRejected(SERVER_STOPPING, goal_id=goal_id, code=RejectionCode.STOPPING)
         verdict = self._registry.admit(goal_id, sent.goal, now=self._logs.now())
         if verdict is Verdict.WAIT:
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
             return self._logs.follow_again(goal_id, feedback=sent.feedback, sender=sent.sender)
+        if self._is_closed:  # a goal that is known gets the same answer as before
+            self._registry.withdraw(goal_id)
+            raise GoalRejected(SERVER_STOPPING, goal_id=goal_id, code=RejectionCode.STOPPING)
         offer.context = self._watchers.offered(
             goal_id, sent.goal, sent.sender, offer.meta or NO_META
         )
@@ -254,9 +261,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Wait until the acceptance of a goal is kept, and return its stream."""
         try:
             await self._keeper.kept(offer.write)
-        except StoreError:
-            self._keeper.check()
-            raise
+        except StoreError as exc:
+            has_failed = self._keeper.failure is not None
+            raise GoalKept(STORE_FAILED if has_failed else STORE_IS_LATE) from exc
         except BaseException:
             offer.leave(self._logs.now())
             raise

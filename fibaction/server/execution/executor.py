@@ -297,9 +297,9 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
     def is_interrupted(self) -> bool:
         # It is gone with the end, which may come while another thread is here.
         steps, scopes = getattr(self, "_steps", None), self._scopes
-        if steps is None:
-            return False
-        return steps.pending or scopes is None or scopes.phase >= ScopesPhase.KILLED
+        return steps is not None and (
+            steps.pending or scopes is None or scopes.phase >= ScopesPhase.KILLED
+        )
 
     def encode(self, feedback: object) -> bytes:
         codec = self._action.feedback

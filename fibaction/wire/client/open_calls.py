@@ -61,7 +61,12 @@ the same time."""
 
 
 class PastCall(Call):
-    """A page of the history of an action."""
+    """A page of the history of an action.
+
+    A server that does not know the history answers with the goals that it remembers. So goals that
+    do not belong to the page are left out here, and the call ends when as many goals have come as
+    the server has announced.
+    """
 
     def __init__(self, call_id: int, action: str, page: PastPage) -> None:
         super().__init__(call_id)

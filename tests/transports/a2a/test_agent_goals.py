@@ -164,9 +164,12 @@ async def test_the_newest_feedback_of_a_goal_of_others_is_known_at_once() -> Non
         robot.go(98)
 
 
-async def test_a_goal_whose_agent_stops_waiting_while_it_is_sent_is_canceled() -> None:
+@pytest.mark.parametrize("is_known", [False, True])
+async def test_a_goal_whose_agent_stops_waiting_while_it_is_sent_first_is_canceled(
+    is_known: bool,
+) -> None:
     class Undecided:
-        canceled: GoalID
+        canceled: GoalID | None = None
 
         async def send_goal(self, *_: object) -> None:
             scope.cancel()
@@ -178,6 +181,8 @@ async def test_a_goal_whose_agent_stops_waiting_while_it_is_sent_is_canceled() -
 
     skill, goal_id = SimpleNamespace(endpoint=Undecided()), GoalID.random()
     goals: Any = agent_goals.AgentGoals(cast("Any", None))
+    if is_known:  # from an earlier request
+        goals._goals[goal_id] = SimpleNamespace(ended=anyio.Event())
     with anyio.CancelScope() as scope:
         await goals.send(skill, goal_id, b"")
-    assert skill.endpoint.canceled == goal_id
+    assert skill.endpoint.canceled == (None if is_known else goal_id)

@@ -6,11 +6,15 @@ import secrets
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import anyio
 import pytest
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, connect, serve
+from fibaction.words.errors import TransportError
+from fibaction.words.goal_history import GoalHistory
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.names import FleetNames
@@ -190,3 +194,28 @@ async def test_a_stream_that_was_opened_for_several_limits_is_made_again_once() 
             await anyio.sleep(0.5)  # of virtual time: the first look, and no second one
             tasks.cancel_scope.cancel()
         assert made == ["keys"]
+
+
+async def test_a_stream_that_could_not_be_opened_is_not_made_with_those_that_are_lost() -> None:
+    class Refusing:
+        """A broker that has no room for the streams of keys and of the past."""
+
+        async def create_streams(
+            self, *_: object, has_keys: bool, history: object, **_more: object
+        ) -> None:
+            if has_keys or history:
+                raise TransportError("there is no room for it")
+            made.append("the others")
+
+    made = list[str]()
+    parts: Any = SimpleNamespace(
+        broker=Refusing(), names=NAMES, membership=SimpleNamespace(rewrite=list)
+    )
+    taken: Any = None
+    streams = LostStreams(parts, taken, 1)
+    with pytest.raises(TransportError):
+        await streams.open_keys(lambda: None)
+    with pytest.raises(TransportError):
+        await streams.open_history(GoalHistory())
+    await streams._make()
+    assert made == ["the others"]

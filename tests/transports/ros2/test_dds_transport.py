@@ -74,6 +74,7 @@ def test_the_url_has_the_settings_that_a_client_must_share() -> None:
     assert url_of(url) == ("dds://?namespace=/robot&lease=5.0&discovery=SUBNET&peers=a,b")
     assert url_of("dds://?ip_versions=4,6") == "dds://?ip_versions=4,6"
     assert DdsTransport().url == "dds://"
+    assert DdsTransport(peers=[], ip_versions=[]).url == "dds://"
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import socket
 import struct
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import ExitStack, asynccontextmanager
+from types import SimpleNamespace
 from typing import Any, ClassVar, Self
 
 import anyio
@@ -430,6 +431,23 @@ async def test_a_loop_of_asyncio_wakes_once_for_the_earliest_time() -> None:
     await anyio.sleep(0.001)
     assert len(woken) == 2
     loop._fail(ValueError("a second error of the same turn"))
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("failing", ["read", "work", "settle"])
+async def test_an_error_while_a_participant_is_driven_ends_the_loop(failing: str) -> None:
+    def fails(*_: object) -> bool:
+        raise ValueError(failing)
+
+    calls: dict[str, Any] = dict.fromkeys(("read", "on_deadline", "settle"), lambda *_: None)
+    driven: Any = SimpleNamespace(**{**calls, "work": lambda: False, failing: fails})
+    one, other = socket.socketpair()
+    with one, other:
+        loop = AsyncioLoop()
+        other.send(b"something")
+        loop.settle_soon()
+        with pytest.raises(ValueError, match=failing):
+            await loop.run(driven, [one])
 
 
 # Sockets

@@ -131,6 +131,26 @@ async def test_another_application_gets_the_whole_body_and_the_state_and_answers
     assert b"".join(one["body"] for one in body) == b"piece" * 3
 
 
+async def test_the_head_of_a_stream_of_events_does_not_wait_for_the_first_of_them() -> None:
+    sent = list[Any]()
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        headers = [(b"content-type", b"text/event-stream; charset=utf-8")]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        assert [one["type"] for one in sent] == ["http.response.start", "http.response.body"]
+        await send({"type": "http.response.body", "body": b"data: 1\n\n"})
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    async def receive() -> Any:
+        return {"type": "http.request"}
+
+    exchange = Exchange(SCOPE, receive, send, 0.05)
+    await exchange.hand_to(app, {}, 10, ByteBudget(100))
+    assert b"".join(one.get("body", b"") for one in sent) == b"data: 1\n\n"
+
+
 async def test_another_application_answers_head_without_a_body() -> None:
     asked = Asked()
     await asked.be_asked(asked.send, {"type": "http.request"}, method="HEAD")

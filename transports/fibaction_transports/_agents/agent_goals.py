@@ -307,8 +307,10 @@ class AgentGoals(Generic[ActionT]):
         try:
             stream = await action.endpoint.send_goal(goal_id, payload)
         except anyio.get_cancelled_exc_class():
-            # The server may have accepted the goal, and it would run without a client.
-            await cancel_left(action.endpoint, goal_id)
+            # The server may have accepted the goal, and it would run without a client. One that is
+            # sent again may run for an earlier request.
+            if goal_id not in self._goals:
+                await cancel_left(action.endpoint, goal_id)
             raise
         return self._add(action, stream, own=True, context_id=context_id)
 

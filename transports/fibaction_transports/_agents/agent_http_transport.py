@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 """The default host: this machine only."""
+SEND_BUFFER = 2**16
+"""Bytes of a connection that the system may hold: an agent that reads slowly must hold the executor
+while what it has not read is kept (`MOST_BYTES`), and little is lost with a connection."""
 MAX_PORT = 65535
 """The largest port: a number of 16 bits."""
 
@@ -147,7 +150,9 @@ class AgentHttpTransport(AgentTransport):
         scheme = "https" if tls else "http"
         application = AgentApplication(app, admitted, access, limits, public)
         server = HttpServer(application, "/", scheme)
-        listener, port = await listen_at(self.host, self._port, self.url, tls, limits, SPEAKS_TLS)
+        listener, port = await listen_at(
+            self.host, self._port, self.url, tls, limits, SPEAKS_TLS, SEND_BUFFER
+        )
         async with Background() as tasks, server.accepting(listener, tasks, self.url):
             yield f"{scheme}://{self._netloc(port)}{path}"
 
@@ -164,5 +169,7 @@ class AgentHttpTransport(AgentTransport):
                 f" URL, or give tokens={{...}} in code"
             )
         if asyncio_task() is None:
-            raise TransportError(f"{self.url} needs asyncio: its HTTP server does not run on trio")
+            raise TransportError(
+                f"{self.url} needs asyncio: the SDK of its protocol does not run on trio"
+            )
         return self._access

@@ -207,17 +207,22 @@ class Exchange:
                 await self._gone()
             return {"type": "http.disconnect"}
 
+        async def write(body: bytes, *, has_more: bool) -> None:
+            try:
+                await self._write(body, has_more=has_more)
+            except ConnectionLost:
+                listening.cancel()
+
         async def send(message: Message) -> None:
             if message["type"] == "http.response.start":
                 self.has_begun, self._start = True, message
                 more = [(name.encode(), value.encode()) for name, value in self.more_headers]
-                message["headers"] = [*message["headers"], *more]
+                message["headers"] = headers = [*message["headers"], *more]
+                if any(value.startswith(b"text/event-stream") for _, value in headers):
+                    await write(b"", has_more=True)  # the client waits for the head
             elif not listening.cancel_called:
                 body = message.get("body", b"") if self.method != "HEAD" else b""
-                try:
-                    await self._write(body, has_more=message.get("more_body", False))
-                except ConnectionLost:
-                    listening.cancel()
+                await write(body, has_more=message.get("more_body", False))
 
         scope = {**self.scope, "state": {**self.scope.get("state", {}), **state}}
         await app(scope, receive, send)

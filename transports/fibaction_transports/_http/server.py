@@ -106,12 +106,11 @@ class HttpServer:
     # The parts of a subclass
 
     async def upgrade(self, upgrade: Upgrade) -> None:
-        """Serve a client of WebSocket until its connection ends.
+        """Serve a client of WebSocket until its connection ends, if `speaks_websocket`.
 
         Raises:
             Refused: The request is not permitted.
         """
-        raise NotImplementedError
 
     def silent(self) -> Iterable[Candidate]:
         """Return the connections of WebSocket that have said nothing yet."""

@@ -126,10 +126,12 @@ async def listen_at(
     tls: TlsFiles | SSLContext | None,
     limits: Limits,
     speaks_tls: bytes,
+    send_buffer: int = 0,
 ) -> tuple[Listener[Any], int]:
     """Begin to listen, with or without TLS; return the port as well.
 
-    `url` is for errors, and `speaks_tls` for clients that do not begin with TLS.
+    `url` is for errors, and `speaks_tls` for clients that do not begin with TLS. `send_buffer` is
+    the number of bytes that the system may hold for a client; 0 for its default.
 
     Raises:
         TransportError: Nothing can listen there, or the files of TLS cannot be used.
@@ -143,6 +145,10 @@ async def listen_at(
         text = getattr(exc, "strerror", None) or exc
         raise TransportError(f"cannot listen at {url}: {text}") from exc
     port = listener.extra(SocketAttribute.local_port)
+    for part in listener.listeners if send_buffer else ():
+        # Those that it accepts have it, too.
+        raw = part.extra(SocketAttribute.raw_socket)
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer)
     if context is None:
         return listener, port
     shaken = TlsListener(

@@ -53,10 +53,9 @@ class A2aApp:
         self._app: App = Starlette(routes=routes)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http":
-            host = dict(scope["headers"]).get(b"host", b"").decode("latin-1")
-            url = f"{scope['scheme']}://{host}{PATH}"
-            note_request(url, is_known=scope["state"]["client"] is not None)
+        host = dict(scope["headers"]).get(b"host", b"").decode("latin-1")
+        url = f"{scope['scheme']}://{host}{PATH}"
+        note_request(url, is_known=scope["state"]["client"] is not None)
         await self._app(scope, receive, send)
 
     async def _card(self, _: AgentCard) -> AgentCard:

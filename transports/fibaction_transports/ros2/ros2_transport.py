@@ -59,6 +59,8 @@ class Ros2Transport(RosTransport):
             TransportError: This Python has no rclpy.
         """
         made = Ros2Settings.of(self, settings)
+        if made.via not in ("", _RCLPY):
+            raise ValueError(f"via={made.via!r} is for URLs: use DdsTransport, or ros2://?via=dds")
         own, node = (
             made.node,
             NodeSettings(node_name or "", made.namespace, made.domain_id, made.arguments),

@@ -73,8 +73,9 @@ class RosTransport(ConfiguredTransport):
         given: dict[str, str] = {}
         for name in settings.shared:
             one = getattr(settings, name)
-            if one != getattr(usual, name):
-                given[name] = ",".join(map(str, one)) if is_list(one) else one
+            text = ",".join(map(str, one)) if is_list(one) else one
+            if one != getattr(usual, name) and text != "":
+                given[name] = text
         return f"{self.scheme}://{'?' if given else ''}{urlencode(given, safe='/,')}"
 
     @asynccontextmanager

@@ -75,8 +75,12 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: The stream cannot be made.
         """
-        self._has_keys = True
-        await self._open(self._names.keys, "the places of keys", repair)
+        before, self._has_keys = self._has_keys, True
+        try:
+            await self._open(self._names.keys, "the places of keys", repair)
+        except BaseException:
+            self._has_keys = before  # later repairs do not need it
+            raise
 
     async def open_history(self, history: GoalHistory) -> None:
         """Make the stream of the history if it is missing, with these bounds, and look for it.
@@ -85,8 +89,12 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: The stream cannot be made.
         """
-        self._history = history
-        await self._open(self._names.history, "the goals of the past", lambda: None)
+        before, self._history = self._history, history
+        try:
+            await self._open(self._names.history, "the goals of the past", lambda: None)
+        except BaseException:
+            self._history = before  # as above
+            raise
 
     async def _open(self, stream: str, what: str, repair: Callable[[], None]) -> None:
         await self._make()

@@ -46,7 +46,7 @@ def received_sample(writer: Guid, data: Data, time: float | None) -> Sample:
 
 
 def padded(payload: bytes) -> bytes:
-    """Return a payload whose length is a multiple of four, with the padding in its header.
+    """Return a payload that is padded to a multiple of four bytes, as its header then tells.
 
     Raises:
         ValueError: The payload has no encapsulation header.
@@ -54,8 +54,6 @@ def padded(payload: bytes) -> bytes:
     if len(payload) < ENCAPSULATION:
         raise ValueError(f"payload of {len(payload)} bytes has no encapsulation header of 4 bytes")
     padding = -len(payload) % 4
-    if not padding:
-        return payload
     return b"".join(
         (payload[:3], bytes([payload[3] & ~PADDING_BITS | padding]), payload[4:], bytes(padding))
     )
