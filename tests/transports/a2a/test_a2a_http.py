@@ -208,7 +208,7 @@ async def test_it_has_no_clients_and_needs_a_token() -> None:
 
 async def test_it_needs_asyncio() -> None:
     async def main() -> None:
-        with pytest.raises(TransportError, match=r"a2a.* needs asyncio: its HTTP server"):
+        with pytest.raises(TransportError, match=r"a2a.* needs asyncio: the SDK of its"):
             async with serve(Robot().drive, A2aHttpTransport(token=TOKEN)):
                 pass
 
