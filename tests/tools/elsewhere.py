@@ -40,8 +40,8 @@ LEFT_OUT = {
         "packaging support tools cli/test_pictures.py test_answers.py test_contributing.py"
         " test_cookbook.py test_docs.py test_examples.py test_guarantees.py"
         " test_notebook_page.py test_project.py test_stories.py test_structure.py test_style.py"
-        " test_trials.py test_way_of_a_goal.py transports/web/test_assets.py"
-        " transports/web/test_openapi.py"
+        " test_trials.py test_way_of_a_goal.py transports/test_setting_keywords.py"
+        " transports/web/test_assets.py transports/web/test_openapi.py"
     ),
 }
 """The files and folders, by the reasons."""
@@ -68,10 +68,10 @@ class Elsewhere:
         self._kept = {TESTS / name for name in KEPT}
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
-        """Leave a file out, unless it is named."""
+        """Leave a file out, unless it is named, and a folder that has no such file."""
         is_left_out = not self._left_out.isdisjoint((collection_path, *collection_path.parents))
-        is_kept = collection_path in self._kept or collection_path in self._named
-        return True if collection_path.is_file() and is_left_out and not is_kept else None
+        is_needed = any(one.is_relative_to(collection_path) for one in self._kept | self._named)
+        return True if is_left_out and not is_needed else None
 
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
