@@ -20,7 +20,7 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_a_process_without_threads_of_its_own_ends_by_itself(ends: list[int]) -> None:
-    with LastSeconds(0.01, 3) as last:
+    with LastSeconds(60, 3) as last:
         last.begin()
     last._timer.join()
     assert ends == []
