@@ -4,6 +4,8 @@
 
 from collections.abc import Sequence
 
+import pytest
+
 from fibaction.wire.settings import WireSettings
 
 
@@ -20,4 +22,6 @@ def test_types_are_read_also_where_annotations_are_not_text() -> None:
     assert readers["room"]("hall") == "hall"
     assert readers["doors"]("1, 2") == (1, 2)
     assert readers["seats"]("3") == 3
+    with pytest.raises(ValueError, match="it has no items"):
+        readers["doors"](" ,")
     assert RoomSettings.in_code() == ["limits", "tokens", "authorize"]

@@ -29,6 +29,7 @@ ALSO = {
     "transports/fibaction_transports/_command.py": ["tests/cli"],
     "transports/fibaction_transports/_http": ["tests/transports/web", "tests/transports/a2a"],
     "transports/fibaction_transports/_socket_lines": [
+        "tests/transports/a2a",
         "tests/transports/tcp",
         "tests/transports/web",
     ],

@@ -334,6 +334,19 @@ def test_a_sample_for_one_reader_leaves_no_hole_for_the_others() -> None:
     assert writer.kept == 0
 
 
+def test_a_sample_for_another_reader_is_nothing_to_one_that_is_best_effort() -> None:
+    world = World()
+    server, one, other = world.join(), world.join(), world.join()
+    writer = writer_of(world, server)
+    modest, target = reader_of(world, one, BEST_EFFORT), reader_of(world, other)
+    world.run(1.0)
+    writer.write(payload("0"), world.now, only_to=target.guid)
+    write(world, writer, "for all")
+    world.run(1.0)
+    assert one.texts(modest) == ["for all"]
+    assert other.texts(target) == ["0", "for all"]
+
+
 def test_a_full_history_rejects_samples_until_readers_have_acknowledged() -> None:
     world = World()
     one, other = world.join(limits=RtpsLimits(history=1000, history_samples=3)), world.join()

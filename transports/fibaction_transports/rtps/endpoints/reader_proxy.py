@@ -130,8 +130,6 @@ class ReaderProxy:
 
     def send(self, numbers: Iterable[int], now: float) -> None:
         """Send samples, and a GAP for those that the reader does not get; and a heartbeat."""
-        if self._is_new:
-            return
         left_out = list[int]()
         for number in numbers:
             sample = self._sample(number)
@@ -186,7 +184,7 @@ class ReaderProxy:
         if number > self._history.last or self._was_sent_just_now(number, now):
             return
         sample = self._sample(number)
-        if sample is None and self._budget.may_repair(GAP_SIZE, now):
+        if sample is None and not self._is_new and self._budget.may_repair(GAP_SIZE, now):
             self.send([number], now)
         if sample is None:
             return
@@ -200,9 +198,7 @@ class ReaderProxy:
 
     @property
     def _first(self) -> int:
-        """The number of the first sample that the reader can get."""
-        if self._is_new:
-            return self._before + 1
+        """The number of the first sample that the reader can get, from its answer on."""
         return max(self._history.first, self._before + 1)
 
     def _acknowledge(self, has: int) -> None:
