@@ -77,6 +77,10 @@ class Entry(msgspec.Struct):
     """The steps that an attempt began with, those that it has taken, or those that are kept."""
 
 
+LINE = 256
+"""Bytes of a line of the diary. SIGKILL may cut a write between two pages, so no line is in two."""
+
+
 class Diary:
     """A file to which executors append what they do. Each line is there when `write` returns, also
     after SIGKILL.
@@ -89,7 +93,7 @@ class Diary:
     def write(self, what: What, goal: GoalHandle[Work], steps: int) -> None:
         """Append an entry about a goal."""
         entry = Entry(time.monotonic_ns(), what, str(goal.goal_id), goal.attempt, steps)
-        os.write(self._file, msgspec.json.encode(entry) + b"\n")
+        os.write(self._file, msgspec.json.encode(entry).ljust(LINE - 1) + b"\n")
 
     def close(self) -> None:
         """Close the file."""
