@@ -18,6 +18,7 @@ from fibaction import (
 )
 from fibaction.border.abc import GoalStream
 from fibaction.server.registry.goal_record import Ending, EndKind
+from tests.server.held import Held, packed
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.matching import End
@@ -29,23 +30,6 @@ pytestmark = pytest.mark.anyio
 @pytest.fixture(params=["asyncio", "trio"])
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
-
-
-def packed(order: int) -> bytes:
-    return FIBONACCI.goal.encode(Goal(order))
-
-
-class Held:
-    """An executor that waits until it is let go."""
-
-    def __init__(self) -> None:
-        self.begun = anyio.Event()
-        self.go = anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        self.begun.set()
-        await self.go.wait()
-        yield Result([goal.request.order])
 
 
 def agree(goal: Goal) -> None:

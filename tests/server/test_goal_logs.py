@@ -27,6 +27,7 @@ from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server import goal_logs
 from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
 from fibaction.words.errors import GoalKept
+from tests.server.held import Held, packed, result
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.memory_store import MemoryStore
@@ -38,27 +39,6 @@ pytestmark = pytest.mark.anyio
 @pytest.fixture(params=["asyncio", "trio"])
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
-
-
-def packed(order: int) -> bytes:
-    return FIBONACCI.goal.encode(Goal(order))
-
-
-def result(sequence: list[int]) -> bytes:
-    return FIBONACCI.result.encode(Result(sequence))
-
-
-class Held:
-    """An executor that waits until it is let go."""
-
-    def __init__(self) -> None:
-        self.begun = anyio.Event()
-        self.go = anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        self.begun.set()
-        await self.go.wait()
-        yield Result([goal.request.order])
 
 
 def waited_for(

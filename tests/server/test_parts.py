@@ -25,6 +25,7 @@ from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.turns import Turns
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.words.errors import GoalKept
+from tests.server.held import Held, packed, result
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.matching import End
@@ -37,27 +38,6 @@ pytestmark = pytest.mark.anyio
 @pytest.fixture(params=["asyncio", "trio"])
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
-
-
-def packed(order: int) -> bytes:
-    return FIBONACCI.goal.encode(Goal(order))
-
-
-def result(sequence: list[int]) -> bytes:
-    return FIBONACCI.result.encode(Result(sequence))
-
-
-class Held:
-    """An executor that waits until it is let go."""
-
-    def __init__(self) -> None:
-        self.begun = anyio.Event()
-        self.go = anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        self.begun.set()
-        await self.go.wait()
-        yield Result([goal.request.order])
 
 
 # Starting and stopping
