@@ -83,14 +83,6 @@ def raised(error: Exception, cause: Exception | None = None) -> Exception:
 # Messages
 
 
-def test_a_clean_record_is_unchanged(log: Log) -> None:
-    log.logger.info("goal %s of %r has %d", b"1", "dock", 3)
-
-    assert log.lines == ["INFO fibaction.test: goal b'1' of 'dock' has 3"]
-    (record,) = log.handler.records
-    assert (record.msg, record.args) == ("goal %s of %r has %d", (b"1", "dock", 3))
-
-
 @pytest.mark.parametrize("argument", [NASTY, ValueError(NASTY)], ids=["text", "error"])
 def test_a_message_is_one_printable_line(log: Log, argument: object) -> None:
     log.logger.info("rejected: %s", argument)
@@ -135,25 +127,10 @@ def test_a_message_that_cannot_be_made_does_not_raise(
     assert log.lines == [f"INFO fibaction.test: {line}"]
 
 
-def test_a_record_that_is_not_emitted_costs_nothing(log: Log) -> None:
-    class Untold:
-        def __str__(self) -> str:
-            raise AssertionError("it was formatted")
-
-    log.logger.debug("%s", Untold())
-
-    assert log.lines == []
-
-
 def test_a_record_does_not_keep_an_error_that_is_an_argument(log: Log) -> None:
     log.logger.info("lost: %s", ConnectionError("the line"))
 
     assert log.handler.records[0].args == ("the line",)
-
-
-def test_a_logger_that_is_asked_for_twice_has_one_filter() -> None:
-    assert clean_logger("fibaction.twice") is clean_logger("fibaction.twice")
-    assert len(logging.getLogger("fibaction.twice").filters) == 1
 
 
 # Tracebacks
@@ -172,20 +149,6 @@ def test_a_traceback_is_indented_and_clean(log: Log) -> None:
     ]
 
 
-def test_the_record_keeps_its_error_for_tools(log: Log) -> None:
-    log.logger.error("it failed", exc_info=(error := raised(ValueError("no"))))
-
-    kept = log.handler.records[0].exc_info
-    assert kept is not None
-    assert kept[1] is error
-
-
-def test_a_record_without_an_error_has_no_traceback(log: Log) -> None:
-    log.logger.error("it failed", exc_info=True)
-
-    assert log.lines == ["ERROR fibaction.test: it failed", "NoneType: None"]
-
-
 def test_a_traceback_is_clean_behind_a_queue(log: Log) -> None:
     waiting: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
     handler = log.logger.handlers[0]
@@ -195,14 +158,6 @@ def test_a_traceback_is_clean_behind_a_queue(log: Log) -> None:
 
     assert all(line.startswith(INDENT) for line in log.lines[1:])
     assert all(line.isprintable() for line in log.lines)
-
-
-def test_each_handler_writes_the_same(log: Log) -> None:
-    second = io.StringIO()
-    log.logger.addHandler(logging.StreamHandler(second))
-    log.logger.error("it failed", exc_info=raised(ValueError(NASTY)))
-
-    assert second.getvalue().split("\n")[1:-1] == log.lines[1:]
 
 
 def test_the_stack_of_a_call_is_indented(log: Log) -> None:
@@ -242,15 +197,6 @@ def test_the_errors_behind_an_error_come_first() -> None:
         )
     ]
     assert places == sorted(places)
-
-
-def test_a_hidden_context_is_not_shown() -> None:
-    error = TypeError("type")
-    error.__context__ = ValueError("value")
-    assert "ValueError" in traceback_text(error)
-
-    error.__suppress_context__ = True
-    assert "ValueError" not in traceback_text(error)
 
 
 def test_a_long_chain_is_cut_and_ends_with_the_error_itself() -> None:
@@ -414,19 +360,6 @@ def test_a_flood_of_one_kind_is_some_lines_and_then_a_count_in_each_interval(
         f"WARNING fibaction.test: {left_out} more lines like this one in 10 s: {first} is rejected",
         "WARNING fibaction.test: 500 more lines like this one in 10 s: client 0 is rejected",
         "WARNING fibaction.test: 500 more lines like this one in 10 s: client 0 is rejected",
-    ]
-
-
-def test_a_count_is_written_with_the_next_line_of_any_kind(log: Log, clock: Clock) -> None:
-    for number in range(QUOTA + 3):
-        reject(log, number)
-    log.logger.error("something else")
-    clock.now += INTERVAL
-    log.logger.error("something else again")
-    assert [line.partition(": ")[2] for line in log.lines[QUOTA:]] == [
-        "something else",
-        f"3 more lines like this one in 10 s: client {QUOTA} is rejected",
-        "something else again",
     ]
 
 

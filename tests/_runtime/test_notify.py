@@ -34,29 +34,6 @@ async def test_notifying_wakes_all_that_wait_and_none_that_comes_later() -> None
     assert sorted(woken) == [1, 2, 3]
 
 
-@pytest.mark.asyncio
-async def test_the_wait_of_one_that_is_canceled_leaves_the_others_waiting() -> None:
-    waking = Notifier()
-    woken: list[int] = []
-
-    async def wait(number: int, scope: anyio.CancelScope) -> None:
-        with scope:
-            await waking.wait()
-            woken.append(number)
-
-    impatient = anyio.CancelScope()
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait, 1, impatient)
-            tasks.start_soon(wait, 2, anyio.CancelScope())
-            await anyio.wait_all_tasks_blocked()
-            impatient.cancel()
-            await anyio.wait_all_tasks_blocked()
-            assert woken == []
-            waking.notify()
-    assert woken == [2]
-
-
 def test_the_listener_is_called_at_the_next_wake_only_whether_or_not_a_task_waits() -> None:
     waking = Notifier()
     calls: list[str] = []
@@ -71,28 +48,6 @@ def test_the_listener_is_called_at_the_next_wake_only_whether_or_not_a_task_wait
     waking.on_next = None
     waking.notify()
     assert calls == ["heard"]
-
-
-@pytest.mark.asyncio
-async def test_the_listener_and_the_waiting_tasks_all_hear_of_the_same_wake() -> None:
-    waking = Notifier()
-    heard: list[str] = []
-    waking.on_next = lambda: heard.append("the listener")
-
-    async def wait(name: str) -> None:
-        await waking.wait()
-        heard.append(name)
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait, "one")
-            tasks.start_soon(wait, "other")
-            await anyio.wait_all_tasks_blocked()
-            assert heard == []
-            waking.notify()
-            # It hears at once; those who wait go on when they have their turn.
-            assert heard == ["the listener"]
-    assert sorted(heard) == ["one", "other", "the listener"]
 
 
 @pytest.mark.asyncio
@@ -131,16 +86,6 @@ def test_a_notifier_wakes_the_tasks_of_either_loop_again_and_again(backend: str)
         return rounds
 
     assert anyio.run(wake, backend=backend) == 3
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_a_wait_is_canceled_by_a_scope(backend: str) -> None:
-    async def wait() -> bool:
-        with anyio.move_on_after(0) as scope:
-            await Notifier().wait()
-        return scope.cancelled_caught
-
-    assert anyio.run(wait, backend=backend)
 
 
 @pytest.mark.asyncio

@@ -8,10 +8,10 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import ActionServer, CancelAnswer, GoalHandle, GoalID, GoalStatus
+from fibaction import ActionServer, GoalHandle, GoalID, GoalStatus
 from fibaction.server.admission.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
 from fibaction.words.errors import CancelRejected, GoalRejected
-from tests.support.executors import Items, Mute
+from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.asyncio
@@ -67,63 +67,6 @@ class Promise:
         return self._answer
 
 
-async def test_an_async_callback_is_waited_for_by_its_caller() -> None:
-    go = anyio.Event()
-    seen: list[str] = []
-    answered = anyio.Event()
-
-    async def wait_and_agree(argument: str) -> None:
-        await go.wait()
-        seen.append(argument)
-
-    asking = waited_for(Callbacks("arm").ask("on_goal", wait_and_agree, ("a goal",), GoalRejected))
-
-    async def wait() -> None:
-        await asking
-        answered.set()
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            assert seen == []
-            assert not answered.is_set()
-            go.set()
-    assert seen == ["a goal"]
-    assert answered.is_set()
-
-
-@pytest.mark.parametrize("answer", [None, "yes"])
-async def test_a_sync_callback_that_returns_an_awaitable_is_waited_for(answer: object) -> None:
-    go = anyio.Event()
-    callbacks = Callbacks("arm")
-
-    def promise(argument: object) -> Promise:
-        return Promise(go, answer)
-
-    asking = waited_for(callbacks.ask("on_goal", promise, (None,), GoalRejected))
-    go.set()
-    with anyio.fail_after(5):
-        if answer is None:
-            await asking
-        else:
-            with pytest.raises(GoalRejected, match="on_goal returned 'yes'"):
-                await asking
-
-
-@each_refusal
-@each_colour
-async def test_a_callback_whose_error_has_no_text_rejects_all_the_same(
-    colour: Colour, refusal: Refusal
-) -> None:
-    def fail(argument: Any) -> None:
-        raise Mute
-
-    with pytest.raises(refusal) as caught:
-        await ask(colour(fail), refusal)
-    assert caught.value.reason == "on_goal failed: Mute"
-
-
 @each_refusal
 @each_colour
 async def test_a_callback_that_awaits_a_canceled_task_rejects(
@@ -147,21 +90,6 @@ async def test_the_other_rejection_is_a_failure(colour: Colour) -> None:
     with pytest.raises(GoalRejected) as caught:
         await ask(colour(refuse), GoalRejected)
     assert caught.value.reason == "on_goal failed: CancelRejected: no"
-
-
-@each_colour
-async def test_what_ends_python_itself_is_let_through(
-    colour: Colour, caplog: pytest.LogCaptureFixture
-) -> None:
-    class Ending(BaseException):
-        pass
-
-    def end(argument: Any) -> None:
-        raise Ending
-
-    with pytest.raises(Ending):
-        await ask(colour(end))
-    assert caplog.records == []
 
 
 @each_refusal
@@ -222,50 +150,6 @@ async def test_stopping_does_not_touch_what_was_answered_before() -> None:
         await waited_for(callbacks.ask("on_goal", as_async(agrees), (None,), GoalRejected))
         # Or it would grow with every goal.
         assert not callbacks._waiting
-        callbacks.stop()
-        await anyio.lowlevel.checkpoint()
-
-
-async def test_a_callback_that_answers_in_spite_of_the_stop_has_answered() -> None:
-    callbacks = Callbacks("arm")
-    answered = anyio.Event()
-
-    async def answer_at_last(argument: None) -> None:
-        try:
-            await anyio.sleep_forever()
-        except anyio.get_cancelled_exc_class():
-            raise GoalRejected("the arm is folded") from None
-
-    async def ask() -> None:
-        with pytest.raises(GoalRejected, match="the arm is folded"):
-            await waited_for(callbacks.ask("on_goal", answer_at_last, (None,), GoalRejected))
-        answered.set()
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(ask)
-            await anyio.wait_all_tasks_blocked()
-            callbacks.stop()
-    assert answered.is_set()
-
-
-async def test_a_caller_that_is_canceled_is_not_told_that_the_server_stops() -> None:
-    callbacks = Callbacks("arm")
-
-    async def wait_for_ever(argument: None) -> None:
-        await anyio.sleep_forever()
-
-    async def ask() -> None:
-        await waited_for(callbacks.ask("on_goal", wait_for_ever, (None,), GoalRejected))
-
-    with anyio.fail_after(5):
-        with anyio.CancelScope() as caller:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(ask)
-                await anyio.wait_all_tasks_blocked()
-                caller.cancel()
-        assert caller.cancelled_caught
-        # Nothing is left behind that a later stop would reach.
         callbacks.stop()
         await anyio.lowlevel.checkpoint()
 
@@ -358,28 +242,3 @@ async def test_an_on_cancel_that_cancels_its_goal_again_rejects_and_says_so() ->
             answer = await server.cancel_goals(stream.goal_id)
             assert "on_cancel cancels the goal that it decides upon" in answer.reason
             assert stream.status is not GoalStatus.CANCELING
-
-
-async def test_a_task_that_on_goal_has_started_may_act_upon_the_goal_once_it_is_decided() -> None:
-    decided = anyio.Event()
-    answers: list[CancelAnswer] = []
-
-    async def cancel_later(goal_id: GoalID) -> None:
-        await decided.wait()
-        answers.append(await server.cancel_goals(goal_id))
-
-    async def on_goal(goal: Goal) -> None:
-        tasks.start_soon(cancel_later, goal_id)
-
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        await anyio.sleep_forever()
-        yield Result([])
-
-    with anyio.fail_after(5):
-        async with ActionServer(FIBONACCI, waits, on_goal=on_goal) as server:
-            goal_id = GoalID.random()
-            async with anyio.create_task_group() as tasks:
-                stream = await server.send_goal(goal_id, goal_of(1))
-                decided.set()
-            assert (await stream.outcome()).status is GoalStatus.CANCELED
-    assert answers[0].accepted

@@ -17,9 +17,7 @@ from fibaction import (
     GoalStatus,
 )
 from fibaction.border.abc import GoalStream
-from fibaction.server.registry.goal_record import Ending, EndKind
 from tests.server.held import Held, packed
-from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.matching import End
 from tests.support.slices import let_slices_last
@@ -34,27 +32,6 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 def agree(goal: Goal) -> None:
     """A callback that has nothing against it."""
-
-
-async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_over() -> None:
-    executor = Held()
-    asked: list[GoalID] = []
-
-    def end_the_other(goal: GoalHandle[Goal]) -> None:
-        asked.append(goal.goal_id)
-        (other,) = (run for key, run in server._parts.runs._runs.items() if key != goal.goal_id)
-        server._parts.runs._finish(
-            other, Ending(EndKind.RESULT, FIBONACCI.result.encode(Result([])))
-        )
-
-    async with ActionServer(FIBONACCI, executor, on_cancel=end_the_other) as server:
-        streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(2)]
-        await anyio.wait_all_tasks_blocked()
-        answer = await server.cancel_goals()
-        executor.go.set()  # or the one that was ended behind its back would stay
-        outcomes = {(await stream.outcome()).status for stream in streams}
-    assert [info.goal_id for info in answer.goals_canceling] == asked
-    assert outcomes == {GoalStatus.CANCELED, GoalStatus.SUCCEEDED}
 
 
 @pytest.mark.promise("CANCEL-21")
@@ -94,26 +71,6 @@ async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
         assert (await server.cancel_goals(stream.goal_id)).accepted
         assert await stream.outcome() == End(GoalStatus.CANCELED)
     assert not executor.begun.is_set()
-
-
-async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        raise anyio.get_cancelled_exc_class()
-        yield Result([])
-
-    if (await _backend()) == "trio":
-        return  # trio has no constructor of cancellations
-    async with ActionServer(FIBONACCI, waits) as server:
-        stream = await server.send_goal(GoalID.random(), packed(1))
-        assert await stream.outcome() == End(
-            GoalStatus.ABORTED,
-            None,
-            "the executor ended as canceled, but no cancel was requested",
-        )
-
-
-async def _backend() -> str:
-    return "trio" if "trio" in anyio.get_cancelled_exc_class().__module__ else "asyncio"
 
 
 async def turns_during(work: Coroutine[Any, Any, object]) -> int:

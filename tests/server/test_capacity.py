@@ -20,7 +20,6 @@ from fibaction import (
     GoalStatus,
     Schedule,
 )
-from fibaction.server.scheduling.scheduler import Scheduler
 from fibaction.words.goals import GoalID
 from tests.support.memory_store import MemoryStore
 from tests.support.virtual_time import in_virtual_time
@@ -96,15 +95,6 @@ async def test_a_place_of_a_lost_goal_is_room_when_its_executor_is_gone() -> Non
         assert store.rooms == [(1, 0), (0, 0), (1, 0)]
 
 
-async def test_goals_without_places_take_no_room() -> None:
-    store = MemoryStore()
-    async with server_with(store, schedule=Schedule(total=2, key=lambda goal: goal)) as server:
-        goals = [await client_of(server).send_goal(seconds) for seconds in (1, 2)]
-        assert store.rooms == [(2, 0), (0, 0)]
-        for goal in goals:
-            await goal.result()
-
-
 async def test_a_server_with_too_many_bytes_has_no_room_until_their_goal_has_ended() -> None:
     async def talk(goal: GoalHandle[float]) -> Working:
         yield bytes(1000)
@@ -123,29 +113,6 @@ async def test_a_server_with_too_many_bytes_has_no_room_until_their_goal_has_end
             await client_of(server).send_goal(1)
         await anyio.sleep(30)  # until the feedback counts as not read, and the executor has slept
         assert store.rooms == [(math.inf, 0), (0, 0), (math.inf, 0)]
-
-
-@pytest.mark.parametrize(
-    ("schedule", "room"),
-    [
-        (Schedule(), (math.inf, 0)),
-        (Schedule(concurrency=3, queue=5), (3, 5)),
-        (Schedule(concurrency=3, total=2, queue=5), (2, 5)),
-        (Schedule(concurrency=3, queue=5, when_full="replace"), (3, math.inf)),
-        (Schedule(concurrency=3, when_full="preempt"), (3, math.inf)),
-        (Schedule(concurrency=3, key=lambda _: 1), (math.inf, 0)),
-        (Schedule(concurrency=3, total=2, queue=1, key=lambda _: 1), (2, math.inf)),
-    ],
-)
-async def test_the_room_of_a_schedule_without_goals(schedule: Schedule, room: Any) -> None:
-    assert Scheduler(schedule).capacity() == room
-
-
-async def test_goals_beyond_a_queue_leave_no_room() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=1))
-    for number in range(4):
-        scheduler.restore(GoalID(number.to_bytes(16, "big")), now=0)
-    assert scheduler.capacity() == (0, 0)
 
 
 # Drain

@@ -125,57 +125,6 @@ async def settled() -> None:
 # Waiting
 
 
-async def test_goals_that_wait_while_the_server_stops_are_aborted_and_never_run() -> None:
-    arm = Arm()
-    async with serving(ONE_PLACE, arm) as site:
-        streams = [await site.send(order) for order in (1, 2, 3)]
-        await arm.until_begun(1)
-        await site.server.stop()
-        reasons = [await stream.outcome() for stream in streams]
-    assert reasons == [End(GoalStatus.ABORTED, None, "server stopped")] * 3
-    assert arm.begun == [1]
-
-
-async def test_a_goal_that_is_sent_again_after_its_end_waits_at_the_end_of_the_queue() -> None:
-    arm = Arm()
-    async with serving(ONE_PLACE, arm, result_timeout=0) as site:
-        for order in (1, 2, 3, 4):
-            await site.send(order)
-            arm.let_end(order)
-        await site.cancel(3)
-        again = await site.send(3)  # the same ID, since the server has forgotten the first
-        assert (await again.outcome()).status is GoalStatus.SUCCEEDED
-    assert arm.begun == [1, 2, 4, 3]
-
-
-async def test_a_goal_that_is_ended_before_its_start_frees_its_place() -> None:
-    arm = Arm()
-    async with serving(Schedule(concurrency=1), arm, shutdown_timeout=0) as site:
-        first = await site.send(1)
-        await site.cancel(1)  # its place is taken, and its executor has not begun
-        with pytest.raises(GoalRejected, match=r"busy: 1 of 1 running, 0 of 0 waiting$"):
-            await site.send(2)
-        assert (await first.outcome()).status is GoalStatus.CANCELED
-        await site.send(2)  # a rejection as busy is not kept
-        await arm.until_begun(2)
-    assert arm.begun == [2]
-
-
-async def test_a_goal_that_was_rejected_after_an_async_on_goal_is_accepted_later() -> None:
-    async def on_goal(goal: Goal) -> None:
-        await checkpoint()
-
-    arm = Arm()
-    async with serving(Schedule(concurrency=1), arm, on_goal=on_goal) as site:
-        first = await site.send(1)
-        with pytest.raises(GoalRejected, match="rejected: busy: "):
-            await site.send(2)
-        arm.let_end(1)
-        await first.outcome()
-        await site.send(2)
-        await arm.until_begun(2)
-
-
 @in_virtual_time()
 async def test_very_many_goals_that_have_waited_too_long_are_ended_in_several_turns(
     monkeypatch: pytest.MonkeyPatch,
@@ -243,16 +192,6 @@ async def places(site: Server) -> list[tuple[int, int]]:
     return [(i.place, i.queue_length) for i in infos if i is not None and i.status.is_active]
 
 
-async def test_the_places_of_goals_are_those_when_an_observer_asks() -> None:
-    arm = Arm()
-    async with serving(ONE_PLACE, arm) as site:
-        for order in range(3):
-            await site.send(order)
-        assert await places(site) == [(0, 0), (1, 2), (2, 2)]
-        await site.cancel(1)
-        assert await places(site) == [(0, 0), (1, 1)]
-
-
 async def test_the_places_of_very_many_goals_may_be_a_moment_old(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -264,28 +203,6 @@ async def test_the_places_of_very_many_goals_may_be_a_moment_old(
         assert await places(site) == [(0, 0), (1, 2), (2, 2)]
         await site.send(3)
         assert await places(site) == [(0, 0), (1, 2), (2, 2), (0, 0)]
-
-
-async def test_the_places_are_not_asked_for_while_the_server_stops() -> None:
-    cleaning, go = anyio.Event(), anyio.Event()
-
-    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            cleaning.set()
-            await go.wait()
-        yield Result([])
-
-    async with serving(ONE_PLACE, tidies_up) as site:
-        await site.send(1)
-        await settled()
-        await site.send(2)
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(site.server.stop)
-            await cleaning.wait()
-            assert await places(site) == [(0, 0)]
-            go.set()
 
 
 # Functions that fail
@@ -421,25 +338,6 @@ async def test_the_first_reason_to_end_a_goal_is_told() -> None:
     assert arm.begun == [1]
 
 
-async def test_a_goal_that_has_ended_since_it_was_chosen_is_left_alone() -> None:
-    arm = Arm()
-    async with serving(ONE_PLACE, arm) as site:
-        stream = await site.send(1)
-        arm.let_end(1)
-        outcome = await stream.outcome()
-        site.server._parts.runs.interrupt(site.id_of(1), "too late")
-        assert stream.known_outcome() == outcome
-
-
-async def test_a_goal_that_was_preempted_before_its_start_never_runs() -> None:
-    arm = Arm()
-    async with serving(PREEMPTING, arm) as site:
-        first, _ = await site.send(1), await site.send(2)
-        await arm.until_begun(2)
-        assert await first.outcome() == End(GoalStatus.ABORTED, None, site.preempted_by(2))
-    assert arm.begun == [2]
-
-
 # Killing
 
 
@@ -571,23 +469,6 @@ class Driving(Arm):
             self.ended += 1
 
 
-async def test_the_goal_that_was_taken_over_can_be_canceled_like_any_other() -> None:
-    arm = Driving()
-    async with serving(HANDING_OVER, arm) as site:
-        await site.send(1)
-        await arm.until_begun(1)
-        second = await site.send(2)
-        await settled()
-        arm.looks[1].set()
-        await arm.until_begun(2)
-        await settled()
-        await site.cancel(2)
-        assert (await second.outcome()).status is GoalStatus.CANCELED
-        assert arm.ended == 1
-        await site.send(3)
-        await arm.until_begun(3)
-
-
 async def test_a_canceled_goal_that_is_not_interrupted_may_take_over_and_is_canceled() -> None:
     arm = Driving()
     async with serving(HANDING_OVER, arm, interrupt_on_cancel=False) as site:
@@ -678,19 +559,6 @@ async def test_an_executor_that_was_interrupted_by_a_cancel_cannot_take_over() -
     assert arm.seen == [None, None]
 
 
-async def test_an_executor_cannot_take_over_while_the_server_stops() -> None:
-    arm = Grasping()
-    async with serving(HANDING_OVER, arm) as site:
-        first = await site.send(1)
-        await arm.until_begun(1)
-        second = await site.send(2)
-        await site.server.stop()
-        for stream in first, second:
-            assert await stream.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
-    assert arm.begun == [1]
-    assert arm.seen == [None]
-
-
 async def test_whoever_waits_for_a_successor_is_told_of_it_or_of_the_end() -> None:
     arm = Arm()
     async with serving(HANDING_OVER, arm) as site:
@@ -719,28 +587,6 @@ async def test_whoever_waits_for_a_successor_is_told_of_it_or_of_the_end() -> No
             await settled()
             arm.let_end(1)
         assert (await first.outcome()).status is GoalStatus.SUCCEEDED
-
-
-async def test_whoever_waits_at_a_goal_that_was_taken_over_is_told_of_its_end() -> None:
-    arm = Driving()
-    async with serving(HANDING_OVER, arm) as site:
-        await site.send(1)
-        handle = await arm.until_begun(1)
-        await site.send(2)
-        await site.cancel(2)
-
-        async def wait_in_vain() -> None:
-            with pytest.raises(RuntimeError, match="has ended"):
-                while True:
-                    await handle.wait_for_successor()
-                    await checkpoint()
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait_in_vain)
-            await settled()
-            await site.send(3)
-            arm.looks[1].set()
-        await arm.until_begun(3)
 
 
 async def test_without_a_schedule_a_goal_never_has_a_successor() -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import math
-from collections.abc import Awaitable, Callable, Generator
-from contextvars import copy_context
-from time import perf_counter
+from collections.abc import Awaitable, Callable
 from typing import Any, cast
 from weakref import ref
 
@@ -19,16 +17,15 @@ from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.keeper import Checkpoints, Keeper
 from fibaction.server.execution.executor import Execution, Executor
-from fibaction.server.execution.interruption import CancelOnce, Stepper
-from fibaction.server.execution.turns import EXECUTOR_SLICE
+from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.functions.executor_check import runner_of
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
 from fibaction.words.statuses import GoalEvent, transition
-from tests.support.executors import ABORTED, Items
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.support.forms import FORMS, OF_GENERATORS, as_function
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.forms import FORMS, as_function
 
 pytestmark = pytest.mark.anyio
 
@@ -116,31 +113,6 @@ def packed(sequence: list[int]) -> bytes:
     return FIBONACCI.result.encode(Result(sequence))
 
 
-@pytest.mark.parametrize(
-    ("executor", "reason", "part"), ABORTED, ids=[case[0].__name__ for case in ABORTED]
-)
-async def test_an_executor_that_goes_wrong_has_failed(
-    executor: Executor[Goal, Feedback, Result], reason: str, part: list[int] | None, form: str
-) -> None:
-    if form == "function" and getattr(executor, "__name__", "") in OF_GENERATORS:
-        pytest.skip("a function cannot break this rule of generators")
-    ending = await Bench(executor).run()
-    result = None if part is None else packed(part)
-    if ending.kind is EndKind.CANCELED:
-        # Whether it may say so is the server's to judge.
-        assert ending.result == result
-    else:
-        assert ending == Ending(EndKind.FAILED, result, reason)
-
-
-async def test_a_goal_can_be_canceled_without_a_part() -> None:
-    async def says_so(goal: GoalHandle[Goal]) -> Items:
-        raise GoalCanceled("nothing was done")
-        yield Result([])
-
-    assert await Bench(says_so).run() == Ending(EndKind.CANCELED, None, "nothing was done")
-
-
 @pytest.mark.parametrize("error", [GoalAborted, GoalCanceled])
 async def test_the_error_of_another_goal_that_passes_through_keeps_its_reason(
     error: type[GoalAborted] | type[GoalCanceled], caplog: pytest.LogCaptureFixture
@@ -188,15 +160,6 @@ async def test_what_went_wrong_keeps_nothing_of_its_goal(
         gc.enable()
 
 
-async def test_what_is_to_end_python_itself_is_not_kept_back() -> None:
-    async def exits(goal: GoalHandle[Goal]) -> Items:
-        raise SystemExit(3)
-        yield Feedback([])
-
-    with pytest.raises(SystemExit):
-        await Bench(exits).run()
-
-
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])  # for trio see `_Steps`
 async def test_shielded_clean_up_inside_a_task_group_keeps_no_cancellation_back() -> None:
     cleaned = []
@@ -233,26 +196,6 @@ async def test_a_timeout_within_the_clean_up_ends_there() -> None:
     assert await Bench(retreats).run_and_cancel() == Ending(EndKind.CANCELED, packed([1]))
 
 
-async def test_a_task_group_in_the_clean_up_is_left_in_peace() -> None:
-    done = []
-
-    async def retreats(goal: GoalHandle[Goal]) -> Items:
-        async def wheel(number: int) -> None:
-            await checkpoint()
-            done.append(number)
-
-        try:
-            await anyio.sleep_forever()
-        finally:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(wheel, 1)
-                tasks.start_soon(wheel, 1)
-        yield Result([])
-
-    assert await Bench(retreats).run_and_cancel() == Ending(EndKind.CANCELED)
-    assert done == [1, 1]
-
-
 async def test_a_group_of_cancellations_is_a_cancellation() -> None:
     async def groups(goal: GoalHandle[Goal]) -> Items:
         try:
@@ -277,35 +220,6 @@ async def test_what_goes_wrong_beside_a_cancellation_is_what_went_wrong() -> Non
     )
 
 
-async def test_a_second_interruption_changes_nothing() -> None:
-    go = anyio.Event()
-
-    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            await go.wait()
-        yield Result([])
-
-    bench = Bench(tidies_up)
-
-    async def twice() -> None:
-        bench.cancel()
-        await anyio.wait_all_tasks_blocked()
-        bench.execution.interrupt()
-        await anyio.wait_all_tasks_blocked()
-        assert bench.ending is None
-        go.set()
-
-    assert await bench.run_and(twice) == Ending(EndKind.CANCELED)
-
-
-async def test_killing_what_has_not_begun_does_nothing() -> None:
-    bench = Bench(fibonacci, order=5)
-    bench.execution.kill()
-    assert (await bench.run()).kind is EndKind.RESULT
-
-
 async def test_an_interruption_before_the_start_arrives_at_the_first_await() -> None:
     async def waits(goal: GoalHandle[Goal]) -> Items:
         await anyio.sleep_forever()
@@ -314,108 +228,6 @@ async def test_an_interruption_before_the_start_arrives_at_the_first_await() -> 
     bench = Bench(waits)
     bench.cancel()
     assert await bench.run() == Ending(EndKind.CANCELED)
-
-
-async def test_an_interruption_is_raised_at_the_yield_of_an_executor_that_never_awaits() -> None:
-    async def cancels_itself(goal: GoalHandle[Goal]) -> Items:
-        number = 0
-        while True:
-            number += 1
-            if number == 7:
-                bench.cancel()
-            try:
-                yield Feedback([number])
-            except anyio.get_cancelled_exc_class():
-                raise GoalCanceled(result=Result([number])) from None
-
-    bench = Bench(cancels_itself)
-    assert await bench.run() == Ending(EndKind.CANCELED, packed([7]))
-
-
-async def test_a_yield_waits_while_the_log_is_full_and_can_be_interrupted_there() -> None:
-    bench = Bench(fibonacci, order=20, window=2)
-
-    async def read_a_little() -> None:
-        assert bench.log.count == 2
-        assert await bench.stream.receive() is not None
-        await anyio.wait_all_tasks_blocked()
-        assert bench.log.count == 3
-        bench.cancel()
-
-    assert await bench.run_and(read_a_little) == Ending(EndKind.CANCELED)
-
-
-async def test_a_yield_waits_no_longer_than_the_stall_timeout() -> None:
-    bench = Bench(fibonacci, order=20, window=2, stall_timeout=0.001)
-    assert (await bench.run()).kind is EndKind.RESULT
-    assert await bench.read() == [4181, 6765]
-    assert bench.stream.dropped == 17
-
-
-async def test_a_yield_at_the_end_of_a_slice_lets_other_tasks_run() -> None:
-    async def computes_for_a_slice_at_a_time(goal: GoalHandle[Goal]) -> Items:
-        for number in range(3):
-            slice_end = perf_counter() + EXECUTOR_SLICE
-            while perf_counter() < slice_end:
-                pass
-            yield Feedback([number])
-        yield Result([])
-
-    bench = Bench(computes_for_a_slice_at_a_time)
-    turns: list[int] = []
-
-    async def count_turns() -> None:
-        while bench.ending is None:
-            turns.append(bench.log.count)
-            await checkpoint()
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(bench.run)
-        tasks.start_soon(count_turns)
-    assert not {1, 2}.isdisjoint(turns)
-
-
-async def test_the_handle_tells_what_the_executor_may_know() -> None:
-    bench = Bench(fibonacci, order=4)
-    handle = bench.execution.handle
-    assert handle.request == Goal(4)
-    assert handle.goal_id == bench.goal.goal_id
-    assert handle.stamp == 1
-    assert handle.status is GoalStatus.EXECUTING
-    assert repr(handle) == f"<GoalHandle {bench.goal.goal_id} EXECUTING>"
-    assert not handle.cancel_requested
-    bench.goal.status = GoalStatus.CANCELING
-    assert handle.cancel_requested
-    bench.goal.status = GoalStatus.EXECUTING
-    bench.goal.stop_reason = "the lights are out"
-    assert handle.cancel_requested
-
-
-class Suspend:
-    """What an event loop sees when a coroutine waits."""
-
-    def __await__(self) -> Generator[str, None, None]:
-        yield "waiting"
-
-
-async def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
-    closed = []
-
-    async def waits() -> Ending:
-        try:
-            await Suspend()
-        finally:
-            closed.append(True)
-        raise AssertionError("it was resumed")
-
-    async def main() -> Ending:
-        scopes = CancelOnce(lambda: None)
-        return await Stepper(waits(), scopes, copy_context(), lambda: Ending(EndKind.FAILED))
-
-    running = main()
-    assert running.send(None) == "waiting"
-    running.close()
-    assert closed == [True]
 
 
 # The first mistakes
@@ -445,8 +257,3 @@ def test_a_field_of_the_goal_is_looked_for_in_the_request(
     with pytest.raises(AttributeError) as caught:
         getattr(handle, name)
     assert str(caught.value) == f"a GoalHandle has no attribute {name!r}{hint}"
-
-
-def test_a_handle_that_is_not_complete_has_no_request_to_look_into() -> None:
-    with pytest.raises(AttributeError, match=r"^a GoalHandle has no attribute 'request'$"):
-        _ = GoalHandle.__new__(GoalHandle).status

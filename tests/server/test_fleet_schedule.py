@@ -82,16 +82,6 @@ def starts(*goals: GoalID) -> list[Order]:
 # The scheduler
 
 
-def test_a_goal_waits_until_its_place_is_granted() -> None:
-    one = Played()
-    assert one.offer(A) == []
-    assert one.x() == (0, 1)
-    assert one.scheduler.waiting == 1
-    assert one.grant() == starts(A)
-    assert one.x() == (1, 0)
-    assert one.scheduler.waiting == 0
-
-
 def test_a_place_is_given_back_between_two_goals_of_a_key() -> None:
     one = Played()
     one.offer(A)
@@ -189,31 +179,6 @@ def test_a_full_queue_says_how_many_wait_at_this_worker() -> None:
     with pytest.raises(Busy, match=r"^busy: 1 of 1 waiting at this worker$"):
         one.offer(B)
     assert one.x() == (0, 1)
-
-
-def test_a_goal_that_replaces_another_one_gets_its_place() -> None:
-    one = Played(queue=1, when_full="replace")
-    one.offer(A)
-    ended, *_ = one.offer(B)
-    assert ended.goal_id == A
-    assert one.x() == (0, 1)
-    assert one.grant() == starts(B)
-
-
-def test_without_keys_the_room_of_the_queue_is_known() -> None:
-    one = Played()
-    assert one.scheduler.capacity() == (1, 3)
-    one.scheduler.offer(A, now=0)
-    assert one.scheduler.capacity() == (0, 2)
-
-
-def test_a_goal_of_an_earlier_process_waits_for_a_place_also_in_a_full_queue() -> None:
-    one = Played(queue=1)
-    one.offer(A)
-    assert one.scheduler.restore(B, key=b"x", now=0) == []
-    assert one.grant() == starts(A)
-    one.scheduler.leave(A, 1)
-    assert one.grant() == starts(B)
 
 
 # The settings

@@ -24,11 +24,9 @@ from fibaction import (
     Return,
     action,
 )
-from fibaction.server.execution.executor import Execution
 from fibaction.server.functions import function_action
 from fibaction.testing import run_executor
 from tests.support.matching import End
-from tests.support.memory_store import MemoryStore
 
 pytestmark = pytest.mark.anyio
 
@@ -222,14 +220,6 @@ async def test_an_executor_iterates_over_the_one_of_a_function() -> None:
     assert trial.outcome.result == "drove 3 m in all"
 
 
-async def test_a_server_runs_a_function_without_a_generator_around_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    executor = drive.executor
-    monkeypatch.setattr(Execution, "iterate", None)
-    assert (await run_executor(drive, executor, 3)).feedback == [1, 2, 3]
-
-
 async def test_the_arguments_are_the_fields_the_handle_and_the_report() -> None:
     trial = await run_executor(pick, pick.executor, pick.goal_of("cup", force=0.5))
     assert (trial.feedback, trial.outcome.result) == ([0.5], [0.5, 3])
@@ -277,16 +267,6 @@ async def test_a_result_of_another_type_is_told() -> None:
     assert outcome == End(GoalStatus.ABORTED, None, text)
 
 
-async def test_a_function_keeps_checkpoints_and_goes_on_from_them() -> None:
-    @action("drive", checkpoint=int)
-    async def kept(goal: GoalHandle[int]) -> int:
-        await goal.checkpoint(goal.request)
-        return goal.restored or goal.request
-
-    async with ActionServer(kept, store=MemoryStore()) as server:
-        assert await ActionClient(server, kept).call(5) == 5
-
-
 # Feedback and result of one type
 
 
@@ -313,17 +293,6 @@ async def test_a_mark_that_is_missing_is_told_with_what_to_write() -> None:
         "the executor is wrong: it ended without yielding a result; its feedback and its result"
         " have one type, so mark the result: `Return(...)`"
     )
-
-
-async def test_a_result_after_the_marked_one_is_told() -> None:
-    async def goes_on(goal: GoalHandle[int]) -> AsyncIterator[int | Return[int]]:
-        yield Return(1)
-        yield Return(2)
-
-    count = Action("count", goal=int, feedback=int, result=int)
-    outcome = (await run_executor(count, goes_on, 3)).outcome
-    assert outcome.reason == "the executor is wrong: it yielded a Return after its result"
-    assert outcome.result == 1
 
 
 # Called as functions
@@ -355,15 +324,6 @@ async def test_its_report_may_be_an_async_function_or_a_report() -> None:
 
     trial = await run_executor(twice, twice.executor, 2)
     assert trial.feedback == found == [1, 2]
-
-
-def test_a_plain_function_is_called_without_a_thread() -> None:
-    @action("where")
-    def where(report: Report[int]) -> int:
-        report(1)
-        return threading.get_ident()
-
-    assert where(report=print) == threading.get_ident()
 
 
 # Threads
@@ -416,23 +376,6 @@ async def test_a_check_in_the_event_loop_is_where_a_cancel_arrives_too() -> None
 
     trial = await run_executor(spin, spin.executor, None, cancel_after=2)
     assert trial.outcome == End(GoalStatus.CANCELED, "a part", "")
-
-
-async def test_a_function_that_never_looks_ends_when_it_returns() -> None:
-    go = threading.Event()
-
-    @action("wait")
-    def wait() -> str:
-        go.wait()
-        return "done"
-
-    async with ActionServer(wait) as server:
-        async with ActionClient(server, wait).send_goal(None) as goal:
-            await anyio.wait_all_tasks_blocked()
-            assert (await goal.cancel()).accepted
-            assert goal.status is GoalStatus.CANCELING
-            go.set()
-            assert await goal.outcome() == End(GoalStatus.SUCCEEDED, "done", "")
 
 
 async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> None:

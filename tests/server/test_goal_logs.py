@@ -26,11 +26,9 @@ from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusSt
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server import goal_logs
 from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
-from fibaction.words.errors import GoalKept
 from tests.server.held import Held, packed, result
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.support.memory_store import MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
@@ -362,32 +360,3 @@ async def test_memory_does_not_grow_beyond_the_kept_results() -> None:
     # The hundred kept goals were made before tracing began, and are replaced by traced ones: some
     # 700 bytes each. If each of the 1,500 left only 40 bytes behind, it would be 60,000 more.
     assert after - before < 130_000
-
-
-async def test_a_goal_that_was_let_go_is_not_unknown_while_the_server_stops() -> None:
-    cleaned_up = anyio.Event()
-
-    async def executor(goal: GoalHandle[Goal]) -> Items:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            if goal.request.order == 2:
-                with anyio.CancelScope(shield=True):
-                    await cleaned_up.wait()
-        yield Result([])
-
-    server = ActionServer(FIBONACCI, executor, store=MemoryStore(), at_stop="keep")
-    with anyio.fail_after(5):
-        async with server, anyio.create_task_group() as tasks:
-            quick, slow = GoalID.random(), GoalID.random()
-            for goal_id, order in ((quick, 1), (slow, 2)):
-                await server.send_goal(goal_id, packed(order))
-            with pytest.raises(UnknownGoal):
-                await server.feedback(GoalID.random())
-            await anyio.wait_all_tasks_blocked()
-            tasks.start_soon(server.stop)
-            await anyio.wait_all_tasks_blocked()
-            assert (await server.feedback(slow)).status is GoalStatus.EXECUTING
-            with pytest.raises(GoalKept):
-                await server.feedback(quick)
-            cleaned_up.set()

@@ -10,7 +10,7 @@ from collections.abc import AsyncGenerator
 import anyio
 import pytest
 
-from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalStatus
+from fibaction import Action, ActionClient, ActionServer, GoalHandle
 from tests.support.memory_store import MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
@@ -57,16 +57,3 @@ async def test_a_planned_stop_leaves_a_step_alone_and_the_next_attempt_follows_i
             assert anyio.current_time() - begun < 16
         assert len(await ActionClient(arm, PICK).goals()) == 2
     assert mission.kept == [True]
-
-
-async def test_a_cancel_of_a_goal_cancels_its_step() -> None:
-    async with ActionServer(PICK, pick) as arm:
-        mission = Mission(ActionClient(arm, PICK))
-        async with ActionServer(MISSION, mission) as server:
-            goal = await ActionClient(server, MISSION).send_goal(10)
-            await anyio.sleep(5)
-            await goal.cancel()
-            assert (await goal.outcome()).status is GoalStatus.CANCELED
-        [child] = await ActionClient(arm, PICK).goals()
-        assert child.status is GoalStatus.CANCELED
-    assert mission.kept == [False]

@@ -105,14 +105,6 @@ async def test_a_store_is_given_once_and_before_the_start() -> None:
             other.keep_in(MemoryStore())
 
 
-async def test_a_store_that_is_given_later_keeps_the_goals() -> None:
-    server, store = ActionServer(PAINT, paint), MemoryStore()
-    server.keep_in(store)
-    async with server:
-        assert await client_of(server).call(2) == "painted 2 in attempt 1"
-    assert [goal.status for goal in store.goals.values()] == [GoalStatus.SUCCEEDED]
-
-
 async def test_goals_cannot_be_kept_at_a_stop_without_a_store() -> None:
     server = ActionServer(PAINT, paint, at_stop="keep")
     with pytest.raises(ValueError, match="needs a store"):
@@ -150,15 +142,6 @@ async def test_the_first_checkpoint_without_a_store_is_warned_of(
     assert warnings_in(caplog) == [
         f"action server 'paint' has no store, so goal.checkpoint() keeps nothing: {ADVICE}"
     ]
-
-
-async def test_a_server_with_a_store_warns_of_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    given_later = ActionServer(PAINT, paint, recovery="rerun", at_stop="keep")
-    given_later.keep_in(MemoryStore())
-    for one in (server_with(MemoryStore(), recovery=decide, at_stop="keep"), given_later):
-        async with one as server:
-            await client_of(server).call(2)
-    assert caplog.records == []
 
 
 # Acceptance
@@ -202,36 +185,6 @@ async def test_the_parent_of_a_goal_is_kept_after_its_end() -> None:
         assert info.parent == Parent(ID, "first coat")
 
 
-async def test_a_goal_that_is_accepted_just_as_its_sender_leaves_is_not_held_by_it() -> None:
-    scope = anyio.CancelScope()
-    store = MemoryStore()
-    async with server_with(store, feedback_window=1, stall_timeout=1000) as server:
-        add = server._parts.runs.add
-
-        def add_and_leave(*args: Any, **keywords: Any) -> Any:
-            scope.cancel()
-            return add(*args, **keywords)
-
-        server._parts.runs.add = add_and_leave  # type: ignore[method-assign]  # to meet that turn
-        with scope:
-            await server.send_goal(ID, PAINT.goal.encode(5))
-        goal = await attached(server)
-        begin = current_time()
-        assert await goal.result() == "painted 5 in attempt 1"
-        assert current_time() - begin < 10
-
-
-async def test_a_goal_that_is_sent_when_the_store_has_failed_may_be_sent_again() -> None:
-    store = MemoryStore(lambda _number, _what: Fate.FAILED)
-    with pytest.raises(StoreError, match="broken"):
-        async with server_with(store) as server:
-            with anyio.CancelScope(shield=True):
-                for _ in range(2):
-                    with pytest.raises(GoalKept, match="store has failed"):
-                        await client_of(server).send_goal(1)
-            await anyio.sleep_forever()
-
-
 async def test_a_deadline_goes_on_after_a_restart() -> None:
     deadlines: list[float] = []
 
@@ -251,28 +204,6 @@ async def test_a_deadline_goes_on_after_a_restart() -> None:
 # Goals that belong to another server by now
 
 
-@pytest.mark.parametrize("schedule", [None, Schedule(concurrency=1)], ids=["at once", "scheduled"])
-async def test_a_goal_that_another_server_has_accepted_is_not_accepted_here(
-    schedule: Schedule | None,
-) -> None:
-    store = MemoryStore(lambda number, _what: Fate.TAKEN if number == 1 else Fate.KEPT)
-    async with server_with(store, schedule=schedule) as server:
-        with pytest.raises(ConnectionLost, match="another server has taken"):
-            await client_of(server).send_goal(1)
-        assert await client_of(server).call(1) == "painted 1 in attempt 1"
-
-
-async def test_a_running_goal_that_another_server_has_taken_over_is_interrupted() -> None:
-    store = MemoryStore(lambda _number, what: Fate.TAKEN if what == "checkpoint" else Fate.KEPT)
-    schedule = Schedule(concurrency=1, queue=1)
-    async with server_with(store, schedule=schedule) as server:
-        goal, other = [await client_of(server).send_goal(order) for order in (9, 0)]
-        with pytest.raises(ConnectionLost, match="another server has taken the goal over"):
-            await goal.result()
-        assert await other.result() == "painted 0 in attempt 1"  # its place is free
-        assert [info.goal_id for info in await client_of(server).goals()] == [other.goal_id]
-
-
 async def test_a_waiting_goal_that_another_server_has_taken_over_leaves_its_place() -> None:
     store = MemoryStore()
     async with server_with(store, schedule=Schedule(concurrency=1, queue=1)) as server:
@@ -284,18 +215,6 @@ async def test_a_waiting_goal_that_another_server_has_taken_over_leaves_its_plac
         third = await client_of(server).send_goal(1)
         await first.cancel()
         assert await third.result() == "painted 1 in attempt 1"
-
-
-async def test_a_goal_that_another_server_begins_leaves_its_place() -> None:
-    taken = {"begin": Fate.TAKEN}
-    store = MemoryStore(lambda _number, what: taken.pop(what, Fate.KEPT))
-    async with server_with(store, schedule=Schedule(concurrency=1, queue=2)) as server:
-        first, second, third = [await client_of(server).send_goal(1) for _ in range(3)]
-        assert await first.result() == "painted 1 in attempt 1"
-        with pytest.raises(ConnectionLost):
-            await second.result()
-        with anyio.fail_after(100):
-            assert await third.result() == "painted 1 in attempt 1"
 
 
 # Schedules
@@ -350,22 +269,6 @@ async def test_a_goal_that_is_canceled_while_its_begin_is_written_never_runs() -
         assert await client.call(1) == "painted 1 in attempt 1"
 
 
-async def test_a_goal_that_is_killed_while_its_begin_is_written_gives_its_place_back() -> None:
-    store = MemoryStore()
-    schedule = Schedule(concurrency=1, queue=2, run_timeout=3)
-    async with server_with(store, schedule=schedule, shutdown_timeout=1) as server:
-        client = client_of(server)
-        first, second = [await client.send_goal(order) for order in (1, 2)]
-        store.on_kept = lambda what, _goal: store.hold() if what == "end" else None
-        await first.outcome()
-        await anyio.sleep(10)
-        store.on_kept = lambda _what, _goal: None
-        store.release()
-        assert (await second.outcome()).reason == "took longer than 3 s"
-        server._parts.runs.begin(second.goal_id)  # an order that comes too late
-        assert await client.call(1) == "painted 1 in attempt 1"
-
-
 async def test_a_goal_whose_kill_is_due_before_its_interruption_is_interrupted_first() -> None:
     schedule = Schedule(concurrency=1, when_full="preempt", run_timeout=3)
     store = MemoryStore()
@@ -384,23 +287,6 @@ async def test_a_goal_whose_kill_is_due_before_its_interruption_is_interrupted_f
         store.release()
         with pytest.raises(GoalAborted, match=f"preempted by {newer}"):
             await goal.result()
-
-
-async def test_feedback_of_a_goal_that_was_taken_over_is_told_when_its_begin_is_kept() -> None:
-    store = MemoryStore()
-    schedule = Schedule(concurrency=1, when_full="preempt", handover=5)
-    async with ActionServer(PAINT, wait, store=store, schedule=schedule) as server:
-        client = client_of(server)
-        first = await client.send_goal(9)
-        store.on_kept = lambda what, _goal: store.hold() if what == "accept" else None
-        second = await client.send_goal(7)
-        await anyio.sleep(1)
-        with anyio.move_on_after(1):
-            pytest.fail(f"told {await second.feedback.__anext__()}")
-        store.release()
-        assert await second.feedback.__anext__() == 7
-        assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
-        await second.cancel()
 
 
 @pytest.mark.parametrize("canceled", [False, True])
@@ -441,25 +327,6 @@ async def test_a_schedule_that_rejects_a_stored_goal_ends_it() -> None:
 
 
 # Recovery
-
-
-@pytest.mark.parametrize(
-    ("goal", "reason"),
-    [
-        (stored("three"), "the stored goal does not fit the action any more: Expected `int`"),
-        (stored(checkpoint=b"\xa1x"), "the stored goal does not fit the action any more"),
-    ],
-    ids=["goal", "checkpoint"],
-)
-async def test_a_stored_goal_that_does_not_fit_any_more_is_aborted(
-    goal: StoredGoal, reason: str
-) -> None:
-    store = store_with(goal, stored(number=2))
-    async with server_with(store, unreadable="abort") as server:
-        outcome = await (await attached(server)).outcome()
-        assert outcome.status is GoalStatus.ABORTED
-        assert outcome.reason.startswith(reason)
-        assert await (await attached(server, 2)).result() == "painted 3 in attempt 1"
 
 
 @pytest.mark.promise("KEEP-12")
@@ -515,13 +382,6 @@ async def test_a_goal_that_was_given_up_runs_again_as_a_new_one_from_its_checkpo
         client = ActionClient(server, PAINT)
         assert await (await client.attach(new.goal_id)).result() == "painted 3 in attempt 1"
         assert [one.goal_id for one in await client.goals()] == [kept.goal_id, new.goal_id]
-
-
-async def test_a_canceled_goal_that_does_not_fit_any_more_is_canceled() -> None:
-    goal = stored("three", status=GoalStatus.CANCELING, attempt=1, is_running=True)
-    async with server_with(store_with(goal)) as server:
-        outcome = await (await attached(server)).outcome()
-    assert (outcome.status, outcome.reason) == (GoalStatus.CANCELED, "the server was restarted")
 
 
 @pytest.mark.parametrize(
@@ -689,14 +549,6 @@ async def test_a_goal_whose_fate_was_undecided_at_a_stop_is_decided_on_after_the
     assert inquiry.asked == [3, 3, 3]
 
 
-async def test_a_server_that_stops_ends_a_goal_whose_fate_is_undecided() -> None:
-    store, inquiry = store_with(stored(is_running=True, attempt=1)), Inquiry()
-    async with server_with(store, recovery=inquiry):
-        await anyio.sleep(1)
-    goal = store.goals["paint", ID]
-    assert (goal.status, goal.reason) == (GoalStatus.ABORTED, "server stopped")
-
-
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [
@@ -720,31 +572,6 @@ async def test_a_function_that_answers_something_else_ends_the_goal(
         outcome = await (await attached(server)).outcome()
     assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, None)
     assert outcome.reason.startswith(reason)
-
-
-async def test_a_server_whose_start_is_canceled_leaves_its_goals_in_the_store() -> None:
-    def cancel_start(request: int) -> int:
-        start.cancel()
-        return request
-
-    store = store_with(stored(), stored(number=2))
-    schedule = Schedule(concurrency=1, key=cancel_start)
-    with anyio.CancelScope() as start:
-        async with server_with(store, schedule=schedule, unreadable="abort", at_stop="keep"):
-            pytest.fail("it has started")
-    assert [goal.status for goal in store.goals.values()] == [GoalStatus.ACCEPTED] * 2
-    async with server_with(store, recovery="rerun") as server:
-        assert await (await attached(server)).result() == "painted 3 in attempt 2"
-
-
-async def test_goals_that_come_while_a_server_runs_are_taken_over() -> None:
-    store = MemoryStore()
-    async with server_with(store) as server:
-        goal = stored(is_running=False, attempt=1)
-        store.goals["paint", goal.goal_id] = goal
-        server._parts.recovery.claim(goal)
-        await anyio.sleep(0.5)
-        assert await (await attached(server)).result() == "painted 3 in attempt 2"
 
 
 async def test_an_outcome_is_remembered_as_long_as_a_client_may_need_to_come_back() -> None:
@@ -818,24 +645,6 @@ async def test_calls_that_wait_for_a_store_that_is_too_slow_may_be_made_again() 
         store.release()
 
 
-async def test_a_goal_that_is_sent_again_while_it_is_written_does_not_wait_for_ever() -> None:
-    store = MemoryStore()
-    async with server_with(store, shutdown_timeout=1) as server:
-        store.hold()
-
-        async def send() -> None:
-            with pytest.raises(GoalKept):
-                await server.send_goal(ID, PAINT.goal.encode(1))
-
-        with anyio.fail_after(100):
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(send)
-                tasks.start_soon(send)
-                await anyio.sleep(1)
-                await server.stop()
-        store.release()
-
-
 async def test_a_task_that_waits_for_a_successor_ends_with_its_goal() -> None:
     ended: list[str] = []
 
@@ -858,17 +667,6 @@ async def test_a_task_that_waits_for_a_successor_ends_with_its_goal() -> None:
                 await anyio.sleep(1)
         tasks.cancel_scope.cancel()
     assert ended == ["waits no longer"]
-
-
-async def test_a_goal_whose_begin_cannot_be_written_does_not_hold_the_stop_up() -> None:
-    store = MemoryStore(lambda _number, what: Fate.FAILED if what == "begin" else Fate.KEPT)
-    begin = current_time()
-    with pytest.raises(StoreError):
-        async with server_with(store, schedule=Schedule(concurrency=1, queue=1)) as server:
-            for _ in range(2):
-                await client_of(server).send_goal(1)
-            await anyio.sleep_forever()
-    assert current_time() - begin < 5
 
 
 @pytest.mark.parametrize("at_stop", ["keep", "abort"])
@@ -900,27 +698,6 @@ async def test_a_store_that_fails_while_goals_are_taken_over_is_an_error_of_the_
     with pytest.raises(StoreError, match="broken"):
         async with server_with(store):
             pytest.fail("it has started")
-
-
-async def test_a_checkpoint_after_the_store_has_failed_is_not_written() -> None:
-    errors: list[StoreError] = []
-
-    async def persist(goal: GoalHandle[int]) -> Painting:
-        for _ in range(2):
-            try:
-                with anyio.CancelScope(shield=True):
-                    await goal.checkpoint(1)
-            except StoreError as exc:
-                errors.append(exc)
-        yield "done"
-
-    store = MemoryStore(lambda _number, what: Fate.KEPT if what == "accept" else Fate.FAILED)
-    with pytest.raises(StoreError):
-        async with ActionServer(PAINT, persist, store=store) as server:
-            await client_of(server).send_goal(1)
-            await anyio.sleep_forever()
-    assert len(errors) == 2
-    assert store.writes == 2
 
 
 # Time

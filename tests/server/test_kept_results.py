@@ -75,17 +75,6 @@ def test_a_token_whose_clients_hold_most_together_gives_way_first() -> None:
     assert registry.expire(0.0) == [several[0].goal_id]
 
 
-def test_a_result_that_a_stream_still_has_to_deliver_counts() -> None:
-    registry = GoalRegistry(max_bytes=100)
-    stream = unread(registry, "a", 30)
-    assert (registry.budget.used, registry.results.size, registry.results.unread_size) == (
-        (30,) * 3
-    )
-    assert not registry.has_too_many_bytes
-    del stream
-    assert (registry.budget.used, registry.results.size, registry.results.unread_size) == ((0,) * 3)
-
-
 @pytest.mark.promise("RESULT-9")
 def test_unread_results_are_lost_when_they_are_too_large_together() -> None:
     registry = GoalRegistry(max_bytes=100)
@@ -187,17 +176,3 @@ def test_bytes_that_are_collected_before_the_log_that_is_part_of_them_count_once
     del record, log, cycle
     gc.collect()
     assert (registry.budget.used, registry.results.size, registry.results.unread_size) == ((0,) * 3)
-
-
-def test_the_bytes_of_a_goal_that_has_not_ended_are_no_result() -> None:
-    registry = GoalRegistry(max_bytes=100)
-    held = kept_results.HeldBytes(registry.budget, 10)
-    held.resize(25)
-    assert (registry.budget.used, registry.results.size) == (25, 0)
-
-
-def test_a_client_without_results_has_no_share() -> None:
-    registry = GoalRegistry(max_bytes=100)
-    ended(registry, "a", 10)
-    registry.expire(1e9)
-    assert len(registry.results._shares) == 0

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from functools import partial
-from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -36,7 +34,6 @@ from fibaction.server.life import (
 )
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.errors import ActionError, StoreError
-from fibaction.words.goals import UNKNOWN_SENDER
 from tests.support.memory_store import Fate, MemoryStore
 
 STEPS = Action("steps", goal=int, feedback=int, result=str)
@@ -65,38 +62,6 @@ def test_without_a_store_nothing_is_written_and_the_same_is_told() -> None:
 def test_an_event_that_a_phase_does_not_allow_is_a_bug() -> None:
     with pytest.raises(InvalidStep, match="END cannot happen to a goal in the phase ENDED"):
         LIFE[Phase.ENDED, Event.END]
-
-
-def test_a_goal_that_runs_is_called_first_and_ends_when_its_end_is_kept() -> None:
-    life, effects = Life(LIFE), list[Effect]()
-    life.carry_out(
-        {effect: partial(lambda one, _: effects.append(one), effect) for effect in Effect}
-    )
-    offer = SimpleNamespace(goal=GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER))
-    for event in (
-        Event.ACCEPT,
-        Event.ACCEPTANCE_KEPT,
-        Event.BEGIN,
-        Event.BEGIN_KEPT,
-        Event.EXECUTE,
-        Event.END,
-        Event.END_KEPT,
-    ):
-        life.step(offer, event)
-    assert offer.goal.phase is Phase.ENDED
-    assert effects == [
-        Effect.WRITE_ACCEPTANCE,
-        Effect.TELL_ACCEPTED,
-        Effect.WRITE_BEGIN,
-        Effect.CALL,
-        Effect.TELL_EXECUTING,
-        Effect.WRITE_END,
-        Effect.REMOVE,
-        Effect.TELL_END,
-    ]
-    life.step(offer, Event.LOSE)  # of one that has ended, nothing is to be done any more
-    with pytest.raises(InvalidStep, match="END cannot happen to a goal in the phase LOST"):
-        life.step(offer, Event.END)
 
 
 def test_a_goal_never_goes_back_and_stays_where_it_has_left() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 from collections.abc import AsyncGenerator
-from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 from weakref import ref
@@ -139,21 +138,6 @@ async def test_a_goal_that_is_unknown_or_has_ended_is_not_lost() -> None:
         store.take("paint", GoalID.random())
         again = await client_of(server).attach(goal.goal_id)
         assert await again.result() == "painted 1 in attempt 1"
-
-
-async def test_a_goal_that_is_still_decided_by_the_server_is_not_lost() -> None:
-    store, decide = MemoryStore(), anyio.Event()
-
-    async def wait(_goal: int) -> None:
-        await decide.wait()
-
-    async with server_with(store, on_goal=wait) as server, anyio.create_task_group() as tasks:
-        tasks.start_soon(server.send_goal, ID, PAINT.goal.encode(1))
-        await anyio.sleep(1)
-        store.take("paint", ID)
-        decide.set()
-        await anyio.sleep(0.5)
-        assert await (await client_of(server).attach(ID)).result() == "painted 1 in attempt 1"
 
 
 async def test_the_loss_of_a_goal_whose_executor_was_taken_over_leaves_the_successor() -> None:
@@ -437,29 +421,6 @@ async def test_a_goal_that_comes_back_waits_for_its_old_executor(schedule: Any) 
             assert server._dispatcher._shared.scheduler._entries == {}
 
 
-async def test_a_goal_that_comes_back_and_is_canceled_leaves_the_place_of_its_old_executor() -> (
-    None
-):
-    store, executor = MemoryStore(), CleanUp(3)
-    schedule = Schedule(concurrency=1, queue=1, run_timeout=3.5)
-    async with server_with(store, executor, recovery="rerun", schedule=schedule) as server:
-        await server.send_goal(ID, PAINT.goal.encode(50))
-        await anyio.sleep(1)
-        goal = store.take("paint", ID)
-        assert goal is not None
-        store.give("paint", goal)
-        await anyio.sleep(2.7)  # the time of the old executor is over, which is not the new goal's
-        back = await client_of(server).attach(ID)
-        assert (await back.cancel()).accepted
-        with pytest.raises(GoalCanceled):
-            await back.result()
-        other = await client_of(server).send_goal(0)
-        await anyio.sleep(0.1)
-        assert len(executor.begun) == 1
-        assert await other.result() == "attempt 1"
-        assert executor.begun[1][1] >= executor.ended[0]
-
-
 async def test_a_goal_that_is_lost_before_it_is_taken_over_stays_with_the_other_server() -> None:
     store = MemoryStore()
     async with server_with(store, recovery="rerun") as server:
@@ -470,26 +431,6 @@ async def test_a_goal_that_is_lost_before_it_is_taken_over_stays_with_the_other_
         with pytest.raises(UnknownGoal):
             await client_of(server).attach(ID)
         assert len(await client_of(server).goals()) == 1
-
-
-async def test_a_goal_that_is_lost_while_the_function_decides_stays_with_the_other_server() -> None:
-    runs: list[int] = []
-
-    async def note(goal: GoalHandle[int]) -> Painting:
-        runs.append(goal.attempt)
-        yield ""
-
-    async def decide(goal: GoalHandle[int]) -> None:
-        await anyio.sleep(5)
-
-    store = MemoryStore()
-    async with server_with(store, note, recovery=decide) as server:
-        store.give("paint", stored(is_running=True, attempt=1))
-        await anyio.sleep(1)
-        store.take("paint", ID)
-        await anyio.sleep(10)
-        assert await client_of(server).goals() == []
-    assert runs == []
 
 
 async def test_a_goal_that_is_handed_over_twice_runs_once() -> None:
@@ -523,33 +464,6 @@ async def test_a_goal_that_comes_while_it_is_sent_here_is_that_goal_for_its_send
         store.release()
         await anyio.sleep(3)
         assert results == ["painted 1 in attempt 1"]
-
-
-async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwards() -> None:
-    decide = anyio.Event()
-
-    async def wait(_goal: int) -> None:
-        await decide.wait()
-
-    store = MemoryStore(lambda _number, what: Fate.TAKEN if what == "accept" else Fate.KEPT)
-
-    def keep(goal: StoredGoal) -> None:
-        store.give("paint", goal)  # it is the one that was handed over
-
-    async with server_with(store, on_goal=wait) as server, anyio.create_task_group() as tasks:
-
-        async def send() -> None:
-            with suppress(ConnectionLost):  # or it follows the goal that has come
-                await server.send_goal(ID, PAINT.goal.encode(1))
-
-        tasks.start_soon(send)
-        await anyio.sleep(1)
-        store.give("paint", stored(1))
-        await anyio.sleep(1)
-        store.on_taken = keep
-        decide.set()
-        await anyio.sleep(0.1)
-        assert await (await client_of(server).attach(ID)).result() == "painted 1 in attempt 1"
 
 
 async def test_a_goal_that_waits_for_a_decision_here_is_left_alone_if_the_store_fails() -> None:
@@ -611,20 +525,6 @@ async def test_a_goal_whose_turn_comes_when_the_lease_is_over_never_runs() -> No
     assert executor.begun == []
 
 
-async def test_an_executor_that_shields_itself_goes_on_when_the_lease_is_over() -> None:
-    store, lease = MemoryStore(), current_time() + 1
-
-    async def finish(goal: GoalHandle[int]) -> Painting:
-        with anyio.CancelScope(shield=True):
-            await anyio.sleep(3)
-            await anyio.sleep(3)
-        yield "done"
-
-    store.valid_until = lambda: lease
-    async with server_with(store, finish) as server:
-        assert await client_of(server).call(1) == "done"
-
-
 @pytest.mark.parametrize("is_canceled", [False, True])
 async def test_a_shield_is_left_in_peace_until_it_ends(is_canceled: bool) -> None:
     store, lease, done = MemoryStore(), current_time() + 1, anyio.Event()
@@ -657,27 +557,6 @@ async def test_an_executor_that_does_not_end_when_the_lease_is_over_is_killed() 
             await client_of(server).call(5)
         assert current_time() - begin < 8
     assert executor.ended == []
-
-
-async def test_a_lost_goal_is_interrupted_at_once_when_a_frozen_server_goes_on() -> None:
-    store, steps = MemoryStore(), list[int]()
-    lease = current_time() + 100
-
-    async def step(goal: GoalHandle[int]) -> Painting:
-        await anyio.sleep(5)
-        steps.append(1)
-        yield ""
-
-    store.valid_until = lambda: lease
-    async with server_with(store, step) as server:
-        goal = await client_of(server).send_goal(1)
-        await anyio.sleep(4.9)
-        lease = current_time()
-        store.take("paint", goal.goal_id)
-        await anyio.sleep(1)
-        with pytest.raises(ConnectionLost, match=TAKEN):
-            await goal.result()
-    assert steps == []
 
 
 async def test_the_loss_of_a_goal_that_has_ended_here_is_only_noted() -> None:

@@ -19,17 +19,13 @@ from fibaction import (
     ServerNotFound,
 )
 from fibaction.border.abc import GoalStream
-from fibaction.server import parts
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.turns import Turns
-from fibaction.server.registry.goal_record import Ending, EndKind
-from fibaction.words.errors import GoalKept
-from tests.server.held import Held, packed, result
+from tests.server.held import Held, packed
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.matching import End
-from tests.support.memory_store import MemoryStore
 from tests.support.slices import let_slices_last
 
 pytestmark = pytest.mark.anyio
@@ -150,45 +146,6 @@ async def test_a_server_whose_task_is_itself_canceled_again_and_again_stops_as_a
     assert asyncio.all_tasks() == before
 
 
-@pytest.mark.parametrize("anyio_backend", ["asyncio"])
-async def test_a_stop_of_a_server_that_is_itself_canceled_leaves_no_caller_waiting(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    executor = Tidying()
-    async with ActionServer(FIBONACCI, executor, shutdown_timeout=math.inf) as server:
-        with anyio.fail_after(5):
-            stream = await server.send_goal(GoalID.random(), packed(1))
-            await executor.begun.wait()
-            task = asyncio.create_task(server.stop())
-            await executor.cleaning.wait()
-            task.cancel()
-            await asyncio.wait([task])
-            assert task.cancelled()
-            assert await stream.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
-    assert not executor.is_clean
-    assert "did not stop in time" in caplog.text
-
-
-@pytest.mark.parametrize("anyio_backend", ["asyncio"])
-async def test_a_stop_that_is_canceled_while_it_waits_for_the_store_ends_all_executors() -> None:
-    store, executor = MemoryStore(), Tidying()
-    async with ActionServer(FIBONACCI, executor, store=store, shutdown_timeout=0.5) as server:
-        with anyio.fail_after(5):
-            await server.send_goal(GoalID.random(), packed(1))
-            await executor.begun.wait()
-            store.hold()
-            sending = asyncio.create_task(server.send_goal(GoalID.random(), packed(2)))
-            stopping = asyncio.create_task(server.stop())
-            while server.is_running:
-                await anyio.lowlevel.checkpoint()
-            stopping.cancel()
-            await asyncio.wait([stopping, sending])
-            assert stopping.cancelled()
-            assert isinstance(sending.exception(), GoalKept)
-            assert executor.cleaning.is_set()
-            store.release()
-
-
 async def test_only_a_coroutine_that_runs_is_given_up() -> None:
     scopes = CancelOnce(lambda: None, Turns())
     scopes.abandon()
@@ -196,20 +153,6 @@ async def test_only_a_coroutine_that_runs_is_given_up() -> None:
     scopes.steps = cast("Any", SimpleNamespace(abandon=lambda: given_up.append("it")))
     scopes.abandon()
     assert given_up == ["it"]
-
-
-async def test_a_goal_that_is_stopped_before_its_start_never_runs() -> None:
-    runs = []
-
-    async def counts(goal: GoalHandle[Goal]) -> Items:
-        runs.append(goal)
-        yield Result([])
-
-    async with ActionServer(FIBONACCI, counts) as server:
-        stream = await server.send_goal(GoalID.random(), packed(1))
-        await server.stop()
-        assert (await stream.outcome()).reason == "server stopped"
-    assert runs == []
 
 
 @pytest.mark.promise("EXECUTE-10")
@@ -314,24 +257,3 @@ async def test_a_stop_that_is_itself_canceled_while_it_kills_ends_every_goal() -
             assert task.cancelled()
             reasons = {(await stream.outcome()).reason for stream in streams}
     assert reasons == {"server stopped"}
-
-
-async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Ends:
-        """Ends the other goals in the pause after the first one was killed."""
-
-        async def pause(self) -> None:
-            left = tuple(server._parts.runs._runs.values())
-            if len(left) < 3:
-                for run in left:
-                    server._parts.runs._finish(run, Ending(EndKind.RESULT, result([])))
-                    run.execution.kill()
-
-    monkeypatch.setattr(parts, "Slices", Ends)
-    async with ActionServer(FIBONACCI, Stubborn(), shutdown_timeout=0) as server:
-        streams = await start_many(server, 3)
-        await server.stop()
-        statuses = [(await stream.outcome()).status.name for stream in streams]
-    assert statuses == ["ABORTED", "SUCCEEDED", "SUCCEEDED"]

@@ -23,10 +23,8 @@ from fibaction import (
     GoalStatus,
     LimitReached,
     ServerFailed,
-    ServerNotFound,
     SqliteStore,
     StoreError,
-    UnknownGoal,
     connect,
     serve,
 )
@@ -88,29 +86,6 @@ async def test_the_feedback_of_a_goal_of_the_past_counts_as_dropped(tmp_path: Pa
         assert goal.feedback.dropped == 2
 
 
-async def test_a_goal_of_the_past_has_its_result_after_a_restart_and_over_tcp(
-    tmp_path: Path,
-) -> None:
-    async with painting(tmp_path) as server:
-        goal_id = await ran(ActionClient(server, PAINT), 3)
-    async with painting(tmp_path) as server, serve(server, "tcp://127.0.0.1:0") as (url,):
-        async with connect(url, PAINT) as client:
-            assert await (await client.attach(goal_id)).outcome() == PAINTED
-            with pytest.raises(UnknownGoal):
-                await client.attach(GoalID.random())
-
-
-async def test_a_goal_that_the_server_remembers_is_not_read_from_the_history(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with painting(tmp_path) as server:
-        client = ActionClient(server, PAINT)
-        async with client.send_goal(3) as goal:
-            monkeypatch.setattr(server._parts.past, "_find", None)
-            followed = await client.attach(goal.goal_id)
-            assert await followed.outcome() == PAINTED
-
-
 async def test_the_endpoints_of_a_server_have_its_history(tmp_path: Path) -> None:
     async with painting(tmp_path) as server, serve(server, "inproc://past"):
         await ran(ActionClient(server, PAINT), 3)
@@ -126,13 +101,6 @@ async def test_a_server_without_a_store_has_no_past() -> None:
         goal_id = await ran(ActionClient(server, PAINT), 3)
         assert await server.past_goals(PastPage()) == []
         assert await server.get_result(goal_id) == UNKNOWN_OUTCOME
-
-
-async def test_a_server_that_has_stopped_tells_nothing_of_the_past(tmp_path: Path) -> None:
-    async with painting(tmp_path) as server:
-        pass
-    with pytest.raises(ServerNotFound):
-        await server.past_goals(PastPage())
 
 
 async def test_goals_of_the_past_are_read_as_far_as_there_is_room_for_their_bytes(

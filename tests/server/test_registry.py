@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import weakref
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 from unittest.mock import create_autospec
@@ -35,9 +33,7 @@ from fibaction.words.goals import (
     GoalID,
     GoalInfo,
     Outcome,
-    Parent,
     Sender,
-    digest_of,
 )
 from fibaction.words.statuses import GoalStatus
 from tests.support.matching import End
@@ -96,12 +92,6 @@ def finish(
     return outcome
 
 
-def test_a_new_goal_has_not_ended_and_nothing_stops_it() -> None:
-    goal = accepted(GoalRegistry(), A)
-    assert (goal.ended_at, goal.stop_reason, goal.outcome, goal.feedback_count) == (0, "", None, 0)
-    assert (goal.stored, goal.changed) == (None, 0)
-
-
 def infos(registry: GoalRegistry) -> list[GoalInfo]:
     return [goal.info_as(goal.status) for goal in registry.goals()]
 
@@ -126,54 +116,6 @@ def rejection_of(registry: GoalRegistry, goal_id: GoalID, payload: bytes, *, now
 # Accepting
 
 
-def test_goals_may_be_admitted_up_to_the_limit_of_undecided_and_active_ones() -> None:
-    registry = GoalRegistry(max_goals=3)
-    accepted(registry, A)
-    registry.admit(B, b"", now=0.0)
-    assert registry.goals_left == 1
-
-
-def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
-    registry = GoalRegistry()
-    assert registry.admit(A, b"x", now=0.0) is Verdict.DECIDE
-    assert registry.is_undecided(A)
-    assert infos(registry) == []
-    goal = registry.prepare(A, stamp=7, sender=UNKNOWN_SENDER)
-    assert registry.is_undecided(A)
-    registry.accept(goal)
-    assert not registry.is_undecided(A)
-    assert goal.info == GoalInfo(A, 7, GoalStatus.ACCEPTED)
-    assert goal.outcome is None
-    assert goal.feedback_count == 0
-    assert goal.deadline == math.inf
-    assert registry.find(A, now=0.0) is goal
-    assert infos(registry) == [goal.info]
-
-
-def test_the_list_of_goals_names_the_sender_of_each_as_far_as_it_is_known() -> None:
-    registry = GoalRegistry()
-    accepted(registry, A)
-    registry.admit(B, b"x", now=0.0)
-    registry.accept(registry.prepare(B, stamp=1, sender=Sender("10.0.0.7:51234")))
-    assert [info.client for info in infos(registry)] == ["", "10.0.0.7:51234"]
-
-
-def test_a_goal_has_a_place_in_the_list_while_it_is_accepted() -> None:
-    registry = GoalRegistry()
-    goal = accepted(registry, A)
-    goal.place = (2, 5)
-    assert goal.info == GoalInfo(A, goal.stamp, GoalStatus.ACCEPTED, 0, "", 2, 5)
-    registry.execute(goal)
-    info = goal.info_as(goal.status)
-    assert (info.place, info.queue_length) == (0, 0)
-
-
-def test_a_status_that_is_still_being_written_is_not_told() -> None:
-    goal = canceling(GoalRegistry(), A)
-    goal.told_status = GoalStatus.EXECUTING
-    assert (goal.status, goal.info.status) == (GoalStatus.CANCELING, GoalStatus.EXECUTING)
-
-
 def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
     assert not hasattr(accepted(GoalRegistry(), A), "__dict__")
 
@@ -190,22 +132,6 @@ def test_a_rejected_goal_sent_again_gets_the_same_reason() -> None:
     assert error.code is RejectionCode.UNREADABLE
     assert rejection_of(registry, A, b"x", now=10.9) == "too far"
     assert rejection_of(registry, A, b"other", now=10.9) == IN_USE
-
-
-def test_a_rejection_that_is_forgotten_takes_no_memory_any_more() -> None:
-    class Reason(str):
-        """Unlike a plain `str` it can be watched."""
-
-    registry = GoalRegistry(result_timeout=10.0)
-    registry.admit(A, b"x", now=0.0)
-    reason = Reason("too far")
-    watched = weakref.ref(reason)
-    registry.reject(A, reason, now=1.0)
-    del reason
-    registry.expire(10.9)
-    assert watched() is not None
-    registry.expire(11.0)
-    assert watched() is None
 
 
 @pytest.mark.promise("ACCEPT-12")
@@ -228,13 +154,6 @@ def test_stamps_increase_even_if_the_clock_is_set_back() -> None:
 
 
 # Running
-
-
-def test_what_an_executor_left_behind_does_not_change() -> None:
-    ending = Ending(EndKind.FAILED)
-    assert (ending.result, ending.reason) == (None, "")
-    with pytest.raises(AttributeError):
-        setattr(ending, "reason", "another")  # noqa: B010 - mypy refuses the plain assignment
 
 
 # Cancelling: the four rules of `action_msgs/srv/CancelGoal`
@@ -399,47 +318,6 @@ def test_unless_told_twenty_thousand_goals_and_256_mebibytes_are_the_limits() ->
     assert registry.busy == "busy: 20000 goals are active, the limit is 20000"
 
 
-@pytest.mark.parametrize("reach", [accepted, executing, canceling])
-def test_goals_that_are_undecided_or_active_count_and_others_do_not(
-    reach: Callable[[GoalRegistry, GoalID], GoalRecord],
-) -> None:
-    registry = GoalRegistry(max_goals=2)
-    ended(registry, D)
-    reach(registry, A)
-    registry.admit(B, b"", now=0.0)
-    assert registry.busy == ""
-    registry.admit(C, b"", now=0.0)
-    assert registry.busy == "busy: 2 goals are active, the limit is 2"
-    registry.withdraw(C)
-    assert registry.busy == ""
-
-
-def test_a_goal_that_is_over_the_bytes_is_to_be_rejected_unless_results_can_make_room() -> None:
-    registry = GoalRegistry(max_bytes=10)
-    goal = accepted(registry, A, payload=b"1234")
-    registry.admit(B, b"123456", now=0.0)
-    assert registry.busy == ""
-    registry.admit(C, b"7", now=0.0)
-    assert registry.busy == "busy: goals and feedback would take 11 bytes, the limit is 10"
-    registry.withdraw(C)
-    registry.execute(goal)
-    finish(registry, goal, Ending(EndKind.RESULT, b"result", "why"), now=0.0)
-    assert registry.budget.used == 15
-    assert registry.busy == ""
-    assert registry.expire(0.0) == [A]
-    assert registry.budget.used == 6
-    assert goal.outcome is None
-    registry.reject(B, "no", now=0.0)
-    assert registry.budget.used == 0
-
-
-def test_goals_alone_that_take_too_many_bytes_let_nothing_expire() -> None:
-    registry = GoalRegistry(max_bytes=10)
-    accepted(registry, A, payload=bytes(11))
-    assert registry.expire(1e9) == []
-    assert registry.find(A, now=1e9) is not None
-
-
 def test_the_sentence_about_bytes_does_not_count_results() -> None:
     registry = GoalRegistry(max_bytes=10)
     for one in (A, B):
@@ -458,31 +336,6 @@ def test_results_of_any_number_are_not_counted_as_goals() -> None:
         restored.restore(stored(number, status=GoalStatus.ABORTED, result=b"done"), until=5.0)
     assert restored.budget.used == 8
     assert not restored.has_too_many_bytes
-
-
-def test_a_goal_keeps_the_deadline_that_its_client_gave() -> None:
-    registry = GoalRegistry()
-    registry.admit(A, b"", now=0.0)
-    assert registry.prepare(A, stamp=1, sender=UNKNOWN_SENDER, deadline=5.0).deadline == 5.0
-
-
-def test_the_oldest_results_give_way_until_the_rest_is_within_the_bytes() -> None:
-    registry = GoalRegistry(max_bytes=8)
-    for number in (B, A, C):
-        ended(registry, number)  # b"done", four bytes
-    assert registry.expire(0.0) == [B]
-    assert registry.find(A, now=0.0) is not None
-
-
-def test_a_result_counts_until_it_is_forgotten_and_no_one_else_has_it() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    goal = ended(registry, A)
-    held = goal.held
-    registry.expire(10.0)
-    assert goal.held is None
-    assert registry.budget.used == 4
-    del held
-    assert registry.budget.used == 0
 
 
 def test_a_goal_id_used_again_gives_back_the_bytes_of_the_expired_goal() -> None:
@@ -855,17 +708,6 @@ def test_an_ended_goal_is_restored_with_its_outcome_until_its_time_is_over() -> 
     assert registry.budget.used == 0
 
 
-def test_a_restored_goal_is_that_of_the_earlier_process() -> None:
-    registry = GoalRegistry()
-    sender = Sender("robot", b"owner", "here")
-    kept = StoredGoal(A, 7, sender, digest_of(b"goal"), b"goal")
-    goal = registry.restore(kept, deadline=5.0)
-    assert registry.admit(A, b"goal", now=0.0) is Verdict.REPEAT
-    assert (goal.stamp, goal.sender, goal.deadline) == (7, sender, 5.0)
-    assert goal.stored is kept
-    assert registry.restore(stored(2)).deadline == math.inf
-
-
 def test_the_labels_of_a_goal_are_told_and_count_until_it_is_forgotten() -> None:
     registry = GoalRegistry(result_timeout=1.0)
     registry.admit(A, b"goal", now=0.0)
@@ -879,15 +721,6 @@ def test_the_labels_of_a_goal_are_told_and_count_until_it_is_forgotten() -> None
     assert registry.budget.used == 0
     restored = registry.restore(stored(2, meta={"order": "18"}))
     assert (restored.info.labels, registry.budget.used) == ({"order": "18"}, 7)
-
-
-def test_a_restored_goal_has_the_parent_that_its_meta_names() -> None:
-    registry = GoalRegistry()
-    child = registry.restore(stored(1, meta={"parent": str(A), "step": "pick"}))
-    ended = stored(2, status=GoalStatus.ABORTED, meta={"parent": str(B)})
-    assert child.info.parent == Parent(A, "pick")
-    assert registry.restore(ended, until=5.0).info.parent == Parent(B)
-    assert registry.restore(stored(3)).info.parent is None
 
 
 @pytest.mark.parametrize(
@@ -907,28 +740,6 @@ def test_a_restored_goal_takes_the_bytes_of_what_is_kept(fields: dict[str, Any],
     assert registry.budget.used == size
 
 
-def test_the_list_of_goals_follows_those_that_are_restored_and_released() -> None:
-    registry = GoalRegistry()
-    assert registry.goals() == ()
-    active = registry.restore(stored(1))
-    assert registry.goals() == (active,)
-    ended = registry.restore(stored(2, status=GoalStatus.ABORTED), until=5.0)
-    assert [(goal, goal.info.status) for goal in registry.goals()] == [
-        (ended, GoalStatus.ABORTED),
-        (active, GoalStatus.ACCEPTED),
-    ]
-    registry.release(active)
-    assert registry.goals() == (ended,)
-
-
-def test_a_goal_that_is_released_holds_no_bytes_while_it_is_still_listed() -> None:
-    registry = GoalRegistry()
-    goal = accepted(registry, A, payload=b"12")
-    registry.release(goal)
-    assert goal.held is None
-    assert registry.budget.used == 0
-
-
 def test_an_outcome_without_a_time_is_not_remembered() -> None:
     registry = GoalRegistry()
     goal = registry.restore(stored(1, status=GoalStatus.ABORTED))
@@ -943,12 +754,6 @@ def test_the_end_of_a_restored_goal_is_remembered_at_least_until_its_time() -> N
     assert registry.find(goal.goal_id, now=50.0) is None
 
 
-def test_stamps_go_on_behind_those_of_restored_goals() -> None:
-    registry = GoalRegistry()
-    registry.restore(stored(7))
-    assert accepted(registry, A, stamp=3).stamp == 8
-
-
 def test_an_outcome_that_is_restored_again_counts_once() -> None:
     registry = GoalRegistry(result_timeout=100.0)
     ended = stored(1, status=GoalStatus.SUCCEEDED, result=b"result", reason="why")
@@ -958,25 +763,6 @@ def test_an_outcome_that_is_restored_again_counts_once() -> None:
     assert not registry.is_active(goal_id(1))
     registry.expire(6.0)
     assert registry.results.size == 0
-
-
-def test_a_goal_that_is_lost_while_it_is_canceled_is_not_in_the_answer() -> None:
-    registry = GoalRegistry()
-    goal = registry.restore(stored(1))
-    cancellation = registry.cancel(goal_id(1), None, now=0.0)
-    assert cancellation.accept(goal)
-    cancellation.leave_out(goal)
-    answer = cancellation.answer()
-    assert (answer.return_code, answer.goals_canceling) == (CancelCode.UNKNOWN_GOAL_ID, ())
-
-
-def test_a_goal_that_goes_on_in_another_attempt_is_kept_unless_it_is_canceled() -> None:
-    goal = GoalRecord(GoalID(bytes(15) + b"1"), b"", 1, UNKNOWN_SENDER)
-    assert not goal.is_kept
-    goal.goes_on = True
-    assert goal.is_kept
-    goal.status = GoalStatus.CANCELING
-    assert not goal.is_kept
 
 
 @pytest.mark.parametrize("is_accepted", [True, False])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import threading
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable
 from contextlib import asynccontextmanager
-from typing import Any, cast
+from typing import Any
 
 import anyio
 import pytest
@@ -54,19 +54,6 @@ async def feedback_of(function: Any, goal: int = 3, *, window: int = 64) -> list
     return found
 
 
-async def test_a_helper_reports_without_its_caller() -> None:
-    async def helper(report: Report[int], number: int) -> None:
-        await report(number)
-
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        for number in range(goal):
-            await helper(report, number)
-        return "done"
-
-    assert await feedback_of(count) == [0, 1, 2]
-
-
 async def test_what_a_report_returns_is_awaited_at_any_time_and_in_any_task() -> None:
     @action("count")
     async def count(goal: int, report: Report[int]) -> str:
@@ -78,19 +65,6 @@ async def test_what_a_report_returns_is_awaited_at_any_time_and_in_any_task() ->
         async with anyio.create_task_group() as tasks:
             for number in range(goal):
                 tasks.start_soon(wait_for, report(number))
-        return "done"
-
-    assert await feedback_of(count) == [0, 1, 2]
-
-
-async def test_a_callback_reports_without_an_await() -> None:
-    def library(number: int, on_progress: Callable[[int], object]) -> None:
-        for done in range(number):
-            on_progress(done)
-
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        library(goal, report)
         return "done"
 
     assert await feedback_of(count) == [0, 1, 2]
@@ -325,32 +299,6 @@ async def test_a_cancel_ends_the_wait_of_a_thread_for_a_reader_that_does_not_rea
             assert (await goal.outcome()).status is GoalStatus.CANCELED
 
 
-async def test_a_cancel_that_a_thread_swallows_does_not_come_again() -> None:
-    @action("count")
-    def count(goal: int, report: Report[int]) -> str:
-        for number in range(goal):
-            try:
-                report(number)
-            except GoalCanceled:
-                return f"stopped at {'nothing' if report(-1) is None else 'once'}"
-        return "done"
-
-    outcome = await canceled_at_the_first(count, window=64)
-    assert outcome == End(GoalStatus.SUCCEEDED, "stopped at once", "")
-
-
-async def test_a_wrong_type_is_told_where_it_is_reported() -> None:
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        await report(cast("int", "one"))
-        return "done"
-
-    async with client_of(count) as client:
-        outcome = await (await client.send_goal(1)).outcome()
-    assert outcome.status is GoalStatus.ABORTED
-    assert outcome.reason == "TypeError: feedback of action 'count' is not of its type: it is a str"
-
-
 async def test_after_the_end_a_report_raises_one_error() -> None:
     kept: list[Any] = []
 
@@ -370,56 +318,3 @@ async def test_after_the_end_a_report_raises_one_error() -> None:
         await to_thread.run_sync(report, 2)
     with pytest.raises(RuntimeError, match=r"the executor of goal \w+ does not run"):
         handle.check()
-
-
-async def test_a_task_that_waits_for_its_turn_at_the_end_gets_that_error_too() -> None:
-    late: list[Awaitable[None]] = []
-
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        async def wait() -> None:
-            await report(0)
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            late.append(report(1))
-        return "done"
-
-    async with client_of(count, window=1) as client:
-        async with client.send_goal(1) as goal:
-            await anyio.wait_all_tasks_blocked()
-            assert [number async for number in goal.feedback] == [0, 1]
-    with pytest.raises(RuntimeError, match="whose function has ended"):
-        await late[0]
-
-
-def test_a_report_of_an_event_loop_that_has_ended_raises_an_error(anyio_backend: Any) -> None:
-    kept: list[Report[int]] = []
-    go, gone = threading.Event(), threading.Event()
-    errors: list[str] = []
-
-    def later(report: Report[int]) -> None:
-        go.wait()
-        try:
-            report(1)
-        except RuntimeError as exc:
-            errors.append(str(exc))
-        gone.set()
-
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        kept.append(report)
-        threading.Thread(target=later, args=(report,)).start()
-        return "done"
-
-    async def main() -> None:
-        running: list[Any] = []
-        async with client_of(count) as client:
-            await client.call(1)
-        assert not running
-
-    anyio.run(main, backend=anyio_backend)
-    go.set()
-    assert gone.wait(5)
-    assert errors == ["this report is of a goal whose function has ended"]

@@ -9,41 +9,13 @@ from typing import Any
 import pytest
 
 from fibaction import ActionServer, Schedule
-from fibaction.words.goals import Sender
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
 WORDS = "when_full is 'reject', 'preempt' or 'replace', not "
 
 
-def by_sender(goal: Goal, sender: Sender) -> int:
-    return len(sender.name)
-
-
 async def waits(goal: Goal) -> int:
     return 1
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"concurrency": 1},
-        {"concurrency": 1, "queue": 0},
-        {"total": 1, "queue": 1},
-        {"concurrency": 4, "total": 2},
-        {"total": 1, "when_full": "preempt"},
-        {"concurrency": 1, "when_full": "preempt", "handover": math.inf},
-        {"concurrency": 1, "when_full": "replace", "queue": 1},
-        {"key": str},
-        {"concurrency": 1, "priority": by_sender},
-        {"concurrency": 1, "queue": 1, "queue_timeout": 0.1},
-        {"concurrency": 1, "when_full": "preempt", "queue_timeout": 0.1},
-        {"run_timeout": 1},
-        {"queue_timeout": math.inf, "run_timeout": math.inf, "handover": 0},
-    ],
-)
-def test_a_schedule_has_any_of_its_rules(settings: Any) -> None:
-    ActionServer(FIBONACCI, fibonacci, schedule=Schedule(**settings))
 
 
 @pytest.mark.parametrize(
@@ -124,9 +96,3 @@ def test_a_server_takes_no_other_object_for_a_schedule() -> None:
     rules: Any = {"concurrency": 1}
     with pytest.raises(TypeError, match=re.escape(f"schedule is a Schedule, not {rules}")):
         ActionServer(FIBONACCI, fibonacci, schedule=rules)
-
-
-def test_a_schedule_does_not_change() -> None:
-    schedule = Schedule(concurrency=1)
-    with pytest.raises(AttributeError):
-        schedule.concurrency = 2  # type: ignore[misc]  # it is the mistake that is tested

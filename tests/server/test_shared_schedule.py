@@ -100,19 +100,6 @@ async def test_a_goal_preempts_that_of_another_action() -> None:
         assert (await second.outcome()).status is GoalStatus.SUCCEEDED
 
 
-async def test_a_goal_that_has_ended_meanwhile_is_not_interrupted_for_one_of_another_action() -> (
-    None
-):
-    schedule, store = Schedule(concurrency=1, when_full="preempt"), MemoryStore()
-    async with server(MOVE, schedule) as move, server(GRASP, schedule, store=store) as grasp:
-        first = await client(move).send_goal(1)
-        store.hold()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(client(grasp).call, 1)
-            assert (await first.outcome()).status is GoalStatus.SUCCEEDED
-            store.release()
-
-
 async def test_an_executor_cannot_take_over_a_goal_of_another_action() -> None:
     seen: list[object] = []
 

@@ -111,23 +111,6 @@ async def test_a_job_that_waits_keeps_no_other_from_being_done() -> None:
         assert sorted(bench.done[10:]) == [-9, -7, -5, -3, -1]
 
 
-async def test_jobs_that_wait_at_the_same_time_have_tasks_of_their_own() -> None:
-    async with running() as bench:
-        for number in range(1, 6):
-            bench.add_waiting(number)
-        await bench.all_done(5)
-        assert len(set(bench.tasks)) == 5
-        bench.go_on.set()
-
-
-async def test_a_task_that_is_through_takes_a_later_job() -> None:
-    async with running() as bench:
-        for number in range(5):
-            bench.add(number)
-            await bench.all_done(number + 1)
-        assert len(set(bench.tasks)) == 1
-
-
 async def test_not_more_than_some_idle_tasks_are_kept() -> None:
     async with running() as bench:
         for number in range(1, MOST_IDLE + 10):
@@ -187,46 +170,6 @@ async def test_an_interruption_arrives_even_if_the_task_is_known_only_later() ->
         await anyio.wait_all_tasks_blocked()
         scopes.run_by(task)
         await task.wait()
-
-
-async def test_a_job_that_spends_its_task_leaves_the_next_ones_to_another() -> None:
-    async with running() as bench:
-
-        async def job(scopes: CancelOnce) -> None:
-            scopes.kill()
-            bench.note(1)
-
-        bench.crew.add(job)
-        bench.add(2)
-        bench.add(3)
-        await bench.all_done(3)
-        assert bench.done == [1, 2, 3]
-        assert bench.tasks[0] != bench.tasks[1] == bench.tasks[2]
-
-
-async def test_killing_cancels_what_is_awaited_after_an_interruption() -> None:
-    async with running() as bench:
-        all_scopes: list[CancelOnce] = []
-
-        async def job(scopes: CancelOnce) -> None:
-            all_scopes.append(scopes)
-            scopes.on_wait()
-            try:
-                await anyio.sleep_forever()
-            finally:
-                scopes.rest.shield = True  # what the executor does for its clean-up
-                bench.note(1)
-                try:
-                    await anyio.sleep_forever()
-                finally:
-                    bench.note(2)
-
-        bench.crew.add(job)
-        await anyio.wait_all_tasks_blocked()
-        all_scopes[0].interrupt()
-        await bench.all_done(1)
-        all_scopes[0].kill()
-        await bench.all_done(2)
 
 
 async def test_jobs_that_never_wait_let_others_have_their_turns() -> None:
@@ -333,16 +276,6 @@ async def test_a_job_is_given_up_once() -> None:
     assert given_up == ["it"]
 
 
-async def test_a_job_without_steps_is_left_behind_as_it_is() -> None:
-    async with running(grace=0.01) as bench:
-        bench.add_waiting(1)
-        await bench.all_done(1)
-    assert bench.done == [1]
-    bench.go_on.set()
-    await anyio.wait_all_tasks_blocked()
-    assert bench.done == [1, -1]
-
-
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
 async def test_a_program_ends_in_spite_of_executors_that_do_not(backend: str) -> None:
     command = [sys.executable, "-m", "tests.support.refusing", backend]
@@ -356,14 +289,6 @@ async def test_a_program_ends_in_spite_of_executors_that_do_not(backend: str) ->
     for executor in REFUSING:
         assert f"of action {executor.__name__!r}: its executor does not end" in err
     assert "Traceback" not in err
-
-
-async def test_closing_ends_the_tasks_that_are_through_later_too() -> None:
-    async with running() as bench:
-        bench.add_waiting(1)
-        await bench.all_done(1)
-        bench.crew.close()
-        bench.go_on.set()
 
 
 async def test_what_a_job_raises_goes_on() -> None:

@@ -48,13 +48,6 @@ async def test_one_goes_on_in_each_turn_and_keys_take_turns() -> None:
     assert 20 <= seen[:60].count("few") <= 31
 
 
-async def test_one_that_is_alone_goes_on_in_the_next_turn() -> None:
-    turns = Turns()
-    with anyio.fail_after(5):
-        for _ in range(3):
-            await turns.pause("a")
-
-
 async def test_those_that_are_canceled_keep_no_other_waiting() -> None:
     turns = Turns()
     went_on: list[str] = []
@@ -130,43 +123,6 @@ async def test_executors_that_are_woken_at_once_go_on_one_after_another() -> Non
 
 
 # The queue in which keys take turns
-
-
-def test_items_of_one_key_keep_their_order() -> None:
-    queue: FairQueue[int] = FairQueue()
-    for number in range(5):
-        queue.append(number, "a")
-    assert [queue.popleft() for _ in range(5)] == list(range(5))
-    assert queue.count == 0
-
-
-def test_a_key_with_one_item_waits_for_one_item_of_each_other_key() -> None:
-    queue: FairQueue[str] = FairQueue()
-    for number in range(10_000):
-        queue.append(f"a{number}", "a")
-    queue.append("b0", "b")
-    queue.append("c0", "c")
-    assert [queue.popleft() for _ in range(5)] == ["a0", "b0", "c0", "a1", "a2"]
-
-
-def test_a_key_that_was_alone_and_has_no_items_left_is_passed_over_and_forgotten() -> None:
-    queue: FairQueue[str] = FairQueue()
-    queue.append("a0", "a")
-    assert queue.popleft() == "a0"
-    queue.append("b0", "b")
-    queue.append("b1", "b")
-    assert [queue.popleft(), queue.popleft()] == ["b0", "b1"]
-    assert list(queue._items) == ["b"]
-
-
-def test_an_empty_queue_has_nothing_to_give() -> None:
-    queue: FairQueue[int] = FairQueue()
-    with pytest.raises(IndexError):
-        queue.popleft()
-    queue.append(1, "a")
-    queue.popleft()
-    with pytest.raises(IndexError):
-        queue.popleft()
 
 
 @given(st.lists(st.one_of(st.none(), st.integers(0, 3))))

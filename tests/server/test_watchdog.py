@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 from contextvars import copy_context
 from functools import partial
-from types import FunctionType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import anyio
@@ -156,17 +156,6 @@ async def test_the_time_between_steps_does_not_count(bench: Bench) -> None:
     assert bench.told == []
 
 
-async def test_each_step_that_blocks_is_named(bench: Bench) -> None:
-    steps = bench.executor("a", lambda: bench.check(2))
-    steps.send(None)
-    assert bench.told == [blocks("a", "2.0")]
-    steps.throw(ValueError())
-    assert bench.told == [blocked("a", "4.0")]  # told late, since no check came between them
-    bench.check()
-    steps.throw(ValueError())
-    assert bench.told == [blocks("a", "2.0")]
-
-
 async def test_of_two_steps_the_inner_one_is_named_and_then_the_outer_one(
     bench: Bench,
 ) -> None:
@@ -193,15 +182,6 @@ async def test_of_steps_of_two_servers_only_the_inner_one_is_named(bench: Bench)
     bench.watch = outer
     bench.executor("a", lambda: inner.send(None)).send(None)
     assert bench.told == []
-
-
-async def test_an_inner_step_into_which_an_error_is_thrown_gives_way_to_the_outer(
-    bench: Bench,
-) -> None:
-    steps = bench.executor("a", lambda: None)
-    steps.send(None)
-    bench.executor("b", lambda: steps.throw(ValueError())).send(None)
-    assert bench.watch.current.steps is None
 
 
 async def test_the_goal_that_an_executor_has_taken_over_is_named(bench: Bench) -> None:
@@ -392,27 +372,6 @@ async def test_an_executor_that_blocks_is_named_with_its_line_and_the_innermost_
     )
 
 
-def in_the_library(function: Callable[[], Any]) -> Callable[[], Any]:
-    """Return a function as one of fibaction's own."""
-    own = cast("FunctionType", function)
-    there = {**own.__globals__, "__name__": "fibaction.testing"}
-    return FunctionType(own.__code__, there, closure=own.__closure__)
-
-
-async def test_the_innermost_line_is_named_if_all_are_of_the_library() -> None:
-    def body() -> None:
-        places.append(watchdog_module._places_in(threading.get_ident()))
-
-    async def run() -> None:
-        in_the_library(body)()
-
-    places: list[list[watchdog_module._Place]] = []
-    steps = Stepper(in_the_library(run)(), CancelOnce(lambda: None), copy_context(), lambda: None)
-    await steps
-    ((place,),) = places
-    assert place.function == watchdog_module._frame_of.__name__
-
-
 async def test_no_place_is_named_where_no_step_runs() -> None:
     assert watchdog_module._places_in(threading.get_ident()) == []
     assert watchdog_module._places_in(0) == []
@@ -474,30 +433,6 @@ async def thread_sleeps() -> None:
             await checkpoint()
 
 
-async def test_a_server_with_a_smaller_limit_than_the_others_is_watched_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    checked = threading.Event()
-    check = Watchdog.check
-
-    def check_and_tell(self: Watchdog, now: float) -> float:
-        pause = check(self, now)
-        checked.set()
-        return pause
-
-    monkeypatch.setattr(Watchdog, "check", check_and_tell)
-
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        await anyio.sleep_forever()
-        yield Result([])
-
-    patient = ActionServer(FIBONACCI, waits, watchdog=1e6)
-    async with patient, ActionClient(patient, FIBONACCI).send_goal(Goal(0)):
-        assert checked.wait(PATIENCE)  # the thread waits for days now
-        with Names("so far") as names:
-            await run_goal(ActionServer(FIBONACCI, names.blocks, watchdog=LIMIT))
-
-
 async def test_many_short_goals_do_not_wake_the_thread_for_each(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -531,22 +466,6 @@ async def test_all_servers_of_a_process_share_one_thread_which_ends_with_the_las
         assert watchdogs() == []
         async with ActionServer(FIBONACCI, fibonacci):
             assert watchdogs() not in ([], [watchdog])
-
-
-async def test_the_thread_ends_with_a_server_whose_block_raises() -> None:
-    with pytest.raises(ZeroDivisionError):
-        async with ActionServer(FIBONACCI, fibonacci):
-            assert len(watchdogs()) == 1
-            raise ZeroDivisionError
-    assert watchdogs() == []
-
-
-async def test_the_thread_ends_with_a_server_whose_block_is_canceled() -> None:
-    with anyio.CancelScope() as scope:
-        async with ActionServer(FIBONACCI, fibonacci):
-            scope.cancel()
-            await anyio.sleep_forever()
-    assert watchdogs() == []
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])

@@ -24,9 +24,8 @@ from fibaction import (
 from fibaction.border.abc import FeedbackItem, ForwardingEndpoint, Meta
 from fibaction.border.watchers import Watcher
 from fibaction.server import watchers as server_watchers
-from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.types.action import ActionInfo
-from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalInfo
+from fibaction.words.goals import CancelAnswer, GoalInfo
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.memory_store import MemoryStore
@@ -348,9 +347,3 @@ async def test_watchers_of_serve_are_added_to_each_new_server() -> None:
     with pytest.raises(TypeError, match=r"^only an ActionServer can have watchers, and "):
         async with serve(gateway, "inproc://watched", watchers=[common]):
             pass
-
-
-def test_a_watcher_that_overrides_nothing_does_nothing() -> None:
-    group = server_watchers.WatcherGroup("drive", [Watcher()])
-    group.rejected(GoalID.random(), "busy")
-    group.left(GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER), "it is kept")

@@ -96,11 +96,6 @@ def test_outcomes_whose_time_is_over_are_not_shown(path: Path) -> None:
     assert read(path) == {"paint": [2]}
 
 
-def test_a_file_that_is_not_a_store_is_an_error(path: Path) -> None:
-    path.write_text("goals: none\n" * 1000)
-    assert why_not(path) == "it is not a store of goals; use another file"
-
-
 def test_a_file_that_changes_all_the_time_is_an_error(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,12 +103,6 @@ def test_a_file_that_changes_all_the_time_is_an_error(
     monkeypatch.setattr(_copy, "TICK", 10**18)
     path.touch()
     assert why_not(path) == "it changes all the time; try again when there is less work"
-
-
-def test_a_file_that_changed_just_now_is_copied_again(path: Path) -> None:
-    with closing(JournalFile(str(path), "full")) as file:
-        add(file, "paint", 1)
-    assert read(path) == {"paint": [1]}
 
 
 def test_a_copy_has_everything_that_was_told_before(path: Path) -> None:

@@ -122,21 +122,6 @@ async def test_goals_are_not_found_by_the_id_of_another_one_or_at_another_action
         assert await stamps(other) == []
 
 
-async def test_of_two_goals_with_the_same_id_both_are_listed_and_the_later_is_found(
-    path: Path,
-) -> None:
-    async with opened(SqliteStore(path, history=FOREVER)) as kept:
-        await run(kept, 1, result=b"first")
-        again = a_goal(1)
-        again.stamp = 2
-        await kept(kept.journal.accept, again)
-        await kept(kept.journal.end, after_end(again, result=b"second"))
-        assert await stamps(kept) == [2, 1]
-        past = await kept.journal.past_goal(again.goal_id)
-    assert past is not None
-    assert past.result == b"second"
-
-
 async def test_the_history_of_a_file_is_read_without_its_server(path: Path) -> None:
     aborted, forgotten = GoalStatus.ABORTED, {"keep_until": 1}
     async with opened(SqliteStore(path, history=FOREVER)) as kept:
@@ -165,17 +150,6 @@ async def test_a_file_without_a_history_has_no_past(path: Path) -> None:
 
 
 # Bounds
-
-
-async def test_the_oldest_of_too_many_goals_are_deleted(path: Path) -> None:
-    store = SqliteStore(path, history=GoalHistory(seconds=math.inf, goals=3))
-    async with opened(store) as kept, opened(store, "drive") as other:
-        await run(other, 1)
-        for number in range(2, 7):
-            await run(kept, number)
-        assert await stamps(kept) == [6, 5, 4]
-        assert await stamps(other) == []
-    assert rows_of(path) == 3
 
 
 async def test_many_ends_in_one_commit_do_not_stay_beyond_the_number(path: Path) -> None:
@@ -220,17 +194,6 @@ async def test_what_is_out_of_new_bounds_is_deleted_at_the_start(
         left = [20, 19] if bounds.goals == 2 else [20]
         assert await stamps(kept) == left
     assert rows_of(path) == len(left)
-
-
-async def test_a_clock_that_was_set_back_keeps_no_goal_for_longer_than_the_number(
-    path: Path, clock: SimpleNamespace
-) -> None:
-    store = SqliteStore(path, history=GoalHistory(seconds=10, goals=2))
-    async with opened(store) as kept:
-        await run(kept, 1, ended_at=10**6 * SECOND)
-        for number in range(2, 5):
-            await run(kept, number, ended_at=100 * SECOND)
-        assert await stamps(kept) == [4, 3]
 
 
 # Pages
@@ -301,22 +264,6 @@ def test_the_pages_of_a_list_are_those_of_all_goals_that_are_wanted(
         reverse=newest_first,
     )
     assert found == expected
-
-
-@pytest.mark.parametrize("newest_first", [True, False])
-async def test_goals_of_the_same_stamp_are_told_by_their_ids_between_parts(
-    path: Path, monkeypatch: pytest.MonkeyPatch, newest_first: bool
-) -> None:
-    monkeypatch.setattr(_history_table, "SCANNED", 1)
-    async with opened(SqliteStore(path, history=FOREVER)) as kept:
-        for number in (2, 3, 1):
-            goal = a_goal(number)
-            goal.stamp = 5
-            await kept(kept.journal.accept, goal)
-            await kept(kept.journal.end, after_end(goal))
-        infos = await kept.journal.past_goals(PastPage(newest_first=newest_first))
-    numbers = [info.goal_id[-1] for info in infos]
-    assert numbers == ([3, 2, 1] if newest_first else [1, 2, 3])
 
 
 async def test_a_page_is_filled_from_several_parts(
@@ -461,14 +408,6 @@ async def test_a_history_stays_as_it_is_while_the_store_is_used_without_it(path:
         assert await kept.journal.past_goal(a_goal(1).goal_id) is None
     async with opened(SqliteStore(path, history=FOREVER)) as kept:
         assert await stamps(kept) == [1]
-
-
-async def test_a_store_without_a_history_has_no_table_for_it(path: Path) -> None:
-    async with opened(SqliteStore(path)) as kept:
-        await run(kept, 1)
-    with closing(sqlite3.connect(path)) as db:
-        tables = db.execute("select name from sqlite_master order by name").fetchall()
-    assert tables == [("log",), ("mark",)]
 
 
 # Processes

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.stores import _journal_file, _wal
+from fibaction.stores import _wal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
 from fibaction.words.errors import StoreError
@@ -68,15 +68,6 @@ def left(path: Path, tmp_path: Path) -> Path:
     return left
 
 
-def test_rows_are_there_at_the_next_start(path: Path) -> None:
-    write(path, 3)
-    assert stamps(path) == [1, 2, 3]
-
-
-def test_what_a_killed_process_has_written_is_there(left: Path) -> None:
-    assert stamps(left) == list(range(1, 21))
-
-
 @pytest.mark.parametrize("count", [1, 100, 4120, 5000])
 def test_the_torn_end_of_the_last_commit_is_as_if_it_had_not_begun(left: Path, count: int) -> None:
     log = left.with_name("goals.db-wal")
@@ -109,12 +100,6 @@ def test_the_log_is_copied_to_the_file_before_it_becomes_large(path: Path) -> No
             add(file, number)
         assert path.with_name("goals.db-wal").stat().st_size < 150_000
         assert path.stat().st_size > 500_000
-
-
-def test_a_file_that_is_empty_becomes_a_store(path: Path) -> None:
-    path.touch()
-    write(path, 1)
-    assert stamps(path) == [1]
 
 
 # Files that cannot be used
@@ -241,55 +226,11 @@ def test_without_room_for_another_table_the_row_alone_is_added(
     assert stamps(path) == [1, 2]
 
 
-def test_without_room_for_the_row_either_it_is_an_error(noting: JournalFile, path: Path) -> None:
-    noting.look(lambda db: db.execute("pragma max_page_count=1"))
-    with pytest.raises(StoreError, match="the disk is full"):
-        for number in range(1, 100):
-            with_note(noting, number, "x" * 5_000)
-    noting.close()
-    assert stamps(path) == list(range(1, number))
-
-
-def test_what_sqlite_has_rolled_back_itself_needs_no_rollback(noting: JournalFile) -> None:
-    def give_up(db: sqlite3.Connection) -> int:
-        db.execute("rollback")
-        raise sqlite3.IntegrityError("gone")
-
-    with pytest.raises(StoreError, match="gone"):
-        noting.write(give_up)
-    assert noting.write(partial(note, "next"))
-
-
-def test_the_log_is_copied_also_for_what_another_table_gets(path: Path) -> None:
-    with closing(JournalFile(str(path), "full", largest_log=50_000)) as file:
-        assert file.write(lambda db: db.execute(NOTES).rowcount)
-        for number in range(1, 40):
-            assert with_note(file, number, "x" * 10_000)
-            assert file.write(partial(note, "y" * 10_000))
-        assert os.stat(f"{path}-wal").st_size < 200_000
-
-
 def test_a_file_that_is_removed_is_an_error(path: Path) -> None:
     with closing(JournalFile(str(path), "full")) as file:
         path.unlink()
         with pytest.raises(StoreError, match="the file was removed or replaced while it was in us"):
             add(file, 1)
-
-
-def test_a_file_that_is_replaced_is_an_error(path: Path) -> None:
-    with closing(JournalFile(str(path), "full")) as file:
-        path.rename(path.with_name("old.db"))
-        path.touch()
-        with pytest.raises(StoreError, match="the file was removed or replaced while it was in us"):
-            file.replace(file.goals().rows(file.next_number))
-
-
-def test_a_log_that_is_removed_is_an_error(path: Path) -> None:
-    with closing(JournalFile(str(path), "full")) as file:
-        add(file, 1)
-        path.with_name("goals.db-wal").unlink()
-        with pytest.raises(StoreError, match=r"goals\.db-wal was removed or replaced while it was"):
-            add(file, 2)
 
 
 def test_a_log_that_is_removed_before_the_first_write_is_an_error(path: Path) -> None:
@@ -299,21 +240,11 @@ def test_a_log_that_is_removed_before_the_first_write_is_an_error(path: Path) ->
             add(file, 1)
 
 
-def test_a_log_that_was_removed_after_a_kill_is_an_error(left: Path) -> None:
-    left.with_name("goals.db-wal").unlink()
-    assert why_not(left).startswith("the file next to it that ends in -wal is missing, and with it")
-
-
 def test_a_damaged_log_without_its_file_does_not_hinder_a_new_start(path: Path) -> None:
     path.with_name("goals.db-wal").write_bytes(b"\1" * 9000)
     with closing(JournalFile(str(path), "full")) as file:
         add(file, 1)
     assert stamps(path) == [1]
-
-
-def test_a_name_that_is_too_long_is_an_error(path: Path) -> None:
-    with pytest.raises(StoreError, match="cannot keep goals in"):
-        JournalFile(str(path.with_name("x" * 300)), "full")
 
 
 def test_any_other_error_is_one_sentence(path: Path) -> None:
@@ -363,15 +294,6 @@ def test_a_folder_that_is_read_only_is_an_error(open_folder: Path) -> None:
     open_folder.chmod(0o555)
     assert without_rights(open_folder / "goals.db") == (
         "this process may not write to the folder; use another one, or allow it"
-    )
-
-
-def test_a_file_that_is_read_only_is_an_error(open_folder: Path) -> None:
-    write(open_folder / "goals.db", 1)
-    open_folder.chmod(0o777)
-    (open_folder / "goals.db").chmod(0o444)
-    assert without_rights(open_folder / "goals.db") == (
-        "this process may not read and write the file; use another one, or allow it"
     )
 
 
@@ -446,12 +368,6 @@ def test_damage_in_the_log_of_a_killed_process_is_found_at_each_start(
             assert why_not(left).endswith("(its write-ahead log has changed)")
         flipped(log, int(part * log.stat().st_size) + place)
     assert stamps(left) == list(range(1, 21))
-
-
-def test_a_log_in_use_is_not_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with closing(JournalFile(str(path), "full")):
-        monkeypatch.setattr(_journal_file, "is_damaged", lambda path: True)
-        assert why_not(path).startswith("it is in use by another process")
 
 
 def test_a_log_of_a_machine_with_another_byte_order_is_read(left: Path) -> None:

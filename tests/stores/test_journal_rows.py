@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import zlib
 from copy import copy
 
-import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -16,11 +14,9 @@ from fibaction.stores.journal_rows import (
     ActionGoals,
     CheckpointRecord,
     DamagedRow,
-    EndRecord,
     KeptGoals,
     Record,
     StartRecord,
-    StateRecord,
     WholeRecord,
     decode_row,
     encode_row,
@@ -206,14 +202,6 @@ def test_the_oldest_of_too_many_ended_goals_are_forgotten() -> None:
     assert [goal.stamp for goal in goals.in_order()] == [1, 5]
 
 
-def test_a_goal_that_is_written_again_as_ended_is_there_once() -> None:
-    goals = ActionGoals()
-    goals.add(WholeRecord("paint", a_goal()))
-    goals.add(WholeRecord("paint", after_end(a_goal())))
-
-    assert goals.in_order() == [after_end(a_goal())]
-
-
 def test_an_end_is_final() -> None:
     goals = ActionGoals()
     goals.add(WholeRecord("paint", a_goal()))
@@ -257,62 +245,6 @@ def test_a_row_of_another_format_is_damage() -> None:
         decode_row(5, row)
 
 
-def test_a_row_that_is_cut_off_before_its_checksum_was_made_is_damage() -> None:
-    data = encode_row(5, [StartRecord(), StartRecord()])[4:-1]
-    row = zlib.crc32(data, 5).to_bytes(4, "big") + data
-
-    with pytest.raises(DamagedRow, match="row 5 cannot be read: Input data was truncated"):
-        decode_row(5, row)
-
-
-@pytest.mark.parametrize("size", [1, 4096, 10_000])
-def test_a_row_begins_with_the_checksum_of_its_number_and_its_bytes(size: int) -> None:
-    row = encode_row(5, [WholeRecord("paint", a_goal(result=bytes(range(256)) * (size // 256)))])
-
-    assert row[:4] == zlib.crc32(row[4:], 5).to_bytes(4, "big")
-
-
-def test_records_have_these_bytes() -> None:
-    end = ended("paint", after_end(a_goal(), reason="why", feedback_count=3, keep_until=9))
-    records: list[Record] = [
-        StartRecord(),
-        moved("paint", a_goal()),
-        CheckpointRecord("paint", b"id", None),
-        end,
-    ]
-
-    assert encode_row(1, records).hex() == (
-        "a435dd5f9491009802a57061696e74c4100000000000000000000000000000000101c20000009403"
-        "a57061696e74c4026964c09c04a57061696e74c41000000000000000000000000000000001040000"
-        "c406726573756c74a3776879030509c2"
-    )
-
-
-def test_a_begin_of_an_older_file_has_no_time_and_the_time_of_the_first_begin_stays() -> None:
-    old = bytes.fromhex("9702a57061696e74c4100000000000000000000000000000000101c30100")
-    goal = a_goal()
-    begun = msgspec.structs.replace(goal, is_running=True, attempt=1, began_at=70)
-    goals = ActionGoals()
-    goals.add(WholeRecord("paint", copy(goal)))
-    goals.add(msgspec.msgpack.decode(old, type=StateRecord))
-    assert [(one.attempt, one.began_at) for one in goals.in_order()] == [(1, 0)]
-    goals.add(moved("paint", begun))
-    goals.add(msgspec.msgpack.decode(old, type=StateRecord))
-    assert [(one.attempt, one.began_at) for one in goals.in_order()] == [(1, 70)]
-
-
-def test_ends_of_an_older_file_are_read() -> None:
-    old = bytes.fromhex(
-        "9b04a57061696e74c41000000000000000000000000000000001040000c406726573756c74a3776879030509"
-    )
-    goals = ActionGoals()
-    goals.add(WholeRecord("paint", a_goal()))
-    goals.add(msgspec.msgpack.decode(old, type=EndRecord))
-    assert goals.in_order() == [
-        after_end(a_goal(), reason="why", feedback_count=3, keep_until=9),
-    ]
-
-
 def test_goals_that_were_given_up_are_kept_whole_and_counted_by_themselves() -> None:
     goals = ActionGoals()
     for number in range(1, 5):
@@ -347,41 +279,3 @@ def test_a_start_in_the_middle_is_damage() -> None:
 
     with pytest.raises(DamagedRow, match="a row before row 3 is missing"):
         goals.read(3, encode_row(3, [StartRecord()]))
-
-
-@pytest.mark.parametrize(("state", "lost"), [(b"1", 2), (b"2", 0)])
-def test_a_new_checkpoint_makes_the_lost_attempts_count_no_more(state: bytes, lost: int) -> None:
-    goals = KeptGoals()
-    goal = StoredGoal(GoalID(bytes(16)), 1, Sender(), b"", b"", lost=2, checkpoint=b"1")
-    goals.read(1, encode_row(1, [StartRecord(), WholeRecord("paint", goal)]))
-    goals.read(2, encode_row(2, [CheckpointRecord("paint", goal.goal_id, state)]))
-    (found,) = goals.of("paint").active.values()
-    assert (found.checkpoint, found.lost) == (state, lost)
-
-
-def test_the_parent_is_left_of_the_meta_of_a_goal_that_has_ended() -> None:
-    parent = {"parent": "0" * 31 + "1", "step": "pick"}
-    goal = StoredGoal(
-        GoalID(bytes(16)), 1, Sender(), b"", b"", meta={**parent, "traceparent": "00-1"}
-    )
-    goals = KeptGoals()
-    goals.read(1, encode_row(1, [StartRecord(), WholeRecord("paint", goal)]))
-    goals.read(2, encode_row(2, [ended("paint", after_end(copy(goal)))]))
-    (found,) = goals.of("paint").ended.values()
-    assert found.meta == parent
-
-
-def test_goals_of_an_older_file_are_read_which_have_no_worker_and_no_meta() -> None:
-    row = bytes.fromhex(
-        "f33900cf9291009301a57061696e74dc0010c410000102030405060708090a0b0c0d0e0f"
-        "0583a46e616d65a4616e6e61a56f776e6572c4056f776e6572a761646472657373a77463"
-        "703a2f2f78c406646967657374c404676f616c0703c30201c4057374617465c0a0000000"
-    )
-    goals = KeptGoals()
-    goals.read(1, row)
-    (goal,) = goals.of("paint").active.values()
-    assert (goal.goal_id, goal.stamp, goal.digest) == (bytes(range(16)), 5, b"digest")
-    assert goal.sender == Sender("anna", b"owner", "tcp://x")
-    assert (goal.status, goal.is_running) == (GoalStatus.CANCELING, True)
-    assert (goal.attempt, goal.lost, goal.checkpoint) == (2, 1, b"state")
-    assert (goal.worker, goal.meta) == ("", None)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -21,7 +19,6 @@ from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
 from tests.server.test_keeper import PAINT, paint
 from tests.stores.made import a_goal
-from tests.stores.test_sqlite_store import KILLED
 
 MISSING = (
     "the file next to it that ends in -wal is missing, and with it the newest goals; put it back,"
@@ -124,16 +121,6 @@ def test_another_program_may_read_the_file_after_a_kill(left: Path) -> None:
     assert stamps(left) == [1, 2, 3]
 
 
-def test_a_file_of_an_older_release_has_no_mark_and_gets_one(path: Path) -> None:
-    with closing(JournalFile(str(path), "full")) as file:
-        add(file, 1)
-    with closing(sqlite3.connect(path)) as db:
-        db.execute("drop table mark")
-    assert stamps(path) == [1]
-    with closing(sqlite3.connect(path)) as db:
-        assert db.execute("select needs_log from mark").fetchall() == [(0,)]
-
-
 class Moment(NamedTuple):
     """The bytes of the file and of its log, and the goals that were told by then."""
 
@@ -209,15 +196,3 @@ def test_sqlite_does_not_copy_the_log_to_the_file_by_itself(path: Path, tmp_path
             file.add(encode_row(file.next_number, [WholeRecord("paint", a_goal(number))]))
         copied.write_bytes(path.read_bytes())
     assert is_refused(copied)
-
-
-def test_a_program_that_was_killed_and_lost_its_log_is_noticed(path: Path) -> None:
-    program = [sys.executable, "-c", KILLED, str(path), "full"]
-    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        for _ in range(50):
-            child.stdout.readline()
-        child.kill()
-        child.stdout.read()
-    log_of(path).unlink()
-    assert is_refused(path)

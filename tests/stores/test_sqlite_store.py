@@ -13,7 +13,6 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import anyio
 import anyio.to_thread
@@ -21,7 +20,7 @@ import pytest
 
 from fibaction import GoalHistory, GoalStatus, SqliteStore, StoreError
 from fibaction.border.goal_store import GoalJournal, StoredGoal
-from fibaction.stores import _journal_file, _writer
+from fibaction.stores import _writer
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import Record, StartRecord, encode_row
 from fibaction.words.goal_query import PastPage
@@ -68,14 +67,6 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "goals.db"
 
 
-async def test_a_goal_is_there_at_the_next_start(path: Path) -> None:
-    async with opened(SqliteStore(path)) as kept:
-        assert kept.found == []
-        await kept(kept.journal.accept, a_goal())
-    async with opened(SqliteStore(path)) as kept:
-        assert kept.found == [a_goal()]
-
-
 async def test_each_step_is_kept(path: Path) -> None:
     goal = a_goal()
     store = SqliteStore(path)
@@ -98,15 +89,6 @@ async def test_each_step_is_kept(path: Path) -> None:
         await kept(kept.journal.end, after_end(goal, reason="done ü"))
     async with opened(store) as kept:
         assert kept.found == [goal]
-
-
-async def test_a_second_store_cannot_use_the_file(path: Path) -> None:
-    async with opened(SqliteStore(path)):
-        with pytest.raises(StoreError, match="it is in use by another process or another Sqlite"):
-            async with opened(SqliteStore(path)):
-                pass
-    async with opened(SqliteStore(path)):
-        pass
 
 
 async def test_goals_come_by_their_ends_and_then_by_their_stamps(path: Path) -> None:
@@ -164,19 +146,6 @@ async def test_a_goal_that_changes_after_a_call_is_kept_as_it_was(path: Path) ->
         assert kept.found == [a_goal()]
 
 
-async def test_servers_of_several_actions_share_a_store(path: Path) -> None:
-    store = SqliteStore(path)
-    async with opened(store, "paint") as paint:
-        async with opened(store, "drive") as drive:
-            await paint(paint.journal.accept, a_goal(1, checkpoint=b"paint"))
-            await drive(drive.journal.accept, a_goal(1, checkpoint=b"drive"))
-        await paint(paint.journal.accept, a_goal(2))
-    async with opened(store, "drive") as drive:
-        assert [goal.checkpoint for goal in drive.found] == [b"drive"]
-        async with opened(store, "paint") as paint:
-            assert [goal.stamp for goal in paint.found] == [1, 2]
-
-
 async def test_stores_of_several_actions_are_opened_at_once(path: Path) -> None:
     store = SqliteStore(path)
 
@@ -198,23 +167,6 @@ async def test_an_action_is_served_once(path: Path) -> None:
             async with opened(store):
                 pass
         await kept(kept.journal.accept, a_goal())
-
-
-@pytest.mark.parametrize("sync", ["full", "normal"])
-async def test_the_file_is_written_as_the_store_was_told(
-    path: Path, sync: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[str] = []
-
-    class Noting(JournalFile):
-        def __init__(self, path: str, sync: str, failing: str = "") -> None:
-            made.append(sync)
-            super().__init__(path, sync, failing)
-
-    monkeypatch.setattr(_journal_file, "JournalFile", Noting)
-    async with opened(SqliteStore(path, sync=sync)):
-        pass
-    assert made == [sync]
 
 
 async def test_a_store_belongs_to_one_event_loop_at_a_time(
@@ -369,16 +321,6 @@ async def test_a_block_that_is_canceled_waits_for_its_writes(path: Path) -> None
     assert not [thread for thread in threading.enumerate() if thread.name == "fibaction store"]
 
 
-async def test_a_block_that_is_canceled_before_it_begins_leaves_the_file_free(path: Path) -> None:
-    store = SqliteStore(path)
-    with anyio.CancelScope() as scope:
-        scope.cancel()
-        async with opened(store):
-            raise AssertionError("it does not begin")
-    async with opened(store):
-        pass
-
-
 # Processes
 
 ABANDON = """
@@ -438,30 +380,6 @@ def test_the_thread_ends_with_a_write_that_outlives_the_event_loop(
 
     thread.join(10)
     assert not thread.is_alive()
-
-
-async def test_what_is_told_of_a_write_is_let_go_in_the_thread_of_the_event_loop(
-    path: Path,
-) -> None:
-    threads: list[int] = []
-
-    class Told:
-        def __init__(self, event: anyio.Event) -> None:
-            self.event = event
-
-        def __call__(self, error: StoreError | None) -> None:
-            self.event.set()
-
-        def __del__(self) -> None:
-            threads.append(threading.get_ident())
-
-    async with opened(SqliteStore(path)) as kept:
-        for number in range(1, 21):
-            told = anyio.Event()
-            kept.journal.accept(a_goal(number), Told(told))
-            await told.wait()
-
-    assert threads == [threading.get_ident()] * 20
 
 
 async def test_what_one_turn_of_the_event_loop_writes_is_one_commit(path: Path) -> None:
