@@ -13,14 +13,6 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from fibaction import Action, ActionServer, GoalHandle, GoalID, GoalStatus, Schedule
-from fibaction.server.execution.executor_life import (
-    EXECUTOR_LIFE,
-    SCOPES_LIFE,
-    ExecutorEvent,
-    ExecutorPhase,
-    ScopesEvent,
-    ScopesPhase,
-)
 from fibaction.server.life import (
     KEPT,
     LIFE,
@@ -93,21 +85,6 @@ def test_what_is_fixed_is_not_changed_by_a_cancel_or_a_stop() -> None:
         if not phase.is_open:
             for event in (Event.CANCEL, Event.CANCEL_GENTLY, Event.STOP, Event.END):
                 assert (phase, event) not in LIFE
-
-
-def test_an_executor_is_called_once_and_interrupted_once() -> None:
-    assert ExecutorPhase.CALLED not in {
-        EXECUTOR_LIFE[phase, event]
-        for phase, event in EXECUTOR_LIFE
-        if phase is not ExecutorPhase.PREPARED
-    }
-    assert (ExecutorPhase.GONE, ExecutorEvent.LEAVE) not in EXECUTOR_LIFE
-
-
-def test_scopes_that_are_spent_are_never_used_again() -> None:
-    for (phase, event), after in SCOPES_LIFE.items():
-        assert after is not ScopesPhase.USABLE
-        assert after >= phase or event is ScopesEvent.SPARE
 
 
 # Beside a server

@@ -35,6 +35,7 @@ from __future__ import annotations
 import sys
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine
 from contextvars import Context, copy_context
+from enum import IntEnum
 from functools import partial
 from time import perf_counter
 from types import AsyncGeneratorType
@@ -53,14 +54,7 @@ from fibaction.server.execution.executor_ends import (
     kind_of,
     no_result,
 )
-from fibaction.server.execution.executor_life import (
-    EXECUTOR_LIFE,
-    ExecutorEvent,
-    ExecutorPhase,
-    ScopesEvent,
-    ScopesPhase,
-)
-from fibaction.server.execution.interruption import CancelOnce, Stepper
+from fibaction.server.execution.interruption import CancelOnce, ScopesPhase, Stepper
 from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
@@ -92,6 +86,19 @@ Runner: TypeAlias = Callable[
 
 Fence: TypeAlias = Callable[["Execution[Any, Any, Any]"], bool]
 """A function that interrupts an executor, and returns True, if it may not take another step."""
+
+
+class ExecutorPhase(IntEnum):
+    """A phase of an executor's life, in the order in which they come."""
+
+    PREPARED = 0
+    """Its goal is accepted."""
+    CALLED = 1
+    """It runs, or begins soon: its goal has its turn."""
+    INTERRUPTED = 2
+    """By whatever came first; it may clean up."""
+    GONE = 3
+
 
 # Looked up for each goal: a name of this module is found faster than a member of an enum.
 PREPARED, INTERRUPTED = ExecutorPhase.PREPARED, ExecutorPhase.INTERRUPTED
@@ -166,11 +173,11 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         """Raise the backend's cancellation in the generator, once, at its current or next `await`
         or `yield`. Each `await` after that is clean-up, and is not canceled.
         """
-        before = self.phase
-        self.phase = EXECUTOR_LIFE[before, ExecutorEvent.INTERRUPT]
-        if self.phase is not before and self._scopes is not None:
-            self._steps.interrupt()
-            self.end_waits()
+        if self.phase < INTERRUPTED:
+            self.phase = INTERRUPTED
+            if self._scopes is not None:
+                self._steps.interrupt()
+                self.end_waits()
 
     def kill(self, *, for_good: bool = True) -> None:
         """Cancel every `await` from now on, those of the clean-up included, and discard feedback,
@@ -233,7 +240,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
         cause = cause_of(exc)
         if cause is None:
             assert self._scopes is not None
-            self._scopes.happen(ScopesEvent.INTERRUPT)  # the task itself may have been canceled
+            self._scopes.reach(ScopesPhase.SPENT)  # the task itself may have been canceled
             return Ending(EndKind.CANCELED, self._result)
         if isinstance(cause, (KeyboardInterrupt, SystemExit)):
             raise exc

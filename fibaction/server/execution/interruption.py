@@ -43,6 +43,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import Context
+from enum import IntEnum
 from time import perf_counter
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -51,10 +52,25 @@ from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cance
 from anyio.lowlevel import checkpoint
 
 from fibaction.server.execution.abandoned import MOST_KILLS, AbandonedCoroutine, keep_for_ever
-from fibaction.server.execution.executor_life import SCOPES_LIFE, ScopesEvent, ScopesPhase
 from fibaction.server.execution.turns import Turns
 
 T = TypeVar("T")
+
+
+class ScopesPhase(IntEnum):
+    """A phase of the scopes of executors, in the order in which they come. Scopes are used for one
+    executor after another, until one of them is interrupted.
+    """
+
+    USABLE = 0
+    SPENT = 1
+    """A cancellation was delivered in them, or to their task."""
+    KILLED = 2
+    """Every `await` is canceled; an executor that survives it is spared."""
+    DOOMED = 3
+    """Every `await` is canceled; an executor that survives it is abandoned."""
+    ABANDONED = 4
+    """An executor was given up inside, whose own scopes are still open."""
 
 
 class CancelOnce:
@@ -95,24 +111,24 @@ class CancelOnce:
 
     def interrupt(self) -> None:
         """Deliver a cancellation."""
-        self.happen(ScopesEvent.INTERRUPT)
+        self.reach(ScopesPhase.SPENT)
         self.rest.shield = False
         if self._task is not None:
             self._task.cancel()
 
     def kill(self, *, for_good: bool = True) -> None:
         """Cancel every `await` from now on; abandon a coroutine that survives it, if `for_good`."""
-        self.happen(ScopesEvent.KILL_FOR_GOOD if for_good else ScopesEvent.KILL)
+        self.reach(ScopesPhase.DOOMED if for_good else ScopesPhase.KILLED)
         self.interrupt()
 
     def spare(self) -> None:
         """Cancel nothing more, until `kill` is called again."""
-        self.happen(ScopesEvent.SPARE)
+        self.phase = ScopesPhase.SPENT
         self.rest.shield = True
 
-    def happen(self, event: ScopesEvent) -> None:
-        """Note an event in the life of the scopes."""
-        self.phase = SCOPES_LIFE[self.phase, event]
+    def reach(self, phase: ScopesPhase) -> None:
+        """Note that the scopes are at least in this phase."""
+        self.phase = max(self.phase, phase)
 
     def abandon(self) -> None:
         """Give up the coroutine inside, and end the wait of its task, if anything can."""
@@ -195,7 +211,7 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
             return  # its last cancellation arrives after its time was over
         keep_for_ever(self._coroutine)
         scopes.steps = None
-        scopes.happen(ScopesEvent.ABANDON)
+        scopes.reach(ScopesPhase.ABANDONED)
         scopes.rest.shield = True  # or tasks that the coroutine has started were canceled forever
         self._coroutine = AbandonedCoroutine(self._on_abandoned())
 

@@ -15,8 +15,7 @@ from anyio import current_time, sleep_until
 
 from fibaction._runtime.notify import Notifier
 from fibaction.server.execution.abandoned import warn_of_kill
-from fibaction.server.execution.executor import Execution
-from fibaction.server.execution.executor_life import ExecutorPhase
+from fibaction.server.execution.executor import Execution, ExecutorPhase
 from fibaction.words.goals import GoalID
 
 if TYPE_CHECKING:

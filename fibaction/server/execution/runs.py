@@ -46,9 +46,8 @@ from fibaction.server.durability.keeper import (
     STORE_FAILED,
     Checkpoints,
 )
-from fibaction.server.execution.executor import Execution, Fence, Run, Runner
+from fibaction.server.execution.executor import Execution, ExecutorPhase, Fence, Run, Runner
 from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
-from fibaction.server.execution.executor_life import EXECUTOR_LIFE, ExecutorEvent, ExecutorPhase
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.lost_executors import LEASE_IS_OVER, LostExecutors
 from fibaction.server.execution.task_pool import TaskPool
@@ -71,7 +70,7 @@ if TYPE_CHECKING:
 
 # Looked up for each goal: a name of this module is found faster than a member of an enum.
 BEGIN, EXECUTE, END = Event.BEGIN, Event.EXECUTE, Event.END
-CALL, LEAVE = ExecutorEvent.CALL, ExecutorEvent.LEAVE
+CALLED, GONE = ExecutorPhase.CALLED, ExecutorPhase.GONE
 LOST = Phase.LOST
 
 logger = clean_logger("fibaction.server")
@@ -158,8 +157,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._step(run, BEGIN)
 
     def _call(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        execution = run.execution
-        execution.phase = EXECUTOR_LIFE[execution.phase, CALL]
+        run.execution.phase = CALLED
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 
     # The effects on executors
@@ -195,7 +193,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _end(self, execution: Execution[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Finish the goal that an executor has run last, unless it was killed."""
         goal_id = execution.goal.goal_id
-        execution.phase = EXECUTOR_LIFE[execution.phase, LEAVE]
+        execution.phase = GONE
         run = self._runs.get(goal_id)
         # The ID of a goal that was killed, or lost, may be that of another one by now.
         if run is not None and run.execution is execution and run.goal.phase.is_open:

@@ -29,8 +29,7 @@ from anyio.lowlevel import cancel_shielded_checkpoint
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.detached import DetachedGroup, waker
-from fibaction.server.execution.executor_life import ScopesPhase
-from fibaction.server.execution.interruption import CancelOnce
+from fibaction.server.execution.interruption import CancelOnce, ScopesPhase
 from fibaction.server.execution.turns import EXECUTOR_SLICE, FairQueue, Turns
 
 GRACE = 1.0
