@@ -9,7 +9,8 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalID, GoalStatus
-from fibaction.server.admission.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
+from fibaction.server.admission.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, GoalCallbacks
+from fibaction.server.settings import ActionServerSettings
 from fibaction.words.errors import CancelRejected, GoalRejected
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
@@ -36,6 +37,10 @@ each_colour = pytest.mark.parametrize("colour", [as_given, as_async], ids=["sync
 Colour = Callable[[Callable[[Any], Any]], Callable[[Any], Any]]
 
 
+def callbacks_of_an_arm() -> GoalCallbacks[Any]:
+    return GoalCallbacks("arm", ActionServerSettings())
+
+
 def waited_for(asking: Coroutine[Any, Any, None] | None) -> Coroutine[Any, Any, None]:
     """What there is to wait for, of a callback that has to be waited for."""
     assert asking is not None
@@ -46,7 +51,7 @@ async def ask(
     callback: Callable[[Any], Any], refusal: Refusal = GoalRejected, argument: Any = None
 ) -> None:
     with anyio.fail_after(5):
-        asking = Callbacks("arm").ask("on_goal", callback, (argument,), refusal)
+        asking = callbacks_of_an_arm().ask("on_goal", callback, (argument,), refusal)
         if asking is not None:
             await asking
 
@@ -96,7 +101,7 @@ async def test_the_other_rejection_is_a_failure(colour: Colour) -> None:
 async def test_stopping_rejects_what_is_still_being_asked(
     refusal: Refusal, caplog: pytest.LogCaptureFixture
 ) -> None:
-    callbacks = Callbacks("arm")
+    callbacks = callbacks_of_an_arm()
     reasons: list[str] = []
     cleaned_up: list[str] = []
 
@@ -128,7 +133,7 @@ async def test_stopping_rejects_what_is_still_being_asked(
 async def test_stopping_rejects_also_a_question_that_is_not_awaited_yet(
     refusal: Refusal, promises: bool
 ) -> None:
-    callbacks = Callbacks("arm")
+    callbacks = callbacks_of_an_arm()
 
     async def wait_for_ever(argument: None) -> None:
         await anyio.sleep_forever()
@@ -145,7 +150,7 @@ async def test_stopping_rejects_also_a_question_that_is_not_awaited_yet(
 
 
 async def test_stopping_does_not_touch_what_was_answered_before() -> None:
-    callbacks = Callbacks("arm")
+    callbacks = callbacks_of_an_arm()
     with anyio.fail_after(5):
         await waited_for(callbacks.ask("on_goal", as_async(agrees), (None,), GoalRejected))
         # Or it would grow with every goal.
@@ -155,7 +160,7 @@ async def test_stopping_does_not_touch_what_was_answered_before() -> None:
 
 
 async def test_a_caller_whose_own_task_is_canceled_is_not_rejected() -> None:
-    callbacks = Callbacks("arm")
+    callbacks = callbacks_of_an_arm()
 
     async def wait_for_ever(argument: None) -> None:
         await anyio.sleep_forever()

@@ -16,7 +16,7 @@ A cancellation that comes out of a callback needs care. If the caller's own task
 canceled, it must be passed on. Otherwise the callback awaited a task or future that was canceled
 elsewhere, and this is an error of the callback like any other.
 
-`GoalCallbacks` calls `on_goal` and `on_cancel`; its caller carries out the answers.
+The caller of `GoalCallbacks` carries out the answers.
 """
 
 from __future__ import annotations
@@ -63,10 +63,24 @@ _running: ContextVar[tuple[tuple[object, str, Hashable], ...]] = ContextVar("_ru
 logger = clean_logger("fibaction.server")
 
 
-class Callbacks:
-    """The callbacks of one server, which are called until it stops."""
+class GoalCallbacks(Generic[GoalT]):
+    """The decisions of a user on goals and cancels, asked for until the server stops; without a
+    callback, each is accepted.
+    """
 
-    def __init__(self, action: str) -> None:
+    def __init__(self, action: str, settings: ActionServerSettings[GoalT]) -> None:
+        """Make the callbacks of an action from the settings.
+
+        Raises:
+            TypeError: `on_goal` takes neither one argument nor two.
+        """
+        on_goal = settings.on_goal
+        self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
+        self._on_cancel = settings.on_cancel
+        self.are_goals_decided = on_goal is not None
+        """True if a goal may be rejected."""
+        self.are_cancels_decided = settings.on_cancel is not None
+        """True if a cancel may be rejected."""
         self._action = action
         self._waiting: set[CancelScope] = set()
 
@@ -74,6 +88,39 @@ class Callbacks:
         """Cancel all callbacks that are awaited now; each counts as a rejection."""
         for scope in tuple(self._waiting):
             scope.cancel()
+
+    def ask_goal(
+        self, request: GoalT, sender: Sender, goal_id: GoalID, context: Context | None
+    ) -> Coroutine[Any, Any, None] | None:
+        """Call `on_goal`: return None if it accepts, or a coroutine that waits for its answer.
+
+        Raises:
+            GoalRejected: It rejects the goal, or has failed, here or in the coroutine.
+        """
+        on_goal, ask = self._on_goal, self.ask
+        assert on_goal is not None  # else no goal is decided
+        asked = (request, sender)
+        if context is None:
+            return ask("on_goal", on_goal, asked, GoalRejected, goal_id)
+        return context.run(ask, "on_goal", on_goal, asked, GoalRejected, goal_id)
+
+    def ask_cancel(self, handle: GoalHandle[GoalT]) -> Coroutine[Any, Any, None] | None:
+        """Call `on_cancel`, in the same way.
+
+        Raises:
+            CancelRejected: It rejects the cancel, or has failed, here or in the coroutine.
+            RuntimeError: `on_cancel` itself cancels the goal that it decides upon.
+        """
+        on_cancel, goal_id = self._on_cancel, handle.goal_id
+        assert on_cancel is not None  # else no cancel is decided
+        self._check_not_within("on_cancel", goal_id, "cancels")
+        return self.ask("on_cancel", on_cancel, (handle,), CancelRejected, about=goal_id)
+
+    def check_not_deciding(self, goal_id: GoalID) -> None:
+        """Raise RuntimeError if this is called by the `on_goal` that decides on that goal: it would
+        wait for itself.
+        """
+        self._check_not_within("on_goal", goal_id, "cancels, or sends again,")
 
     def ask(
         self,
@@ -100,7 +147,7 @@ class Callbacks:
             _check(name, answer, rejection)
         return None
 
-    def check_not_within(self, name: str, about: Hashable, act: str) -> None:
+    def _check_not_within(self, name: str, about: Hashable, act: str) -> None:
         """Raise an error if this is called by an async callback of that name about that goal.
 
         A caller that waits for the answer of a callback calls this. If it were the callback itself,
@@ -195,59 +242,3 @@ def _is_canceled() -> bool:
     """Return whether this task itself was canceled, outside of scopes, as only asyncio can do."""
     task = asyncio_task()
     return task is not None and task.cancelling() > 0
-
-
-class GoalCallbacks(Generic[GoalT]):
-    """The decisions of a user on goals and cancels; without a callback, each is accepted."""
-
-    def __init__(self, action: str, settings: ActionServerSettings[GoalT]) -> None:
-        """Make the callbacks of an action from the settings.
-
-        Raises:
-            TypeError: `on_goal` takes neither one argument nor two.
-        """
-        on_goal = settings.on_goal
-        self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
-        self._on_cancel = settings.on_cancel
-        self.are_goals_decided = on_goal is not None
-        """True if a goal may be rejected."""
-        self.are_cancels_decided = settings.on_cancel is not None
-        """True if a cancel may be rejected."""
-        self._callbacks = Callbacks(action)
-
-    def ask_goal(
-        self, request: GoalT, sender: Sender, goal_id: GoalID, context: Context | None
-    ) -> Coroutine[Any, Any, None] | None:
-        """Call `on_goal`: return None if it accepts, or a coroutine that waits for its answer.
-
-        Raises:
-            GoalRejected: It rejects the goal, or has failed, here or in the coroutine.
-        """
-        on_goal, ask = self._on_goal, self._callbacks.ask
-        assert on_goal is not None  # else no goal is decided
-        asked = (request, sender)
-        if context is None:
-            return ask("on_goal", on_goal, asked, GoalRejected, goal_id)
-        return context.run(ask, "on_goal", on_goal, asked, GoalRejected, goal_id)
-
-    def ask_cancel(self, handle: GoalHandle[GoalT]) -> Coroutine[Any, Any, None] | None:
-        """Call `on_cancel`, in the same way.
-
-        Raises:
-            CancelRejected: It rejects the cancel, or has failed, here or in the coroutine.
-            RuntimeError: `on_cancel` itself cancels the goal that it decides upon.
-        """
-        on_cancel, goal_id = self._on_cancel, handle.goal_id
-        assert on_cancel is not None  # else no cancel is decided
-        self._callbacks.check_not_within("on_cancel", goal_id, "cancels")
-        return self._callbacks.ask("on_cancel", on_cancel, (handle,), CancelRejected, about=goal_id)
-
-    def check_not_deciding(self, goal_id: GoalID) -> None:
-        """Raise RuntimeError if this is called by the `on_goal` that decides on that goal: it would
-        wait for itself.
-        """
-        self._callbacks.check_not_within("on_goal", goal_id, "cancels, or sends again,")
-
-    def stop(self) -> None:
-        """Cancel all callbacks that are awaited now; each counts as a rejection."""
-        self._callbacks.stop()
