@@ -45,9 +45,9 @@ from fibaction.server.functions.executor_check import (
 from fibaction.server.parts import Parts
 from fibaction.server.registry.goal_record import Offer
 from fibaction.server.scheduling.dispatcher import Dispatcher
-from fibaction.server.scheduling.goal_dispatcher import dispatcher_of
+from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.settings import ActionServerKeywords, ActionServerSettings, check_is_store
-from fibaction.server.watchers import WatcherGroup, Watchers
+from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
 from fibaction.words.goal_query import PastPage
@@ -100,10 +100,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         check_settings("ActionServer", settings, ActionServerSettings.__struct_fields__)
         self._settings = ActionServerSettings(**settings)
         self._callbacks = GoalCallbacks(action.name, self._settings)
-        self._dispatcher: Dispatcher[GoalT] = dispatcher_of(
-            action.name, self._settings.schedule, self._settings.shutdown_timeout
-        )
-        self._watchers: Watchers = Watchers()
+        schedule, kill_after = self._settings.schedule, self._settings.shutdown_timeout
+        self._dispatcher: Dispatcher[GoalT] = Dispatcher()
+        if schedule is not None:
+            self._dispatcher = GoalDispatcher(schedule, action=action.name, kill_after=kill_after)
+        self._watchers = Watchers(action.name, self._settings.watchers)
         self._parts: Parts[GoalT, FeedbackT, ResultT]
         self._goals: Sized = ()
         self._started = Notifier()
@@ -111,7 +112,6 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
         self.store: GoalStore | None = self._settings.store
         """The store that keeps the goals of this server; None if none does."""
-        self.watch_by(self._settings.watchers)
 
     # Life
 
@@ -145,12 +145,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             RuntimeError: The server was started before.
             TypeError: One of them is not a `Watcher`, or has an async method.
         """
-        members = tuple(watchers)
-        if not members:
-            return
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; give the watchers to another one")
-        self._watchers = WatcherGroup(self.action.name, (*self._watchers.members, *members))
+        self._watchers = Watchers(self.action.name, (*self._watchers.members, *watchers))
 
     async def __aenter__(self) -> Self:
         """Start the server. With a store, take over its goals before anything else.

@@ -1,7 +1,6 @@
-"""`Watchers`: what a server tells its watchers, of which none can harm a goal: `WatcherGroup`.
+"""`Watchers`: what a server tells its watchers, of which none can harm a goal.
 
-A server without watchers has the base class. Watchers are told of feedback, and of a goal's
-statuses, by its `WatchedLog`.
+Watchers are told of feedback, and of a goal's statuses, by its `WatchedLog`.
 """
 
 from __future__ import annotations
@@ -23,47 +22,6 @@ from fibaction.words.errors import text_of
 from fibaction.words.goals import CancelAnswer, GoalID, Sender
 from fibaction.words.meta import Meta
 
-
-class Watchers:
-    """The watchers of one server, as one: it has none."""
-
-    members: tuple[Watcher, ...] = ()
-    """The watchers."""
-
-    def opened(self, info: ActionInfo) -> None:
-        """Tell that the server starts."""
-
-    def offered(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> Context | None:
-        """Tell that a goal was offered, and return the context for its executor; None for that of
-        the call that accepts it.
-        """
-        return None
-
-    def taken_over(
-        self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
-    ) -> Context | None:
-        """Tell that a goal comes from the store, and return the context, as `offered` does."""
-        return None
-
-    def rejected(self, goal_id: GoalID, reason: str) -> None:
-        """Tell that a goal was rejected."""
-
-    def accepted(
-        self, goal: GoalRecord, window: int, latest: bool, budget: ByteBudget, payload: bytes
-    ) -> FeedbackLog[GoalRecord]:
-        """Tell that a goal was accepted, and return its log, which tells what follows."""
-        return FeedbackLog(goal, window, latest, budget, payload)
-
-    def canceled(self, goal_id: GoalID | None, answer: CancelAnswer) -> None:
-        """Tell the answer to a cancel."""
-
-    def left(self, goal: GoalRecord, reason: str) -> None:
-        """Tell that a goal is the server's no longer."""
-
-    def closed(self, info: ActionInfo) -> None:
-        """Tell that the server has stopped."""
-
-
 SLOW = 0.1
 """Seconds of one call of a watcher after which the log names it: everything else waits for it."""
 
@@ -74,8 +32,8 @@ _Calls: TypeAlias = tuple[tuple[Watcher, Callable[..., None]], ...]
 logger = clean_logger("fibaction.server")
 
 
-class WatcherGroup(Watchers):
-    """The watchers of one server, called one after another."""
+class Watchers:
+    """The watchers of one server, called one after another. Most servers have none."""
 
     def __init__(self, action: str, watchers: Iterable[Watcher]) -> None:
         """Call these watchers with the name of the action.
@@ -85,6 +43,7 @@ class WatcherGroup(Watchers):
         """
         self._action = action
         self.members = tuple(watchers)
+        """The watchers."""
         for watcher in self.members:
             _check(watcher)
         self._calls = {name: self._calls_of(name) for name in METHODS}
@@ -102,24 +61,35 @@ class WatcherGroup(Watchers):
         )
 
     def opened(self, info: ActionInfo) -> None:
+        """Tell that the server starts."""
         self._call("opened", info)
 
-    def offered(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> Context:
+    def offered(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> Context | None:
+        """Tell that a goal was offered, and return the context for its executor; None for that of
+        the call that accepts it.
+        """
+        if not self.members:
+            return None
         context = copy_context()
         context.run(self._call, "offered", self._action, goal_id, goal, sender, meta)
         return context
 
     def taken_over(self, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta) -> Context:
+        """Tell that a goal comes from the store, and return the context for its executor."""
         context = copy_context()
         context.run(self._call, "taken_over", self._action, goal_id, goal, sender, meta)
         return context
 
     def rejected(self, goal_id: GoalID, reason: str) -> None:
+        """Tell that a goal was rejected."""
         self._call("rejected", self._action, goal_id, reason)
 
     def accepted(
         self, goal: GoalRecord, window: int, latest: bool, budget: ByteBudget, payload: bytes
     ) -> FeedbackLog[GoalRecord]:
+        """Tell that a goal was accepted, and return its log, which tells what follows."""
+        if not self.members:
+            return FeedbackLog(goal, window, latest, budget, payload)
         self._call("accepted", self._action, goal.info, payload)
         return WatchedLog(self, goal, window, latest, budget, payload)
 
@@ -139,12 +109,15 @@ class WatcherGroup(Watchers):
         self._call("missed", self._action, goal_id, count)
 
     def canceled(self, goal_id: GoalID | None, answer: CancelAnswer) -> None:
+        """Tell the answer to a cancel."""
         self._call("canceled", self._action, goal_id, answer)
 
     def left(self, goal: GoalRecord, reason: str) -> None:
+        """Tell that a goal is the server's no longer."""
         self._call("left", self._action, goal.info, reason)
 
     def closed(self, info: ActionInfo) -> None:
+        """Tell that the server has stopped."""
         self._call("closed", info)
 
     def _call(self, name: str, *arguments: Any) -> None:
@@ -190,7 +163,7 @@ class WatchedLog(FeedbackLog[GoalRecord]):
 
     def __init__(
         self,
-        watchers: WatcherGroup,
+        watchers: Watchers,
         goal: GoalRecord,
         window: int,
         latest: bool,

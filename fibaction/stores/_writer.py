@@ -273,14 +273,10 @@ class SqliteJournal(GoalJournal):
     def begin(self, goal: StoredGoal, then: Then) -> None:
         self._write(moved(self._action, goal), then)
 
-    def cancel(self, goal: StoredGoal, then: Then) -> None:
-        self._write(moved(self._action, goal), then)
+    cancel = release = begin
 
     def checkpoint(self, goal: StoredGoal, then: Then) -> None:
         self._write(CheckpointRecord(self._action, goal.goal_id, goal.checkpoint), then)
 
     def end(self, goal: StoredGoal, then: Then) -> None:
         self._write(ended(self._action, goal), then)
-
-    def release(self, goal: StoredGoal, then: Then) -> None:
-        self._write(moved(self._action, goal), then)

@@ -10,7 +10,6 @@ import sys
 from typing import Generic, NoReturn, TypeVar
 
 from fibaction._runtime.log import clean_logger
-from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.words.goals import GoalID
 
 T = TypeVar("T")
@@ -52,27 +51,6 @@ class AbandonedCoroutine(Generic[T]):
 
     def close(self) -> None:
         """Do nothing: the coroutine must not be closed."""
-
-
-def abandoned(goal_id: GoalID, action: str, result: bytes | None) -> Ending:
-    """Log that an executor survived being killed and runs no further; return its goal's end."""
-    logger.error(
-        "goal %s of action %r: its executor does not end though it was killed, and is"
-        " abandoned; what it holds stays taken until this process ends",
-        goal_id,
-        action,
-    )
-    return Ending(EndKind.FAILED, result, "the executor was abandoned")
-
-
-def tell_spared(goal_id: GoalID, action: str) -> None:
-    """Log that an executor survived being killed and keeps running."""
-    logger.error(
-        "goal %s of action %r: its executor does not end though it was killed, and runs on;"
-        " its place in the schedule stays taken until then",
-        goal_id,
-        action,
-    )
 
 
 def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:

@@ -44,7 +44,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
-from fibaction.server.execution.abandoned import abandoned, tell_spared
+from fibaction._runtime.log import clean_logger
 from fibaction.server.execution.executor_ends import (
     Misuse,
     cause_of,
@@ -70,6 +70,8 @@ if TYPE_CHECKING:
     from fibaction.words.goals import Outcome
 
 T = TypeVar("T")
+
+logger = clean_logger("fibaction.server")
 
 Executor: TypeAlias = Callable[
     [GoalHandle[GoalT]], AsyncIterator[FeedbackT | ResultT | Return[ResultT]]
@@ -229,10 +231,19 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
 
     def _abandoned(self) -> Ending:
         self._scopes = None
-        return abandoned(self.handle.goal_id, self._action.name, self._result)
+        self._tell_survival("is abandoned; what it holds stays taken until this process ends")
+        return Ending(EndKind.FAILED, self._result, "the executor was abandoned")
 
     def _spared(self) -> None:
-        tell_spared(self.handle.goal_id, self._action.name)
+        self._tell_survival("runs on; its place in the schedule stays taken until then")
+
+    def _tell_survival(self, what_follows: str) -> None:
+        logger.error(
+            "goal %s of action %r: its executor does not end though it was killed, and %s",
+            self.handle.goal_id,
+            self._action.name,
+            what_follows,
+        )
 
     def _ended_by(self, exc: BaseException) -> Ending:
         # In a frame of its own: a traceback references its frames. If one of those also referenced

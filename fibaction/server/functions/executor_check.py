@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import AsyncIterable, AsyncIterator, Callable
-from dis import get_instructions
 from functools import partial
-from itertools import pairwise
 from types import FunctionType
 from typing import Any, cast
 
@@ -63,7 +61,7 @@ def check_is_executor(executor: object) -> None:
 
     This finds a forgotten `async` or `yield` before the first goal. The value that any other
     function returns is known only when it is called, so a goal checks that, unless the function
-    says its type or returns constants only.
+    says its type.
     """
     while isinstance(executor, partial):
         executor = executor.func
@@ -96,12 +94,4 @@ def _returns_other(function: FunctionType) -> bool:
         said = inspect.get_annotations(function, eval_str=True).get("return")
     except Exception:  # of any kind: a type may be known to type checkers only
         said = None
-    if isinstance(said, type):
-        return not issubclass(said, AsyncIterable)
-    steps = [one.opname for one in get_instructions(function)]
-    ends = {
-        "RETURN_CONST" if name == "RETURN_CONST" else before
-        for before, name in pairwise(steps)
-        if name.startswith("RETURN_") and name != "RETURN_GENERATOR"
-    }
-    return bool(ends) and ends <= {"LOAD_CONST", "LOAD_SMALL_INT", "RETURN_CONST"}
+    return isinstance(said, type) and not issubclass(said, AsyncIterable)

@@ -61,13 +61,6 @@ MANY, POSITIONS_TIME = 1000, 0.1
 """If more goals wait than that, the seconds for which their places are not computed again."""
 
 
-def dispatcher_of(action: str, schedule: Schedule | None, kill_after: float) -> Dispatcher[GoalT]:
-    """Return what carries out a schedule, if there is one, for the goals of an action."""
-    if schedule is None:
-        return Dispatcher()
-    return GoalDispatcher(schedule, action=action, kill_after=kill_after)
-
-
 class GoalDispatcher(Dispatcher[GoalT]):
     """The schedule of one server at work."""
 

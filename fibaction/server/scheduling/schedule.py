@@ -89,8 +89,8 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
                     raise TypeError(f"{name} is a function that does not wait, without `async`")
         for name in ("queue_timeout", "run_timeout", "handover"):
             _check_is_time(name, getattr(self, name))
-        _check_is_flag("skip_expired", self.skip_expired)
-        _check_is_text("fleet_limit", self.fleet_limit)
+        _check_is("skip_expired", self.skip_expired, bool, "True or False")
+        _check_is("fleet_limit", self.fleet_limit, str, "a text")
         self._check_has_effect()
         if self.fleet_limit:
             self._check_holds_in_a_fleet()
@@ -139,14 +139,9 @@ def _check_is_limit(name: str, limit: object, least: int) -> None:
         raise ValueError(f"{name} is {least} or more, not {limit}")
 
 
-def _check_is_text(name: str, text: object) -> None:
-    if not isinstance(text, str):
-        raise TypeError(f"{name} is a text, not {text!r}")
-
-
-def _check_is_flag(name: str, flag: object) -> None:
-    if not isinstance(flag, bool):
-        raise TypeError(f"{name} is True or False, not {flag!r}")
+def _check_is(name: str, value: object, kind: type, what: str) -> None:
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} is {what}, not {value!r}")
 
 
 def _check_is_time(name: str, seconds: object) -> None:
