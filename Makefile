@@ -6,7 +6,7 @@ export PYTHON ?= python3
 SCALE ?= 1
 # The minutes of `make simulate`.
 MINUTES ?= 10
-# The release of ROS 2, kilted or jazzy, each in an environment of its own: see .venv-ros below.
+# The release of ROS 2, kilted or jazzy.
 ROS ?= kilted
 
 VENV := .venv
@@ -107,7 +107,7 @@ test_elsewhere = FIBACTION_ELSEWHERE=1 FIBACTION_EXAMPLES=10 $(no_other_ros) $(1
     $(at_once) -o cache_dir=$(1)/.pytest_cache
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
-	@$(if $(PYTHONS),$(MAKE) --no-print-directory $(patsubst %,test-python%,$(PYTHONS)),echo "no other Python is here")
+	@$(foreach version,$(PYTHONS),$(MAKE) --no-print-directory test-python$(version) &&) true
 
 test-python%: build/python%/.installed
 	$(call test_elsewhere,build/python$*)
@@ -121,13 +121,8 @@ openapi: $(VENV)/.tools .venv-openapi/.installed  ## Try the programs of others 
 # The trials of each night, and the measurements
 
 bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparisons.md
-	tests/tools/get.sh nats
-	tests/tools/get.sh redis
-	$(no_other_ros) $(BIN)/python -m tests.tools.benchmarks all --scale $(SCALE)
-	$(BIN)/python -m tests.tools.benchmarks.durable
-	$(BIN)/python -m tests.tools.benchmarks.fleet
 	$(MAKE) --no-print-directory $(patsubst %,build/python%/.installed,$(PYTHONS))
-	$(BIN)/python -m tests.tools.benchmarks.pythons --write
+	$(no_other_ros) tests/tools/benchmarks/all.sh $(SCALE)
 
 regression: $(VENV)/.tools  ## Compare the speed with that of yesterday, or of BASE=COMMIT, and fail if it is 15 % less
 	$(BIN)/python -m tests.tools.benchmarks.regression --base "$(BASE)"
@@ -159,15 +154,10 @@ release: $(VENV)/.release $(VENV)/.docs  ## Prepare a release, VERSION=0.1.0: fi
 	$(no_other_ros) tests/tools/release/make.sh $(VERSION)
 
 lock:  ## Write the newest versions of the check's tools and libraries into tests/tools/lock.txt
-	rm -rf build/lock
-	tests/tools/venv.sh build/lock -e . --group test --group browser --group check --group docs --group release
-	build/lock/bin/python -m tests.tools.lock > build/lock/lock.txt
-	cp build/lock/lock.txt tests/tools/lock.txt
+	tests/tools/lock.sh
 
 audit:  ## Look for known security problems in the libraries of the check, Python's and Node's
-	tests/tools/venv.sh build/audit --group audit
-	build/audit/bin/python -m pip_audit --no-deps --disable-pip --requirement tests/tools/lock.txt
-	cd tests/javascript && npm audit
+	tests/tools/lock.sh --audit
 
 clean:  ## Remove all generated files
 	rm -rf .venv .venv-* .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
@@ -194,17 +184,8 @@ $(VENV)/.bench $(VENV)/.fuzz $(VENV)/.release $(VENV)/.docs: $(VENV)/.tools
 	tests/tools/venv.sh .venv-$* $(if $(filter openapi,$*),,-e . --group test) --group $*
 	@touch $@
 
-build/python%/.installed: pyproject.toml
-	rm -rf $(@D)
-	PYTHON=$$(tests/tools/find_python.sh $*) tests/tools/venv.sh $(@D) -e '.[uvloop]' --group test
-	@touch $@
-
-build/lowest/.installed: pyproject.toml tests/tools/lowest.py
-	rm -rf $(@D)
-	mkdir -p $(@D)
-	$(PYTHON) -m tests.tools.lowest > $(@D)/lowest.txt
-	PYTHON=$(if $(LOWEST),$$(tests/tools/find_python.sh $(LOWEST)),$(PYTHON)) \
-	    tests/tools/venv.sh $(@D) -e '.[uvloop]' --group test --constraint $(@D)/lowest.txt
+build/%/.installed: pyproject.toml tests/tools/lowest.py
+	tests/tools/other_python.sh $(@D) $(if $(filter lowest,$*),$(LOWEST),$(*:python%=%))
 	@touch $@
 
 $(JAVASCRIPT)/.installed: tests/javascript/package.json tests/javascript/package-lock.json

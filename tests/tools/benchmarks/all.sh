@@ -1,0 +1,10 @@
+#!/bin/sh
+# Measure everything beside its peers, for docs/comparisons.md: `all.sh SCALE`, of which less than 1 is
+# faster, and less exact. The other versions of Python are those that have an environment in build/.
+set -e
+tests/tools/get.sh nats
+tests/tools/get.sh redis
+.venv/bin/python -m tests.tools.benchmarks all --scale "$1"
+.venv/bin/python -m tests.tools.benchmarks.durable
+.venv/bin/python -m tests.tools.benchmarks.fleet
+.venv/bin/python -m tests.tools.benchmarks.pythons --write
