@@ -23,7 +23,6 @@ from tests.hostile.arena import Figures, figures_of
 from tests.hostile.attacks import ATTACKS
 from tests.hostile.meter import Reading
 from tests.hostile.rtps import crowd
-from tests.hostile.rtps.crowd import CrowdFigures
 from tests.hostile.rtps.datagram_attacks import DATAGRAM_ATTACKS
 from tests.hostile.verdict import faults
 from tests.trials import add_names, command_line, named
@@ -36,7 +35,7 @@ HEAD = (
 )
 
 
-def row(name: str, found: Figures | CrowdFigures, above: int) -> str:
+def row(name: str, found: Figures, above: int) -> str:
     """Return the figures of an attack as a line of the table."""
     times = " ".join(f"{found.latency(part) * 1000:7.1f}" for part in (0.5, 0.99, 1))
     return (
@@ -51,10 +50,10 @@ async def attack(name: str, seconds: float, *, looks: bool) -> tuple[str, list[s
     """Make an attack; return its row, the bounds that were broken, and what the meter says."""
     is_trial = seconds > 0
     if name in DATAGRAM_ATTACKS:
-        on_crowd = DATAGRAM_ATTACKS[name]
-        crowd_found = await crowd.figures_of(name, seconds)
-        wrong = crowd.broken_bounds(on_crowd, crowd_found, is_trial=is_trial)
-        return row(name, crowd_found, on_crowd.above), wrong, crowd_found.reading
+        by_datagrams = DATAGRAM_ATTACKS[name]
+        found = await crowd.figures_of(name, seconds)
+        wrong = crowd.broken_bounds(by_datagrams, found, is_trial=is_trial)
+        return row(name, found, by_datagrams.above), wrong, found.reading
     found = await figures_of(name, seconds, looks=looks)
     wrong = faults(ATTACKS[name], found, is_trial=is_trial)
     if is_trial and found.latency(0.99) > P99:

@@ -6,8 +6,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncGenerator, Generator
-from contextlib import ExitStack, asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from contextlib import AbstractContextManager, ExitStack, asynccontextmanager, contextmanager
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
@@ -46,12 +46,21 @@ class Server:
     """A server in a process of its own."""
 
     def __init__(
-        self, process: ForkServerProcess, urls: list[str], orders: Connection, log: Path
+        self, process: ForkServerProcess, told: Any, orders: Connection, log: Path
     ) -> None:
-        self.url, self.web = urls
+        self.told = told
+        """The first message of the process: the addresses at which it serves."""
         self._process = process
         self._orders = orders
         self._log = log
+
+    @property
+    def url(self) -> str:
+        return str(self.told[0])
+
+    @property
+    def web(self) -> str:
+        return str(self.told[1])
 
     @property
     def log(self) -> str:
@@ -113,34 +122,41 @@ def environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join([".", "transports"])}
 
 
+def started(settings: Settings) -> AbstractContextManager[Server]:
+    """Start a server; it ends with the block, at the latest."""
+    return started_by(victim.run, settings, preload=["fibaction_transports.tcp", *WEB])
+
+
+PROCESSES = get_context("forkserver")
+
+
 @contextmanager
-def started(settings: Settings) -> Generator[Server, None, None]:
-    """Start a server; it ends with the block, at the latest.
+def started_by(
+    run: Callable[..., None], *arguments: Any, preload: Sequence[str] = ()
+) -> Generator[Server, None, None]:
+    """Start a process that a meter measures; it ends with the block, at the latest.
 
     It is forked from a process that has imported everything, because the imports cost more than
     most attacks.
     """
-    processes = get_context("forkserver")
-    processes.set_forkserver_preload(
-        ["tests.hostile.victim", "fibaction_transports.tcp", *WEB, "pytest"]
-    )
-    here, there = processes.Pipe()
-    orders, of_meter = processes.Pipe()
+    PROCESSES.set_forkserver_preload([run.__module__, *preload, "pytest"])
+    here, there = PROCESSES.Pipe()
+    orders, of_meter = PROCESSES.Pipe()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log.txt"
         log.touch()
-        process = processes.Process(
-            target=victim.run, args=(settings, there, of_meter, str(log)), daemon=True
+        process = PROCESSES.Process(
+            target=run, args=(there, of_meter, str(log), *arguments), daemon=True
         )
         process.start()
         try:
             there.close()
             of_meter.close()
             try:
-                urls: list[str] = here.recv()
+                told = here.recv()
             except EOFError:
                 raise AssertionError(f"it has not started: {log.read_text()[-2000:]}") from None
-            yield Server(process, urls, orders, log)
+            yield Server(process, told, orders, log)
         finally:
             process.kill()
             process.join()
@@ -179,7 +195,11 @@ class Figures(NamedTuple):
     """Seconds from SIGTERM to the end of the server."""
     code: int | None
     """The exit code of the server; None if it had to be killed."""
-    log: str
+    log: str = ""
+    attacked: int = 0
+    """Bytes that the attacker has sent, in datagrams; 0 if it was another process."""
+    sent: int = 0
+    """Bytes that the victim of datagrams has sent, but those for the honest peer's questions."""
 
     def latency(self, quantile: float) -> float:
         """Return the latency that this part of the goals did not exceed."""

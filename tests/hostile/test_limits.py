@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -10,7 +10,7 @@ import anyio
 import msgspec
 import pytest
 
-from fibaction import Limits
+from fibaction import Limits, RejectionCode
 from fibaction.wire.frames import header
 from fibaction.wire.messages import (
     Ended,
@@ -18,8 +18,6 @@ from fibaction.wire.messages import (
     Follow,
     Following,
     Goodbye,
-    ListActions,
-    Received,
     Rejected,
     Watching,
     WatchStatus,
@@ -30,9 +28,9 @@ from fibaction.words.statuses import GoalStatus
 from tests.hostile.arena import PATIENCE, SHUTDOWN, be_honest, honest_client, started
 from tests.hostile.attack import MIB, MOST, goal_id, sending
 from tests.hostile.floods import SHORT
-from tests.hostile.goal_attacks import ONE, begun
+from tests.hostile.goal_attacks import ONE, begun, ticking
 from tests.hostile.raw_client import Lost, Target, until
-from tests.hostile.victim import Settings
+from tests.hostile.victim import GROW, Settings, Sized
 
 pytestmark = pytest.mark.asyncio
 
@@ -83,34 +81,46 @@ async def test_each_limit_has_a_test() -> None:
     assert set(Limits.__struct_fields__) == TESTED
 
 
-async def test_one_connection_too_many_is_told_that_the_server_is_full() -> None:
-    async with limited(connections=3) as target:
-        async with target.dial_many(3) as raws:
-            for raw in raws:
-                await raw.hear(Welcome)
-            async with target.dial() as more:
-                assert (await more.hear(Goodbye)).why == Why.LIMIT
-                await more.ended()
+ACTIONS = ["forever", "echo", "grow", "fail"]
+ONE_TOO_MANY: dict[str, Callable[[int, bytes], object]] = {
+    "goals": lambda id, goal: sending(id, "forever", ONE, None),
+    "follows": lambda id, goal: Follow(id, "forever", goal, None, False, MOST),
+    "requests": lambda id, goal: WatchStatus(id, ACTIONS[id % 4], MOST),
+}
 
 
-async def test_one_goal_too_many_is_rejected() -> None:
-    async with limited(goals=3) as target, target.dial() as raw:
-        for id in range(1, 4):
-            await begun(raw, sending(id, "forever", ONE, None))
-        await raw.say(sending(4, "forever", ONE, None))
-        assert isinstance(await raw.answer(4), Rejected)
-
-
-async def test_one_follow_too_many_of_a_goal_fails() -> None:
-    async with limited(follows=3) as target, target.dial() as raw:
-        goal = await begun(raw, sending(next(raw.ids), "forever", ONE, None))
-        answers = []
-        for id in range(2, 6):
-            await raw.say(Follow(id, "forever", goal.goal_id, None, False, MOST))
+@pytest.mark.parametrize("limit", ONE_TOO_MANY)
+async def test_one_too_many_is_told_so(limit: str) -> None:
+    limits: Any = {limit: 3}
+    answers: list[Any] = []
+    async with limited(**limits) as target, target.dial() as raw, target.dial() as other:
+        goal = await begun(other, sending(1, "forever", ONE, None))
+        for id in range(100, 104):
+            await raw.say(ONE_TOO_MANY[limit](id, goal.goal_id))
             answers.append(await raw.answer(id))
-        assert isinstance(answers[0], Following)
-        assert isinstance(answers[-1], Failed)
-        assert answers[-1].why == Why.LIMIT
+    *_, third, last = answers
+    assert isinstance(third, Following | Watching)
+    assert last.code == RejectionCode.BUSY if limit == "goals" else last.why == Why.LIMIT
+
+
+@pytest.mark.parametrize(
+    ("limits", "said", "why"),
+    [
+        ({"frame": 10_000}, header(10_001), Why.PROTOCOL),
+        ({"handshake": 0.2}, None, Why.LIMIT),
+        ({"heartbeat": 0.05}, b"", None),
+    ],
+    ids=str,
+)
+async def test_a_client_beyond_a_limit_is_ended(
+    limits: Any, said: bytes | None, why: int | None
+) -> None:
+    async with limited(**limits) as target:
+        async with target.dial(hello=said is not None, heartbeat=3600.0) as raw:
+            await raw.write(said or b"")
+            if why is not None:
+                assert (await raw.hear(Goodbye)).why == why
+            await raw.ended()
 
 
 async def test_goals_of_lost_connections_are_given_up_when_they_are_too_many() -> None:
@@ -125,31 +135,6 @@ async def test_goals_of_lost_connections_are_given_up_when_they_are_too_many() -
             assert (await other.hear(Ended, id)).status is GoalStatus.CANCELED
         await other.say(Follow(3, "forever", goals[2].goal_id, None, False, None))
         assert (await other.hear(Following, 3)).status is GoalStatus.EXECUTING
-
-
-async def test_one_request_too_many_fails() -> None:
-    async with limited(requests=3) as target, target.dial() as raw:
-        for id, action in enumerate(("forever", "echo", "grow"), 1):
-            await raw.say(WatchStatus(id, action, MOST))
-            await raw.hear(Watching, id)
-        await raw.say(ListActions(4))
-        failed = await raw.answer(4)
-        assert isinstance(failed, Failed)
-        assert failed.why == Why.LIMIT
-
-
-async def test_a_frame_that_is_too_long_ends_the_connection_when_it_is_announced() -> None:
-    async with limited(frame=10_000) as target, target.dial() as raw:
-        await raw.hear(Welcome)
-        await raw.write(header(10_001))
-        assert (await raw.hear(Goodbye)).why == Why.PROTOCOL
-        await raw.ended()
-
-
-async def test_a_goal_is_rejected_while_those_that_are_decided_upon_hold_too_many_bytes() -> None:
-    async with limited(memory=2 * MIB, frame=4 * MIB) as target, target.dial() as raw:
-        await raw.say(*(sending(id, "slow", payload(MIB)) for id in range(1, 4)))
-        assert isinstance(await raw.answer(3), Rejected)
 
 
 async def test_goals_of_all_connections_that_are_decided_upon_have_a_limit_in_bytes() -> None:
@@ -193,26 +178,41 @@ async def test_a_client_that_asks_for_more_than_it_reads_is_ended() -> None:
                 await raw.say(*messages)
 
 
-async def test_a_client_that_does_not_say_hello_in_time_is_ended() -> None:
-    async with limited(handshake=0.2) as target, target.dial(hello=False) as raw:
-        assert (await raw.hear(Goodbye)).why == Why.LIMIT
-        await raw.ended()
+async def test_feedback_without_a_reader_has_a_limit_in_bytes_and_its_goal_goes_on() -> None:
+    async with limited(server={"max_bytes": 4 * MIB, "stall_timeout": 0.1}) as target:
+        async with target.dial() as raw:
+            await raw.say(sending(1, "ticker", ticking(0.0, MIB, 20), 0))
+            await raw.hear(Following, 1)
+            await raw.say(Follow(2, "ticker", goal_id(), None, False, None))
+            await raw.hear(Failed, 2)
+            async with target.dial() as other:  # other goals are accepted beside it
+                await other.say(sending(1, "fibonacci", SHORT))
+                await other.hear(Ended, 1)
 
 
-async def test_a_silent_client_counts_as_dead_even_if_it_asks_for_a_longer_heartbeat() -> None:
-    async with limited(heartbeat=0.05) as target, target.dial(heartbeat=3600.0) as raw:
-        await raw.hear(Welcome)
-        await raw.ended(within=5)
-
-
-async def test_results_that_are_too_many_are_forgotten() -> None:
-    async with limited(server={"max_results": 3}) as target, target.dial() as raw:
-        names = [goal_id() for _ in range(5)]
-        for id, name in enumerate(names, 1):
-            await raw.say(sending(id, "fibonacci", SHORT, MOST, name))
+@pytest.mark.promise("RESULT-9")
+async def test_results_that_one_client_does_not_read_push_out_no_results_of_others() -> None:
+    goal = GROW.goal.encode(Sized(MIB))
+    async with (
+        limited(server={"max_bytes": 8 * MIB}, frame=2 * MIB) as target,
+        target.dial() as honest,
+        target.dial() as raw,
+    ):
+        name = goal_id()
+        await honest.say(sending(1, "grow", goal, MOST, name))
+        await honest.hear(Ended, 1)
+        names = [goal_id() for _ in range(20)]
+        for id, one in enumerate(names, 1):  # without `Received`, a result counts as unread
+            await raw.say(sending(id, "grow", goal, MOST, one))
+            if isinstance(rejected := await raw.answer(id), Rejected):
+                break
             await raw.hear(Ended, id)
-            await raw.say(Received(id))
-        await raw.say(Follow(100, "fibonacci", names[0], None, False, None))
-        failed = await raw.answer(100)
+        assert isinstance(rejected, Rejected)
+        assert rejected.reason.startswith("busy: its client has not read results of ")
+        await raw.say(Follow(101, "grow", names[0], None, False, None))
+        failed = await raw.answer(101)
         assert isinstance(failed, Failed)
         assert failed.why == Why.UNKNOWN_GOAL
+        await honest.say(Follow(2, "grow", name, None, False, None))
+        assert isinstance(await honest.answer(2), Following)
+        await honest.hear(Ended, 2)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import Protocol
 
 from tests.hostile.arena import SHUTDOWN, Figures
 from tests.hostile.attack import Attack
-from tests.hostile.meter import Reading
+from tests.hostile.rtps.datagram_attacks import DatagramAttack
 
 LONGEST_TURN = 0.1
 """Seconds of the processor that one turn of the server's event loop may take, in a trial."""
@@ -19,22 +18,9 @@ LONGEST_LINE = 1000
 """Characters of a line of the log."""
 
 
-class Timed(Protocol):
-    """The times of an attack."""
-
-    @property
-    def reading(self) -> Reading: ...
-    @property
-    def quiet(self) -> float: ...
-    @property
-    def stopped(self) -> float: ...
-    @property
-    def code(self) -> int | None: ...
-
-
-def slowness(found: Timed, *, is_trial: bool) -> list[str]:
-    """Return the bounds of time that were broken: in seconds in a trial, which has the machine for
-    itself, and else beside the same calls without the attack.
+def faults(attack: Attack | DatagramAttack, found: Figures, *, is_trial: bool = False) -> list[str]:
+    """Return the bounds that were broken. Those of time are seconds in a trial, which has the
+    machine for itself, and else ratios to the same calls without the attack.
     """
     wrong: list[str] = []
     if found.reading.longest > (LONGEST_TURN if is_trial else DEAREST_TURN * found.quiet):
@@ -44,12 +30,6 @@ def slowness(found: Timed, *, is_trial: bool) -> list[str]:
         )
     if found.code != 0 or (is_trial and found.stopped > SHUTDOWN):
         wrong.append(f"SIGTERM took {found.stopped:.1f} s, exit code {found.code}")
-    return wrong
-
-
-def faults(attack: Attack, found: Figures, *, is_trial: bool = False) -> list[str]:
-    """Return the bounds that were broken."""
-    wrong = slowness(found, is_trial=is_trial)
     if found.above > attack.above:
         wrong.append(f"{found.above:.0f} MiB above the idle server, not {attack.above}")
     wrong += found.log.splitlines()[-1:] if found.code else []

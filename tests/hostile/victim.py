@@ -200,7 +200,7 @@ async def serve_all(settings: Settings, test: Connection) -> None:
             await anext(signals)
 
 
-def run(settings: Settings, test: Connection, orders: Connection, log: str) -> None:
+def run(test: Connection, orders: Connection, log: str, settings: Settings) -> None:
     """Be the server's process."""
     ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, LARGE_BLOCK)
     os.dup2(os.open(log, os.O_WRONLY), sys.stderr.fileno())

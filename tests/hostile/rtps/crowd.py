@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import sys
-import tempfile
-from collections.abc import AsyncGenerator, Generator
-from contextlib import ExitStack, asynccontextmanager, contextmanager
-from multiprocessing import get_context
-from multiprocessing.sharedctypes import Synchronized
-from pathlib import Path
+from collections.abc import AsyncGenerator
+from contextlib import ExitStack, asynccontextmanager
 from statistics import median
 from time import perf_counter
-from typing import NamedTuple
 
 import anyio
 
@@ -20,8 +15,15 @@ from fibaction_transports.rtps.limits import MOST_REPAIRS
 from fibaction_transports.rtps.network import open_network
 from fibaction_transports.rtps.ports import DomainSettings
 from fibaction_transports.rtps.qos import Qos
-from tests.hostile.arena import ROOT, SHUTDOWN, Server, environment
-from tests.hostile.meter import Reading
+from tests.hostile.arena import (
+    PROCESSES,
+    ROOT,
+    SHUTDOWN,
+    Figures,
+    Server,
+    environment,
+    started_by,
+)
 from tests.hostile.raw_client import until
 from tests.hostile.rtps import echo_victim
 from tests.hostile.rtps.datagram_attacks import (
@@ -31,7 +33,7 @@ from tests.hostile.rtps.datagram_attacks import (
     attacker_of,
 )
 from tests.hostile.rtps.echo_victim import ANSWERED, ASKED, EchoIdentity
-from tests.hostile.verdict import slowness
+from tests.hostile.verdict import faults
 from tests.support.ros_domain import claim_domain
 from tests.transports.rtps.world import TYPE, payload
 
@@ -46,80 +48,15 @@ HONEST_QUESTIONS = 10
 """Questions of the honest peer during an attack, at least."""
 
 
-class CrowdFigures(NamedTuple):
-    """The costs of one attack."""
-
-    reading: Reading
-    above: float
-    """MiB of memory of the victim at the peak, above those before the attack."""
-    latencies: list[float]
-    """Seconds of each question of the honest peer, in order of length."""
-    work: list[float]
-    """Seconds of the processor that the victim has used between each of these questions and its
-    answer, in order of length: other programs do not change them."""
-    attacked: int
-    """Bytes that the attacker has sent; 0 if it was another process."""
-    sent: int
-    """Bytes that the victim has sent, but those for the honest peer's questions."""
-    quiet: float
-    """The median of the work before the attack."""
-    stopped: float
-    code: int | None
-
-    def latency(self, quantile: float) -> float:
-        """Return the latency that this part of the questions did not exceed."""
-        return self.latencies[min(len(self.latencies) - 1, int(len(self.latencies) * quantile))]
-
-    def work_of(self, quantile: float) -> float:
-        """Return the work of the victim that this part of the questions did not exceed."""
-        return self.work[min(len(self.work) - 1, int(len(self.work) * quantile))]
-
-
-def broken_bounds(
-    attack: DatagramAttack, found: CrowdFigures, *, is_trial: bool = False
-) -> list[str]:
+def broken_bounds(attack: DatagramAttack, found: Figures, *, is_trial: bool = False) -> list[str]:
     """Return the bounds that were broken."""
-    wrong = slowness(found, is_trial=is_trial)
+    wrong = faults(attack, found, is_trial=is_trial)
     if is_trial and found.work_of(0.99) > WORK:
         wrong.append(f"{found.work_of(0.99) * 1000:.0f} ms of work until an answer")
-    if found.above > attack.above:
-        wrong.append(f"{found.above:.0f} MiB above the idle victim, not {attack.above}")
     most = attack.factor * found.attacked + MOST_REPAIRS
     if found.attacked and found.sent > most:
         wrong.append(f"it sent {found.sent:,} bytes for {found.attacked:,}")
     return wrong
-
-
-@contextmanager
-def started_victim(
-    domain: int,
-) -> Generator[tuple[Server, EchoIdentity, Synchronized[int]], None, None]:
-    """Start a victim; it ends with the block, at the latest."""
-    processes = get_context("forkserver")
-    processes.set_forkserver_preload(["tests.hostile.rtps.echo_victim", "pytest"])
-    here, there = processes.Pipe()
-    orders, of_meter = processes.Pipe()
-    total = processes.Value("Q", 0)
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "log.txt"
-        log.touch()
-        process = processes.Process(
-            target=echo_victim.run, args=(domain, there, of_meter, str(log), total), daemon=True
-        )
-        process.start()
-        try:
-            there.close()
-            of_meter.close()
-            try:
-                identity = EchoIdentity(*here.recv())
-            except EOFError:
-                raise AssertionError(f"it has not started: {log.read_text()[-2000:]}") from None
-            yield Server(process, ["", ""], orders, log), identity, total
-        finally:
-            process.kill()
-            process.join()
-            here.close()
-            orders.close()
 
 
 class HonestPeer:
@@ -214,12 +151,14 @@ def _words(victim: EchoIdentity) -> list[str]:
     ]
 
 
-async def figures_of(name: str, seconds: float = 0.0) -> CrowdFigures:
+async def figures_of(name: str, seconds: float = 0.0) -> Figures:
     """Attack a victim beside an honest peer, and end it during the attack."""
     with ExitStack() as stack:
         domain, claim = claim_domain(20)
         stack.enter_context(claim)
-        server, victim, total = stack.enter_context(started_victim(domain))
+        total = PROCESSES.Value("Q", 0)
+        server = stack.enter_context(started_by(echo_victim.run, domain, total))
+        victim = EchoIdentity(*server.told)
         honest = HonestPeer(server)
         with anyio.fail_after(PATIENCE + 4 * seconds):
             async with anyio.create_task_group() as tasks:
@@ -239,5 +178,5 @@ async def figures_of(name: str, seconds: float = 0.0) -> CrowdFigures:
                     stopped, code = await server.stop(SHUTDOWN + 10)
                 tasks.cancel_scope.cancel()
         above = (reading.peak - idle) / 2**20
-        latencies, work = sorted(honest.latencies), sorted(honest.work)
-        return CrowdFigures(reading, above, latencies, work, said, sent, quiet, stopped, code)
+        times = sorted(honest.latencies), sorted(honest.work), quiet, stopped
+        return Figures(reading, above, *times, code, attacked=said, sent=sent)

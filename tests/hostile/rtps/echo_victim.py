@@ -80,7 +80,7 @@ async def echo(domain: int, test: Connection) -> None:
 
 
 def run(
-    domain: int, test: Connection, orders: Connection, log: str, total: Synchronized[int]
+    test: Connection, orders: Connection, log: str, domain: int, total: Synchronized[int]
 ) -> None:
     """Be the victim's process."""
     os.dup2(os.open(log, os.O_WRONLY), sys.stderr.fileno())

@@ -13,11 +13,9 @@ import anyio
 import pytest
 
 from fibaction import serve
-from fibaction_transports.web import HttpTransport, WebTransport
 from fibaction_transports.web.http.assets import MEDIA_TYPES, PAGE_POLICY, all_assets
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import fetch
-from tests.transports.web.test_web_transport import http
 
 pytestmark = pytest.mark.anyio
 
@@ -41,7 +39,9 @@ async def served(where: str = "http://127.0.0.1:0", **settings: Any) -> AsyncGen
 async def test_the_console_is_at_the_root_with_a_strict_policy() -> None:
     async with served() as url:
         answer = await fetch(url, "GET", "/", accept="text/html")
-    assert answer.status == 200
+        docs = await fetch(url, "GET", "/docs")
+    assert (answer.status, docs.status) == (200, 200)
+    assert docs.headers["content-security-policy"] == PAGE_POLICY
     assert answer.headers["content-type"] == "text/html; charset=utf-8"
     assert answer.headers["content-security-policy"] == PAGE_POLICY
     assert answer.headers["x-content-type-options"] == "nosniff"
@@ -49,56 +49,37 @@ async def test_the_console_is_at_the_root_with_a_strict_policy() -> None:
     assert answer.body.startswith(b"<!doctype html>")
 
 
-@pytest.mark.parametrize("path", sorted(all_assets()))
-async def test_each_file_arrives_whole_with_its_type_and_a_tag(path: str) -> None:
-    asset = all_assets()[path]
+async def test_each_file_arrives_whole_with_its_type_and_a_tag() -> None:
     async with served() as url:
-        answer = await fetch(url, "GET", path)
-        head = await fetch(url, "HEAD", path)
-        again = await fetch(url, "GET", path, if_none_match=f'W/{answer.headers["etag"]}, "x"')
-    assert (answer.status, answer.body) == (200, asset.body)
-    assert answer.headers["content-type"] == asset.media_type
-    assert answer.headers["cache-control"] == "no-cache"
-    assert (head.status, head.body) == (200, b"")
-    assert head.headers["content-length"] == str(len(asset.body))
-    assert (again.status, again.body) == (304, b"")
-    assert again.headers["etag"] == answer.headers["etag"] == asset.tag
+        for path, asset in all_assets().items():
+            answer = await fetch(url, "GET", path)
+            head = await fetch(url, "HEAD", path)
+            again = await fetch(url, "GET", path, if_none_match=f'W/{answer.headers["etag"]}, "x"')
+            assert (answer.status, answer.body) == (200, asset.body)
+            assert answer.headers["content-type"] == asset.media_type
+            assert answer.headers["cache-control"] == "no-cache"
+            assert (head.status, head.body) == (200, b"")
+            assert head.headers["content-length"] == str(len(asset.body))
+            assert (again.status, again.body) == (304, b"")
+            assert again.headers["etag"] == answer.headers["etag"] == asset.tag
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        "/console/../__init__.py",
-        "/console/..%2f__init__.py",
-        "/console//etc/passwd",
-        "/console/",
-        "/console",
-        "/console/index.html",
-        "/fibaction.js/",
-        "/_assets.py",
-    ],
+NO_FILES = (
+    "/console/../__init__.py /console/..%2f__init__.py /console//etc/passwd /console/ /console"
+    " /console/index.html /fibaction.js/ /_assets.py"
 )
-async def test_a_path_that_is_not_a_files_is_not_found(path: str) -> None:
+
+
+async def test_a_path_that_is_not_a_files_is_not_found() -> None:
     async with served() as url:
-        assert (await fetch(url, "GET", path)).status == 404
+        for path in NO_FILES.split():
+            assert (await fetch(url, "GET", path)).status == 404, path
 
 
-async def test_the_page_of_the_rest_interface_has_the_same_policy() -> None:
-    async with served("http://127.0.0.1:0/robot") as below:
-        answer = await fetch(below.removesuffix("/robot"), "GET", "/robot/docs")
-    assert answer.status == 200
-    assert answer.headers["content-security-policy"] == PAGE_POLICY
-
-
-async def test_files_are_only_read() -> None:
-    async with served() as url:
-        answer = await fetch(url, "DELETE", "/")
-    assert answer.status == 405
-    assert answer.headers["allow"] == "GET, HEAD"
-
-
-async def test_files_need_no_token_and_other_hosts_do_not_get_them() -> None:
+async def test_files_need_no_token_are_only_read_and_other_hosts_do_not_get_them() -> None:
     async with served(tokens={"secret": "ann"}) as url:
+        answer = await fetch(url, "DELETE", "/")
+        assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD")
         assert (await fetch(url, "GET", "/")).status == 200
         assert (await fetch(url, "GET", "/actions")).status == 401
         assert (await fetch(url, "GET", "/", host="evil.example")).status == 421
@@ -120,20 +101,6 @@ async def test_below_a_path_the_page_is_found_with_and_without_a_slash() -> None
         assert (there.status, there.headers["location"]) == (308, "/robot/")
         assert (await fetch(url, "GET", "/robot/")).body == all_assets()["/"].body
         assert (await fetch(url, "GET", "/robot/fibaction.js")).status == 200
-
-
-@pytest.mark.parametrize("console", [True, False])
-async def test_an_application_has_the_console_unless_it_is_not_wanted(console: bool) -> None:
-    web = WebTransport(console=console)
-    async with serve(new_server(), web), anyio.create_task_group() as tasks:
-        call = http(path="/")
-        call.tell(type="http.request", body=b"")
-        tasks.start_soon(call.run, web)
-        assert (await call.heard("http.response.start"))["status"] == (200 if console else 404)
-
-
-def test_the_setting_is_part_of_a_url() -> None:
-    assert HttpTransport.from_url("http://127.0.0.1:1?console=false")._console is False
 
 
 class References(HTMLParser):

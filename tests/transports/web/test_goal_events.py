@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction.border.http_access import Refused
-from fibaction_transports.web.rest.goal_events import Cursor, cursor_of, event
+from fibaction_transports.web.rest.goal_events import Cursor, cursor_of
 
 
 @given(st.integers(0, 2**53), st.integers(1, 10**6))
@@ -21,17 +21,8 @@ def test_the_first_attempt_needs_no_number() -> None:
     assert str(Cursor(17, 2)) == "2.17"
 
 
-def test_nothing_is_behind_the_end() -> None:
-    assert cursor_of("end") is None
-
-
 @pytest.mark.parametrize("text", ["", "x", "-1", "1.2.3", "0.1", "1.", "٣", "9" * 19])
 def test_other_text_is_refused(text: str) -> None:
     with pytest.raises(Refused, match="is like 17") as refused:
         cursor_of(text)
     assert refused.value.status == 400
-
-
-def test_an_event_without_an_id_has_no_line_for_it() -> None:
-    assert event("status", "{}") == "event: status\ndata: {}\n\n"
-    assert event("feedback", "{}", "3") == "id: 3\nevent: feedback\ndata: {}\n\n"

@@ -42,10 +42,6 @@ go() {}
     assert as_served(source) == left
 
 
-def test_a_comment_without_an_end_stays() -> None:
-    assert as_served(b"/* a\nb\n") == b"/* a\nb\n"
-
-
 @pytest.mark.parametrize(("path", "file"), SOURCES)
 def test_each_line_of_a_page_is_as_in_its_file_or_was_a_comment(
     path: str, file: Traversable

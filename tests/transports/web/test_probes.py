@@ -10,11 +10,10 @@ import pytest
 from fibaction import connect, serve
 from fibaction.observe.metrics import CONTENT_TYPE, Metrics
 from fibaction.observe.metrics_formats import OPENMETRICS_CONTENT_TYPE
-from fibaction_transports.web import HttpTransport, WebTransport
+from fibaction_transports.web import HttpTransport
 from tests.support.fibonacci import FIBONACCI, Goal
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import fetch
-from tests.transports.web.test_web_transport import http
 
 pytestmark = pytest.mark.anyio
 
@@ -66,18 +65,3 @@ async def test_without_metrics_there_is_nothing_and_a_probe_is_read_only() -> No
         assert (await fetch(url, "GET", "/metrics")).status == 404
         answer = await fetch(url, "POST", "/healthz", {})
         assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD")
-
-
-async def test_an_application_has_them_too_while_it_serves() -> None:
-    web = WebTransport(metrics=Metrics())
-    assert (await ready(web)) == 503
-    async with serve(new_server(), web):
-        assert (await ready(web)) == 200
-
-
-async def ready(web: WebTransport) -> int:
-    """The status of the answer of an application to a probe."""
-    call = http(path="/readyz")
-    await call.run(web)
-    status: int = (await call.heard("http.response.start"))["status"]
-    return status

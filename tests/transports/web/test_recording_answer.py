@@ -40,9 +40,3 @@ async def test_the_recording_arrives_whole_to_a_client_with_a_token(tmp_path: Pa
             gone = await fetch(url, "GET", "/recording", authorization=token)
             assert gone.status == 404
             assert b"the recording cannot be read: No such file" in gone.body
-
-
-async def test_a_server_without_a_recording_has_none() -> None:
-    with anyio.fail_after(30):
-        async with serve(new_server(), HttpTransport(port=0)) as (url,):
-            assert (await fetch(url, "GET", "/recording")).status == 404

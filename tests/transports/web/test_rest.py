@@ -35,7 +35,6 @@ from fibaction import (
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream, Meta
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost
-from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.web.rest import event_stream
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, hearing
@@ -164,24 +163,6 @@ async def test_the_headers_of_a_trace_go_with_the_goal() -> None:
     assert noting.metas == [headers, {"detached": "1", **headers}, {}]
 
 
-async def test_headers_that_are_too_long_for_a_goal_are_left_out() -> None:
-    noting = Noting()
-    async with served(ActionServer(FIBONACCI, fibonacci, watchers=[noting])) as url:
-        headers = {"traceparent": "00-1", "tracestate": "x" * 4096, "baggage": "b=2"}
-        answer = await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 1}, **headers)
-
-    assert answer.status == 201
-    assert noting.metas == [{"traceparent": "00-1", "baggage": "b=2"}]
-
-
-async def test_a_request_may_wait_for_the_end() -> None:
-    async with served(new_server()) as url:
-        answer = await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 3})
-        assert (answer.status, answer.json["status"]) == (201, "SUCCEEDED")
-        assert answer.json["result"] == {"sequence": [0, 1, 1, 2]}
-        assert answer.json["reason"] == ""
-
-
 async def test_a_wait_that_is_over_answers_with_what_is_known() -> None:
     async with served(Held().server) as url:
         answer = await fetch(url, "POST", f"{GOALS}?wait=0.05", {"order": 0})
@@ -285,17 +266,6 @@ async def test_events_go_on_behind_the_last_one() -> None:
         assert (nothing.status, nothing.body) == (204, b"")
 
 
-async def test_a_follower_that_goes_leaves_the_goal() -> None:
-    held = Held()
-    async with served(held.server) as url:
-        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 1})
-        async with client_of(url) as client:
-            await client.ask("GET", f"{GOALS}/{ID}/events")
-            await client.until("id: 1")
-        held.go_on.set()
-        assert (await fetch(url, "GET", f"{GOALS}/{ID}?wait=10")).json["status"] == "SUCCEEDED"
-
-
 async def test_a_quiet_stream_is_kept_alive(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(event_stream, "KEEP_ALIVE_AFTER", 0.05)
     async with served(Held().server) as url, client_of(url) as client:
@@ -327,28 +297,6 @@ async def test_a_client_that_does_not_read_is_let_go() -> None:
         await canceled.wait()
 
 
-async def test_a_server_that_stops_tells_the_end_of_goals() -> None:
-    held = Held()
-    async with served(held.server) as url:
-        async with anyio.create_task_group() as tasks:
-            async with client_of(url) as client:
-                await client.ask("POST", GOALS, {"order": 1}, accept=EVENTS)
-                await client.until("id: 1")
-                heard: list[bytes] = []
-
-                async def hear() -> None:
-                    heard.append(await client.rest())
-
-                async with serve(held.server, HTTP):
-                    pass
-                tasks.start_soon(hear)
-                await anyio.lowlevel.checkpoint()
-                held.go_on.set()
-                while not heard:
-                    await anyio.lowlevel.checkpoint()
-    assert b'"status":"SUCCEEDED"' in heard[0]
-
-
 async def test_a_stream_that_breaks_while_its_end_is_waited_for_is_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -373,22 +321,6 @@ async def test_a_stream_that_breaks_while_its_end_is_waited_for_is_an_error(
             await anyio.wait_all_tasks_blocked()
             streams[0].fail(ConnectionLost("the cable"))
     assert (answers[0].status, answers[0].json["detail"]) == (502, "the cable")
-
-
-async def test_a_wait_for_a_stream_that_breaks_is_an_error() -> None:
-    class Lost(ForwardingEndpoint):
-        async def feedback(self, *arguments: Any, **settings: Any) -> GoalStream:
-            stream = await super().feedback(*arguments, **settings)
-            stream.fail(ConnectionLost("the cable"))
-            return stream
-
-    async with served(Lost(Held().server)) as url:
-        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 0})
-        answer = await fetch(url, "GET", f"{GOALS}/{ID}?wait=5")
-        assert (answer.status, answer.json["detail"]) == (502, "the cable")
-        told = await fetch(url, "GET", f"{GOALS}/{ID}/events")
-        name, _, problem = told.events[-1]
-        assert (name, problem["type"]) == ("failure", "urn:fibaction:ConnectionLost")
 
 
 async def test_a_bug_of_an_endpoint_is_an_answer_without_its_text(log: Hearing) -> None:
@@ -440,18 +372,12 @@ async def test_all_goals_are_canceled_or_those_before_a_time() -> None:
             answer = await fetch(url, "DELETE", f"{GOALS}{query}")
             assert answer.status == 202
             assert [one["goal_id"] for one in answer.json["goals_canceling"]] == [goal["goal_id"]]
-        none = await fetch(url, "DELETE", f"{GOALS}?before={10**30}")
-        assert (none.status, none.json["goals_canceling"]) == (202, [])
-
-
-@pytest.mark.parametrize("time", ["1h", "2026-01-31T12:00:00Z", "1970-01-01", "0001-01-01"])
-async def test_a_cancel_of_goals_before_a_time_takes_every_text_of_a_time(time: str) -> None:
-    async with served(Held().server) as url:
-        goal = (await fetch(url, "POST", GOALS, {"order": 0})).json
-        none = await fetch(url, "DELETE", f"{GOALS}?before={time}")
-        assert (none.status, none.json["goals_canceling"]) == (202, [])
+        await fetch(url, "POST", GOALS, {"order": 0})
+        for time in ("1h", "2026-01-31T12:00:00Z", "1970-01-01", "0001-01-01"):
+            none = await fetch(url, "DELETE", f"{GOALS}?before={time}")
+            assert (none.status, none.json["goals_canceling"]) == (202, [])
         answer = await fetch(url, "DELETE", f"{GOALS}?before=0s")
-        assert [one["goal_id"] for one in answer.json["goals_canceling"]] == [goal["goal_id"]]
+        assert len(answer.json["goals_canceling"]) == 1
 
 
 # Tokens and permissions
@@ -515,7 +441,8 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("POST", GOALS, b'{"order": 18446744073709551616}', {}, 422),
         ("POST", GOALS, b"{}", {}, 422),
         ("POST", GOALS, b"{}", {"content_type": "text/plain"}, 415),
-        ("POST", GOALS, b" " * 2000, {}, 413),
+        ("POST", GOALS, b" " * 40_000, {}, 413),
+        ("POST", GOALS, b"[" * 10_000 + b"]" * 10_000, {}, 400),
         ("POST", f"{GOALS}?wait=x", b'{"order": 3}', {}, 400),
         ("POST", f"{GOALS}?wait=nan", b'{"order": 3}', {}, 400),
         ("POST", f"{GOALS}?wait=1e9", b'{"order": 3}', {}, 400),
@@ -540,7 +467,7 @@ async def test_bad_input_gets_its_status_and_one_line_of_the_log(
     method: str, path: str, body: bytes | None, headers: dict[str, str], status: int, log: Hearing
 ) -> None:
     held = Held()
-    async with served(held.server, limits=Limits(frame=1024)) as url:
+    async with served(held.server, limits=Limits(frame=30_000)) as url:
         other = f"{GOALS}/{'e' * 32}"
         assert (await fetch(url, "PUT", other, {"order": 3})).status == 201
         answer = await fetch(url, method, path, body, **headers)
@@ -551,13 +478,6 @@ async def test_bad_input_gets_its_status_and_one_line_of_the_log(
         assert f"HTTP {status}: " in log.warnings[0]
         held.go_on.set()
         assert (await fetch(url, "GET", f"{other}?wait=5")).json["result"] == {"sequence": [3]}
-
-
-async def test_json_that_nests_too_deep_is_refused(log: Hearing) -> None:
-    async with served(new_server()) as url:
-        answer = await fetch(url, "POST", GOALS, b"[" * 10_000 + b"]" * 10_000)
-        assert answer.status == 400
-        assert len(log.warnings) == 1
 
 
 async def test_a_goal_that_the_server_rejects_has_its_reason(log: Hearing) -> None:
@@ -637,22 +557,6 @@ async def test_an_action_with_slashes_has_its_address() -> None:
             assert (await fetch(url, "GET", answer.headers["location"])).json["result"] == 7
 
 
-@pytest.mark.parametrize("names", [["arm/goals"], ["arm/goals", "arm"]], ids=" ".join)
-async def test_an_action_may_be_called_goals(names: list[str]) -> None:
-    async def echo(goal: GoalHandle[int]) -> AsyncGenerator[Any, None]:
-        yield goal.request
-
-    servers: list[Any] = [
-        ActionServer(Action(name, goal=int, feedback=str, result=int), echo) for name in names
-    ]
-    async with serve(servers, HTTP) as (url,):
-        answer = await fetch(url, "POST", "/actions/arm/goals/goals?wait=5", 7)
-        assert answer.json["result"] == 7
-        assert (await fetch(url, "GET", answer.headers["location"])).json["result"] == 7
-        at_both_names = (await fetch(url, "GET", "/actions/arm/goals")).json
-        assert at_both_names == [] if "arm" in names else at_both_names["name"] == "arm/goals"
-
-
 async def test_a_schema_that_changes_is_read_again() -> None:
     class Changing(ForwardingEndpoint):
         schema: ClassVar[dict[str, Any]] = {}
@@ -668,17 +572,6 @@ async def test_a_schema_that_changes_is_read_again() -> None:
             answer = await fetch(url, "POST", GOALS, {"order": "x"})
             kinds.append(answer.json["type"])
         assert kinds == ["urn:fibaction:GoalRejected", "urn:fibaction:InvalidGoal"]
-
-
-async def test_it_is_a_gateway_to_any_endpoint() -> None:
-    async with (
-        serve(new_server(), InProcessTransport()) as (behind,),
-        connect(behind) as connection,
-    ):
-        (info,) = await connection.actions()
-        async with served(connection.endpoint(info)) as url:
-            answer = await fetch(url, "POST", GOALS, {"order": 3}, accept=EVENTS)
-            assert answer.events[-1][2]["result"] == {"sequence": [0, 1, 1, 2]}
 
 
 async def test_a_gateway_shows_a_goal_only_to_those_who_may_observe() -> None:
@@ -702,17 +595,6 @@ async def test_a_gateway_shows_a_goal_only_to_those_who_may_observe() -> None:
 # Connections
 
 
-async def test_a_connection_has_many_requests() -> None:
-    async with served(new_server()) as url, client_of(url) as client:
-        for order in range(1, 4):
-            status, _ = await client.ask("POST", f"{GOALS}?wait=5", {"order": order})
-            assert (status, bool(await client.rest())) == (201, True)
-        await client.ask("POST", GOALS, {"order": 3}, accept=EVENTS)
-        assert b"end" in await client.rest()
-        status, _ = await client.ask("GET", "/actions")
-        assert status == 200
-
-
 async def test_pages_that_are_named_get_the_headers_of_cors() -> None:
     origin = "https://console.example"
     async with served(new_server(), origins=[origin]) as url:
@@ -722,22 +604,6 @@ async def test_pages_that_are_named_get_the_headers_of_cors() -> None:
         assert asked.status == 204
         assert "authorization" in asked.headers["access-control-allow-headers"]
         assert "access-control-allow-origin" not in (await fetch(url, "GET", "/actions")).headers
-
-
-async def test_goals_are_listed_in_pages() -> None:
-    async with served(new_server()) as url:
-        for _ in range(3):
-            await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 1})
-        first = await fetch(url, "GET", f"{GOALS}?limit=2")
-        assert len(first.json) == 2
-        address = re.fullmatch(r'<(\?limit=2&after=\S+)>; rel="next"', first.headers["link"])
-        assert address
-        second = await fetch(url, "GET", f"{GOALS}{address[1]}")
-        assert "link" not in second.headers
-        stamps = [int(goal["stamp"]) for goal in first.json + second.json]
-        assert len(stamps) == 3
-        assert stamps == sorted(stamps)
-        assert (await fetch(url, "GET", f"{GOALS}?limit=none")).status == 400
 
 
 async def test_goals_that_the_server_has_forgotten_are_listed_from_its_history(
@@ -847,20 +713,3 @@ async def test_a_child_has_its_parent_wherever_it_is_described() -> None:
         assert len((await fetch(url, "GET", GOALS)).json) == 2
         events = (await fetch(url, "GET", f"{GOALS}/{child}/events", accept=EVENTS)).events
         assert events[0][2]["parent"] == told
-
-
-async def test_the_next_page_of_children_has_the_same_parent() -> None:
-    parent, server = GoalID.random(), new_server()
-    async with served(server) as url:
-        for _ in range(2):
-            child, payload = GoalID.random(), FIBONACCI.goal.encode(Goal(1))
-            await server.send_goal(child, payload, meta={"parent": str(parent)})
-        first = await fetch(url, "GET", f"{GOALS}?limit=1&parent={parent}")
-        address = re.fullmatch(
-            r'<(\?limit=1&after=\S+&parent=\S+)>; rel="next"', first.headers["link"]
-        )
-        assert address
-        second = await fetch(url, "GET", f"{GOALS}{address[1]}")
-        assert [len(first.json), len(second.json)] == [1, 1]
-        assert first.json != second.json
-        assert (await fetch(url, "GET", f"{GOALS}?parent=me")).status == 400

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
@@ -16,7 +15,7 @@ from fibaction import (
     serve,
 )
 from fibaction.border.urls import transport_for
-from fibaction_transports.web import RosbridgeTransport, TlsFiles
+from fibaction_transports.web import RosbridgeTransport
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Goal, Result
 from tests.transports.web.rosbridge.robot import Robot
@@ -48,18 +47,6 @@ def test_a_url_has_a_host_a_port_and_a_path(url: str, shown: str, line: str) -> 
     assert not [one for one in request if "Sec-WebSocket-Protocol" in one]
 
 
-def test_a_url_has_settings() -> None:
-    url = (
-        "rosbridges://robot?ca=x&heartbeat=2&window=3&accepted_after=0&answer_timeout=4"
-        "&cancel_on_disconnect=true"
-    )
-    made = RosbridgeTransport.from_url(url)
-    assert made._tls == TlsFiles(ca="x")
-    terms = made._own_settings
-    assert (terms.heartbeat, terms.window, terms.accepted_after) == (2, 3, 0)
-    assert (terms.answer_timeout, terms.cancel_on_disconnect) == (4, True)
-
-
 @pytest.mark.parametrize(
     ("url", "problem"),
     [
@@ -78,13 +65,6 @@ def test_a_url_has_settings() -> None:
 def test_what_is_wrong_in_a_url_is_told(url: str, problem: str) -> None:
     with pytest.raises(InvalidURL, match=problem):
         RosbridgeTransport.from_url(url)
-
-
-def test_what_is_wrong_in_code_is_told() -> None:
-    with pytest.raises(ValueError, match="answer_timeout is at least 0 seconds and finite"):
-        RosbridgeTransport(answer_timeout=math.inf)
-    with pytest.raises(TypeError, match="orphans"):
-        transport_for("rosbridge://robot", orphans="keep")
 
 
 async def test_nothing_is_served_there() -> None:

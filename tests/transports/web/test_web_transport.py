@@ -14,7 +14,7 @@ import pytest
 from fibaction import InvalidURL, Limits, TransportError, connect, serve
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import FrameReader, framed
-from fibaction.wire.messages import VERSION, Goodbye, Hello, Welcome
+from fibaction.wire.messages import VERSION, Hello, Welcome
 from fibaction_transports._http import application
 from fibaction_transports.web import WebTransport
 from fibaction_transports.web.http.application import NOT_SERVING
@@ -203,16 +203,6 @@ async def test_a_client_that_has_gone_is_no_error(log: Hearing) -> None:
     assert len(log.warnings) == 1
 
 
-@pytest.mark.parametrize("path", ["/openapi.json", "/nothing"])
-async def test_a_client_that_does_not_read_its_answer_is_not_waited_for(path: str) -> None:
-    web = WebTransport(limits=Limits(write=0.05))
-    async with served(web):
-        call = http(path=path)
-        call.stuck = anyio.Event()
-        await call.run(web)
-        assert call.said == []
-
-
 async def test_streams_that_are_open_at_the_end_are_cut_and_no_others_begin(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -259,19 +249,6 @@ async def test_the_wire_protocol_is_spoken_with_its_subprotocol() -> None:
     assert call.said == []
 
 
-async def test_the_end_of_the_server_says_goodbye() -> None:
-    web = WebTransport()
-    async with anyio.create_task_group() as tasks:
-        async with served(web):
-            call = websocket("fibaction.1")
-            tasks.start_soon(call.run, web)
-            call.tell(type="websocket.receive", bytes=HELLO)
-            await call.heard("websocket.send")
-        (frame,) = FrameReader().feed((await call.heard("websocket.send"))["bytes"])
-        assert isinstance(decode_from_server(frame), Goodbye)
-        assert (await call.heard("websocket.close"))["code"] == 1000
-
-
 @pytest.mark.parametrize("can_answer", [True, False])
 @pytest.mark.parametrize(
     ("more", "status"),
@@ -308,6 +285,7 @@ async def test_a_websocket_before_the_server_is_refused() -> None:
 @pytest.mark.parametrize(
     ("message", "code", "reason"),
     [
+        ({"bytes": (2**20).to_bytes(4, "big") + bytes(2**17)}, 1013, "busy"),
         ({"text": "{}"}, 1003, "text message"),
         ({"bytes": (2**20 + 1).to_bytes(4, "big")}, 1009, "exceeds the limit"),
         ({"bytes": b"\0\0"}, 1007, "ended within a frame"),
@@ -317,7 +295,7 @@ async def test_a_websocket_before_the_server_is_refused() -> None:
 async def test_a_wrong_message_ends_the_connection_with_a_code(
     message: dict[str, Any], code: int, reason: str
 ) -> None:
-    web = WebTransport()
+    web = WebTransport(limits=Limits(total_memory=2**16))
     with hearing() as wire:
         async with served(web):
             call = websocket("fibaction.1")
@@ -327,19 +305,6 @@ async def test_a_wrong_message_ends_the_connection_with_a_code(
         assert (await call.heard("websocket.close"))["code"] == code
         (line,) = wire.warnings
         assert reason in line
-
-
-async def test_messages_count_in_the_memory_of_the_server() -> None:
-    web = WebTransport(limits=Limits(total_memory=1))
-    large = (2**20).to_bytes(4, "big") + bytes(2**17)
-    with hearing() as wire:
-        async with served(web):
-            call = websocket("fibaction.1")
-            call.tell(type="websocket.receive", bytes=HELLO)
-            call.tell(type="websocket.receive", bytes=large)
-            await call.run(web)
-        assert (await call.heard("websocket.close"))["code"] == 1013
-        assert "busy" in wire.warnings[0]
 
 
 @pytest.mark.parametrize("error", [OSError("gone"), RuntimeError("closed")])

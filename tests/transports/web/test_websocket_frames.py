@@ -102,12 +102,6 @@ def test_frames_wait_until_the_hands_are_shaken() -> None:
     assert answering.feed(asking.encode([])) == [b"hello"]
 
 
-def test_frames_may_come_right_behind_the_handshake() -> None:
-    asking, answering = client(), server()
-    data = Connection(ConnectionType.CLIENT).send(BytesMessage(data=framed([b"early"])))
-    assert answering.feed(asking.encode([]) + data) == [b"early"]
-
-
 WRONG: dict[str, tuple[Callable[[Peer], object], int, str]] = {
     "text": (lambda peer: peer.says(TextMessage(data="{}")), 1003, "it sent a text message"),
     "half a frame": (
@@ -235,17 +229,3 @@ def test_a_server_that_gives_up_before_the_handshake_answers_by_http_and_waits_f
         rejected.feed(b"nonsense\r\n\r\n")
     assert rejected.encode([b"goodbye"]).startswith(b"HTTP/1.1 400 ")
     assert rejected.goodbye() == b""
-
-
-def test_a_client_that_gives_up_before_the_handshake_has_nothing_to_wait_for() -> None:
-    asking = client()
-    asking.encode([])
-    assert asking.goodbye() == b""
-    assert asking.is_closed
-
-
-def test_the_end_of_the_line_frees_what_is_incomplete() -> None:
-    peer = Peer()
-    peer.says(BytesMessage(data=header(9) + b"abc", message_finished=False))
-    peer.server.close()
-    assert not peer.server.is_within_frame

@@ -10,13 +10,10 @@ from typing import Any
 
 import anyio
 import pytest
-from anyio.abc import SocketAttribute
 
 from fibaction import (
     AuthenticationFailed,
     ConnectionLost,
-    InvalidURL,
-    LimitReached,
     Limits,
     ProtocolError,
     TransportError,
@@ -26,14 +23,13 @@ from fibaction import (
 from fibaction.wire import channel
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import VERSION, Hello
-from fibaction_transports._http.http_exchange import http_answer
 from fibaction_transports._socket_lines import protocol_line
-from fibaction_transports.web import TlsFiles, WebSocketTransport
+from fibaction_transports.web import WebSocketTransport
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI
 from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import new_server, works
-from tests.transports.web.upgrade import UPGRADE, upgrade
+from tests.transports.web.upgrade import upgrade
 
 pytestmark = pytest.mark.anyio
 
@@ -79,25 +75,6 @@ def test_a_url_has_a_host_a_port_and_a_path(url: str, shown: str, host: str) -> 
     made = WebSocketTransport.from_url(url)
     assert made.url == shown
     assert f"\r\nHost: {host}\r\n".encode() in made._client_framing().encode([])
-
-
-def test_a_url_has_names_and_pages_with_commas() -> None:
-    made = WebSocketTransport.from_url("ws://robot?hosts=a,b&origins=https://c&insecure=true")
-    assert (made._hosts, made._origins, made._insecure) == (("a", "b"), ("https://c",), True)
-    assert WebSocketTransport.from_url("wss://robot?cert=x")._tls == TlsFiles(cert="x")
-
-
-@pytest.mark.parametrize(
-    ("url", "problem"),
-    [
-        ("ws://user@robot", "it has a user, and the URL of a server is like ws://host:port"),
-        ("ws://robot:x", "invalid port: "),
-        ("ws://robot?ca=x", "has no setting 'ca'"),
-    ],
-)
-def test_what_is_wrong_in_a_url_is_told(url: str, problem: str) -> None:
-    with pytest.raises(InvalidURL, match=problem):
-        WebSocketTransport.from_url(url)
 
 
 def test_a_path_begins_with_a_slash() -> None:
@@ -213,16 +190,6 @@ async def scene(heard: Hearing, **settings: Any) -> AsyncGenerator[str, None]:
     assert len(heard.warnings) == 1
 
 
-@pytest.mark.parametrize(("data", "status", "reason"), UPGRADE.values(), ids=UPGRADE)
-async def test_a_wrong_request_gets_its_status_and_leaves_one_line_in_the_log(
-    data: bytes, status: int, reason: str, heard: Hearing
-) -> None:
-    async with scene(heard) as url:
-        said = await answer_to(url, data)
-        assert said.startswith(b"HTTP/1.1 %d " % status)
-        await heard.until(f"HTTP {status}: ")
-
-
 @pytest.mark.parametrize("data", [b"", b"G", upgrade()[:-1], upgrade()], ids=len)
 async def test_a_request_that_trickles_is_not_waited_for(data: bytes, heard: Hearing) -> None:
     async with scene(heard, limits=Limits(handshake=0.2)) as url:
@@ -242,27 +209,6 @@ async def test_pages_of_others_may_be_let_in(heard: Hearing) -> None:
             assert (await stream.receive()).startswith(b"HTTP/1.1 101 ")
 
 
-async def test_a_full_server_says_so(heard: Hearing) -> None:
-    async with serve(new_server(), WS, limits=Limits(connections=1)) as (url,):
-        async with connect(url, FIBONACCI) as client:
-            await client.wait_for_server()
-            with pytest.raises(LimitReached, match="HTTP 503: the server is full: it has 1 conn"):
-                async with connect(url, FIBONACCI, reconnect=False):
-                    pass
-    assert len(heard.warnings) == 1
-
-
-async def test_a_large_message_in_small_pieces_is_counted(heard: Hearing) -> None:
-    limits = Limits(frame=2**20, total_memory=2**17)
-    async with serve(new_server(), WS, limits=limits) as (url,), raw(url) as peer:
-        await peer.say(encode(Hello(VERSION, 60)))
-        await peer.send((2**20).to_bytes(4, "big"))
-        for _ in range(3):
-            await peer.send(bytes(2**16))
-        await heard.until("the server is busy: it has no room for a large message")
-        assert await works(url)
-
-
 # Others at the other end
 
 
@@ -278,26 +224,3 @@ async def test_the_wrong_scheme_is_told_to_both_ends(heard: Hearing) -> None:
             with pytest.raises((ProtocolError, AuthenticationFailed), match=problem):
                 async with connect(f"{scheme}://127.0.0.1:{port_of(url)}", FIBONACCI, **settings):
                     pass
-
-
-async def test_a_server_of_http_is_told_from_one_that_is_away(heard: Hearing) -> None:
-    answers = {
-        http_answer(404, "nothing here"): (ProtocolError, "HTTP 404: nothing here"),
-        http_answer(403, "not you"): (AuthenticationFailed, "HTTP 403: not you"),
-        http_answer(502, "later"): (ConnectionLost, "HTTP 502: later"),
-    }
-    for answer, (error, text) in answers.items():
-        async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
-            port = listener.extra(SocketAttribute.local_port)
-
-            async def say(stream: Any, answer: bytes = answer) -> None:
-                async with stream:
-                    await stream.receive()
-                    await stream.send(answer)
-
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(listener.serve, say)
-                with pytest.raises(error, match=text):
-                    async with connect(f"ws://127.0.0.1:{port}", FIBONACCI, reconnect=False):
-                        pass
-                tasks.cancel_scope.cancel()

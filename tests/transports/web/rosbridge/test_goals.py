@@ -4,39 +4,17 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import AsyncGenerator
 from typing import Any
 
 import anyio
-import msgspec
 import pytest
 from anyio.lowlevel import checkpoint
 from wsproto.events import CloseConnection, TextMessage
 
-from fibaction import (
-    Action,
-    ActionServer,
-    GoalHandle,
-)
 from tests.transports.web.rosbridge.clients import Serving, SocketClient
 from tests.transports.web.rosbridge.robot import Robot, feedback, goal, result
 
 pytestmark = pytest.mark.anyio
-
-
-async def test_a_goal_is_answered_by_its_feedback_and_its_result(serving: Serving) -> None:
-    async with serving(Robot().server) as served, served.connect() as client:
-        await client.say(goal(3))
-        heard = await client.hear_until("action_result")
-        assert heard == [feedback(0), feedback(0, 3), result({"sequence": [3]})]
-
-
-async def test_without_feedback_there_is_the_result_only(serving: Serving) -> None:
-    async with serving(Robot().server) as served, served.connect() as client:
-        sent = goal(3)
-        del sent["feedback"]
-        await client.say(sent)
-        assert await client.hear() == result({"sequence": [3]})
 
 
 async def test_every_end_is_told_as_the_libraries_show_it(serving: Serving) -> None:
@@ -96,19 +74,6 @@ async def test_a_goal_may_have_a_number_as_its_id_or_none(serving: Serving) -> N
         await client.say(without | {"args": {"order": 50}})
         await client.say(op="cancel_action_goal", action="/fibonacci")
         assert (await client.hear())["status"] == 5
-
-
-async def test_ids_belong_to_one_connection(serving: Serving) -> None:
-    robot = Robot()
-    async with serving(robot.server) as served, served.connect() as one, served.connect() as other:
-        for client in (one, other):
-            await client.say(goal(50))
-            await client.hear()
-            await client.hear()
-        await other.say(op="cancel_action_goal", id="g1", action="/fibonacci")
-        assert (await other.hear())["status"] == 5
-        robot.go_on.set()
-        assert (await one.hear())["status"] == 4
 
 
 async def test_of_two_goals_with_the_same_id_the_later_is_canceled(serving: Serving) -> None:
@@ -186,16 +151,6 @@ async def test_wrong_arguments_are_answered_and_nothing_runs(
         assert robot.runs == 1
 
 
-async def test_numbers_beyond_2_53_stay_exact(serving: Serving) -> None:
-    async with serving(Robot().server) as served, served.connect() as client:
-        for number in (2**53 + 1, 2**63 - 1):
-            await client.say(goal(number, feedback=False))
-            await client.say(op="cancel_action_goal", id="g1", action="/fibonacci")
-            assert (await client.hear())["status"] == 5
-        await client.say(goal(-(2**53) - 1))
-        assert (await client.hear())["values"] == "order is negative"
-
-
 async def test_an_action_that_is_not_served_is_told(serving: Serving) -> None:
     async with serving(Robot().server) as served, served.connect() as client:
         await client.say(goal(1, action="/dock"))
@@ -207,49 +162,6 @@ async def test_an_action_that_is_not_served_is_told(serving: Serving) -> None:
         answer = await client.hear()
         assert (answer["id"], answer["service"], answer["result"]) == (1, service, False)
         assert "is not served here" in answer["values"]
-
-
-class Image(msgspec.Struct):
-    data: bytes
-
-
-class Size(msgspec.Struct):
-    size: int
-
-
-async def measure(goal: GoalHandle[Image]) -> AsyncGenerator[Image | Size, None]:
-    yield Image(goal.request.data[::-1])
-    yield Size(len(goal.request.data))
-
-
-@pytest.mark.parametrize("data", ["AAEC", [0, 1, 2]])
-async def test_bytes_are_base64_or_numbers(data: Any, serving: Serving) -> None:
-    action = Action("measure", goal=Image, feedback=Image, result=Size)
-    server = ActionServer(action, measure)
-    async with serving(server) as served, served.connect() as client:
-        sent = {"op": "send_action_goal", "action": "measure", "feedback": True}
-        await client.say(sent | {"args": {"data": data}})
-        assert (await client.hear())["values"] == {"data": "AgEA"}
-        assert (await client.hear())["values"] == {"size": 3}
-        await client.say(sent | {"args": {"data": [0, 256]}})
-        assert (await client.hear())["values"].startswith("goal.data must be text")
-
-
-async def doubled(goal: GoalHandle[int]) -> AsyncGenerator[str | list[int], None]:
-    yield "once"
-    yield [goal.request, goal.request]
-
-
-async def test_messages_that_are_not_objects_have_one_field(serving: Serving) -> None:
-    action = Action("double", goal=int, feedback=str, result=list)
-    server = ActionServer(action, doubled)
-    async with serving(server) as served, served.connect() as client:
-        sent = {"op": "send_action_goal", "action": "/double", "feedback": True}
-        await client.say(sent | {"args": {"data": 4}})
-        assert (await client.hear())["values"] == {"data": "once"}
-        assert (await client.hear())["values"] == {"data": [4, 4]}
-        await client.say(sent | {"args": {"number": 4}})
-        assert (await client.hear())["values"].startswith("goal must be a whole number")
 
 
 async def test_a_message_waits_for_the_large_one_before_it(serving: Serving) -> None:

@@ -11,7 +11,7 @@ from fibaction import Action, ActionServer
 from fibaction.border.abc import ForwardingEndpoint
 from fibaction.interfaces.ros_types import Int32, UInt8, UInt64, array, struct
 from fibaction.types.action import ActionInfo
-from tests.support.fibonacci import FIBONACCI, fibonacci
+from tests.support.fibonacci import fibonacci
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.rosbridge.clients import RosbridgeClient, Serving
 from tests.transports.web.rosbridge.robot import TYPE, goal
@@ -233,27 +233,3 @@ async def test_a_schema_that_cannot_be_used_is_told(schema: Any, serving: Servin
         assert why.startswith("the schema of the goal ")
         await client.say(goal(1))
         assert (await client.hear())["values"].startswith("the schema of the goal ")
-
-
-@pytest.mark.parametrize(
-    ("schema", "kinds"),
-    [
-        ({"$ref": "#/$defs/a", "$defs": {"a": True}}, None),
-        ({"properties": {"a": True, "b": {"type": "array"}, "c": {"type": "object"}}}, ["any"] * 3),
-        ({"properties": {"a": {"properties": {"b": {}}}}}, ["arduinobot_msgs/Fibonacci_Goal/a"]),
-    ],
-)
-async def test_a_schema_of_others_is_described_too(
-    schema: Any, kinds: list[str] | None, serving: Serving
-) -> None:
-    async with serving(Described(schema)) as served, served.connect() as client:
-        found = (await call(client, "/rosapi/action_goal_details", {"type": TYPE}))["typedefs"]
-        assert [one["fieldtypes"] for one in found][:1] == ([] if kinds is None else [kinds])
-
-
-async def test_an_action_without_a_schema_takes_any_goal(serving: Serving) -> None:
-    async with serving(Described({})) as served, served.connect() as client:
-        for _ in range(2):
-            await client.say(goal(2, feedback=False))
-            assert (await client.hear())["values"] == {"sequence": [0, 1, 1]}
-    assert FIBONACCI.type_name == TYPE

@@ -10,7 +10,6 @@ import pytest
 from fibaction_transports.web.rosbridge.operations import Subscribe, SubscriptionQos
 from fibaction_transports.web.rosbridge.server import topic_outlets
 from fibaction_transports.web.rosbridge.server.topic_outlets import (
-    LONGEST_PERIOD,
     STATUS_PERIOD,
     FeedbackOutlet,
     StatusOutlet,
@@ -22,21 +21,6 @@ def feedback(rate: float = 0, length: int = 0) -> FeedbackOutlet:
     outlet = FeedbackOutlet("/a")
     outlet.subscribe(Subscribe("/a", throttle_rate=rate, queue_length=length))
     return outlet
-
-
-def test_without_a_rate_each_message_goes_at_once() -> None:
-    outlet = feedback()
-    assert [outlet.offer(str(number), 5) for number in range(3)] == [["0"], ["1"], ["2"]]
-    assert outlet.due == math.inf
-    assert outlet.take(9) == []
-
-
-def test_without_a_queue_a_message_that_comes_too_early_is_dropped() -> None:
-    outlet = feedback(rate=500)
-    assert outlet.offer("a", 1) == ["a"]
-    assert outlet.offer("b", 1.49) == []
-    assert outlet.due == math.inf
-    assert outlet.offer("c", 1.5) == ["c"]
 
 
 def test_a_queue_holds_the_newest_messages_until_their_time() -> None:
@@ -62,16 +46,6 @@ def test_the_bytes_of_a_queue_are_limited(monkeypatch: pytest.MonkeyPatch) -> No
     outlet.offer("f" * 4, 0)
     outlet.offer("g" * 4, 0)
     assert [outlet.take(number) for number in (1, 2, 3)] == [["ffff"], ["gggg"], []]
-
-
-def test_a_rate_and_a_queue_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topic_outlets, "LONGEST_QUEUE", 1)
-    outlet = feedback(rate=1e300, length=10**12)
-    for text in "abc":
-        outlet.offer(text, 0)
-    assert outlet.due == LONGEST_PERIOD
-    assert outlet.take(LONGEST_PERIOD) == ["c"]
-    assert outlet.due == math.inf
 
 
 def test_of_several_subscriptions_the_most_demanding_one_counts() -> None:

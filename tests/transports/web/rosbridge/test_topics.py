@@ -6,14 +6,11 @@ import base64
 import json
 from typing import Any
 
-import anyio
 import msgspec
 import pytest
 
 from fibaction import GoalStatus, Peer, Permission
-from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.codec import FromClient, decode_from_client, decode_from_server, encode
-from fibaction.wire.frames import FrameMemory
 from fibaction.wire.messages import (
     AwaitServer,
     Close,
@@ -28,16 +25,12 @@ from fibaction.wire.messages import (
     Received,
     Watching,
     WatchStatus,
-    Welcome,
     Why,
 )
-from fibaction.wire.settings import WireSettings
 from fibaction_transports.web.rosbridge.operations import Subscribe, Unsubscribe
 from fibaction_transports.web.rosbridge.server import topics, watched_action
 from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT
 from fibaction_transports.web.rosbridge.server.topics import FIRST_REQUEST, RETRY_AFTER, Topics
-from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
-from tests.support.virtual_time import in_virtual_time
 from tests.transports.hearing import Hearing
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.rosbridge.clients import Serving
@@ -116,19 +109,6 @@ async def test_a_client_gets_the_feedback_of_goals_that_others_send(serving: Ser
 
 
 @asynchronous
-async def test_a_client_may_end_its_subscription_and_begin_another_one(serving: Serving) -> None:
-    robot = Robot()
-    async with serving(robot.server) as served, served.connect() as client:
-        await client.say(op="subscribe", topic=STATUS, id="a")
-        assert statuses_in(await client.hear()) == {}
-        await client.say(op="unsubscribe", topic=STATUS, id="a")
-        await client.say(goal(3))
-        await client.hear_until("action_result")  # and no `publish`, which has no result
-        await client.say(op="subscribe", topic=STATUS, id="a")
-        assert list(statuses_in(await client.hear()).values()) == [4]
-
-
-@asynchronous
 async def test_topics_need_the_permission_to_observe(serving: Serving, log: Hearing) -> None:
     def authorize(peer: Peer, action: str, permission: Permission) -> bool:
         return permission is not Permission.OBSERVE
@@ -142,43 +122,6 @@ async def test_topics_need_the_permission_to_observe(serving: Serving, log: Hear
     (note,) = [one.getMessage() for one in log.records]
     assert "the topics of the action 'fibonacci' are not served" in note
     assert "may not observe" in note
-
-
-@in_virtual_time()
-@asynchronous
-async def test_messages_that_wait_for_their_time_come_then() -> None:
-    memory = FrameMemory(ByteBudget(2**20))
-    translator = RosbridgeTranslator("peer", {"fibonacci": new_server()}, WireSettings(), memory)
-    wakes = 0
-
-    def wake() -> None:
-        nonlocal wakes
-        wakes += 1
-        texts.extend(translator.take_texts())
-
-    texts: list[str] = []
-    translator.begin()
-    translator.texts_of(encode(Welcome(1, 1.0)))
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(translator.topics.run, wake)
-        subscribe = {"op": "subscribe", "topic": FEEDBACK, "throttle_rate": 500, "queue_length": 1}
-        (frame,) = await translator.frames_of(json.dumps(subscribe))
-        number = decode_from_client(frame).id  # type: ignore[union-attr]  # it is a request
-        assert number == FIRST_REQUEST
-        translator.texts_of(encode(Watching(number, 0)))
-        translator.texts_of(encode(changed(number, GoalStatus.EXECUTING)))
-        (follow,) = map(decode_from_client, translator.take_replies())
-        assert isinstance(follow, Follow)
-        begin = anyio.current_time()
-        payload = msgspec.msgpack.encode({"partial_sequence": [1]})
-        news = [encode(Feedback(follow.id, number, payload)) for number in (1, 2, 3)]
-        assert [len(translator.texts_of(one)) for one in news] == [1, 0, 0]
-        assert not translator.has_texts
-        await anyio.sleep(5)
-        assert list(map(json.loads, texts)) == [feedback(GOAL, 1)]
-        assert wakes == 1
-        tasks.cancel_scope.cancel()
-    assert anyio.current_time() == begin + 5
 
 
 # By itself
@@ -372,14 +315,6 @@ def test_a_server_whose_statuses_end_is_asked_again(how: str) -> None:
     assert list(statuses_in(message).values()) == [2]
     assert isinstance(follow, Follow)
     assert partner.hear(Feedback(follow.id, 1, PAYLOAD)) == [feedback(GOAL, 1)]
-
-
-def test_a_topic_that_fails_is_forgotten() -> None:
-    partner = Partner()
-    watch = watching(partner, STATUS)
-    assert partner.say(Failed(watch, Why.FORBIDDEN, "no")) == []
-    assert partner.notes == ["the topics of the action 'fibonacci' are not served: no"]
-    assert partner.topics._actions == {}
 
 
 @pytest.mark.parametrize(

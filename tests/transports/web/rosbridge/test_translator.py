@@ -15,11 +15,8 @@ from fibaction.wire.messages import (
     Credit,
     Ended,
     Feedback,
-    Following,
     Hello,
-    Received,
     SendGoal,
-    StatusChanged,
     Welcome,
 )
 from fibaction.wire.settings import WireSettings
@@ -28,7 +25,7 @@ from fibaction_transports.web.rosbridge.server import pending_calls
 from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
 from tests.transports.hearing import Hearing
 from tests.transports.tcp.servers import new_server
-from tests.transports.web.rosbridge.robot import goal, result
+from tests.transports.web.rosbridge.robot import goal
 
 pytestmark = pytest.mark.anyio
 
@@ -67,11 +64,6 @@ async def test_a_goal_gets_more_credit_when_it_has_used_it_up(
     assert replies == [Credit(request.id, 2)] * 2
 
 
-async def test_the_meta_of_an_operation_goes_with_the_goal(translator: RosbridgeTranslator) -> None:
-    assert (await send(translator)).meta is None
-    assert (await send(translator, meta={"traceparent": "00-1"})).meta == {"traceparent": "00-1"}
-
-
 async def test_a_meta_that_is_not_text_is_the_error_of_its_goal(
     translator: RosbridgeTranslator,
 ) -> None:
@@ -79,19 +71,6 @@ async def test_a_meta_that_is_not_text_is_the_error_of_its_goal(
     translator.texts_of(encode(Welcome(1, 1.0)))
     (text,) = translator.take_texts()
     assert "Expected `str`, got `int`" in text
-
-
-async def test_the_end_of_a_goal_is_confirmed(translator: RosbridgeTranslator) -> None:
-    request = await send(translator)
-    status = encode(StatusChanged(request.id, GoalStatus.EXECUTING))
-    following = encode(Following(request.id, 0, GoalStatus.ACCEPTED, False, 0))
-    assert translator.texts_of(following) == translator.texts_of(status) == []
-    payload = msgspec.msgpack.encode({"sequence": []})
-    ended = encode(Ended(request.id, GoalStatus.SUCCEEDED, payload, "", 0))
-    assert list(map(json.loads, translator.texts_of(ended))) == [result({"sequence": []})]
-    assert sent(translator.calls.take_replies()) == [Received(request.id)]
-    assert translator.calls.bound_goals() == []
-    assert translator.calls._latest == {}  # it would grow
 
 
 @pytest.mark.parametrize(
@@ -109,15 +88,3 @@ async def test_what_json_cannot_express_is_told_or_left_out(
     answer = json.loads(text)
     assert (answer["result"], answer["status"]) == (False, shown)
     assert "not a valid payload" in answer["values"]
-
-
-async def test_an_answer_of_its_own_waits_until_the_client_is_let_in(
-    translator: RosbridgeTranslator,
-) -> None:
-    assert await translator.frames_of('{"op":"call_service","service":"/x"}') == []
-    assert not translator.has_texts
-    assert translator.take_texts() == []
-    translator.texts_of(encode(Welcome(1, 1)))
-    assert translator.has_texts
-    assert len(translator.take_texts()) == 1
-    assert not translator.has_texts

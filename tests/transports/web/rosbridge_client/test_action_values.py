@@ -42,17 +42,6 @@ def test_bytes_are_base64_text_or_numbers_and_null_is_nan_where_a_number_is() ->
     assert decoded(pose.encode({"raw": [1, 2]}))["raw"] == b"\1\2"
 
 
-def test_a_message_without_a_schema_stays_as_it_is() -> None:
-    values = {"data": [None, 1.5, "AAH/"]}
-    assert decoded(MessageValues({}, "feedback").encode(values)) == values
-
-
-def test_a_value_that_is_not_an_object_is_in_a_field() -> None:
-    number = MessageValues({"type": "number"}, "feedback")
-    assert decoded(number.encode({"data": 3})) == decoded(number.encode(3)) == 3
-    assert math.isnan(decoded(number.encode({"data": None})))
-
-
 def test_values_that_do_not_fit_are_an_error() -> None:
     with pytest.raises(PayloadError, match=r"feedback\.xs"):
         MessageValues(POSE, "feedback").encode({"xs": ["a"]})

@@ -124,10 +124,6 @@ def test_messages_within_a_message_are_described_once_and_told_apart() -> None:
         codec.complete({"to": {"x": "far"}})
 
 
-def test_names_of_fields_have_no_underscore_in_front() -> None:
-    assert list(properties(("_order", "int32", -1, "0"))) == ["order"]
-
-
 def test_a_field_whose_type_is_not_described_may_have_any_value() -> None:
     found = properties(
         ("numbers", "arra/array", 0, "[]"),
@@ -167,23 +163,3 @@ def test_a_schema_that_would_be_too_large_to_be_used_is_left_out() -> None:
     assert schema_of(small)
     small[1].fieldnames.append("last")
     assert schema_of(small) == schema_of(large) == {}
-
-
-def test_fields_that_a_server_says_to_be_required_have_no_default() -> None:
-    told = definition(("x", "double", -1, "0.0"), ("y", "double", -1, "0.0"))
-    told.required = ["x", "other"]
-    codec = JsonCodec(schema_of([told]))
-    with pytest.raises(PayloadError, match=r"^goal: x is missing|^goal\.x is missing"):
-        codec.complete({})
-    assert codec.complete({"x": 1.0}) == {"x": 1.0, "y": 0.0}
-
-
-def test_a_definition_with_lists_of_different_lengths_ends_with_the_shortest() -> None:
-    told = TypeDefinition("P", ["x", "y"], ["double"], [-1, -1], ["0.0"])
-    assert schema_of([told])["$defs"]["P"] == {
-        "title": "P",
-        "type": "object",
-        "properties": {"x": {"type": "number", "default": 0.0}},
-        "required": [],
-        "additionalProperties": False,
-    }
