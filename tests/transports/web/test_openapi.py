@@ -13,7 +13,8 @@ from openapi_spec_validator import validate
 from fibaction import Action
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import ActionInfo
-from fibaction_transports.web.rest.goal_list import cancel_stamp_in, labels_of, wanted_of
+from fibaction.words.goal_query import cancel_stamp_of
+from fibaction_transports.web.rest.goal_list import page_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE
 from tests.support.fibonacci import FIBONACCI
@@ -181,7 +182,7 @@ def test_parameters_allow_what_the_server_accepts() -> None:
     assert date_time == {"format": "date-time"}
     for text in ("1", "10m", "1.5h", str(10**30), f"{1:019}"):
         assert re.search(other["pattern"], text)
-        assert cancel_stamp_in(text, 10**18)
+        assert cancel_stamp_of(text, 10**18, is_local=False)
     assert not any(re.search(other["pattern"], text) for text in ("", "0", "0" * 19, "now"))
     goal_id, after = (one["schema"]["pattern"] for one in events["get"]["parameters"])
     assert not re.fullmatch(goal_id, "0" * 32)
@@ -199,12 +200,13 @@ def test_a_choice_of_goals_allows_what_the_server_accepts() -> None:
         date_time, other = schemas[name]["anyOf"]
         assert date_time == {"format": "date-time"}
         for text in ("10m", "1.5h", "1769860800000000000", "2026-01-31T12:00:00Z"):
-            since, until = (text, None) if name == "since" else (None, text)
-            assert getattr(wanted_of(words, "me", since, until, (), 10**18), name) is not None
+            wanted = page_of({"status": words, "client": ["me"], name: [text]}, 10**18).wanted
+            assert getattr(wanted, name) is not None
             assert bool(re.search(other["pattern"], text)) is not ("T" in text)
         assert not any(re.search(other["pattern"], text) for text in ("", "10", "10w", "m"))
     label = schemas["label"]["items"]["pattern"]
-    assert labels_of(["order=17", "note=", "note="]) == (("order", "17"), ("note", ""))
+    wanted = page_of({"label": ["order=17", "note=", "note="]}, 10**18).wanted
+    assert wanted.labels == (("order", "17"), ("note", ""))
     assert all(re.search(label, text) for text in ("order=17", "note=", "steps=3"))
     assert not any(re.search(label, text) for text in ("", "order", "=17", "step=3"))
 

@@ -87,7 +87,8 @@ class Exchange:
         self.more_headers: list[tuple[str, str]] = []
         """Headers that the answer has next to its own."""
         query: str = scope.get("query_string", b"").decode("latin-1")
-        self._query = parse_qs(query, keep_blank_values=True)
+        self.query = parse_qs(query, keep_blank_values=True)
+        """The parameters after the `?`, each with its values."""
         self._receive = receive
         self._send = send
         self._write_timeout = write_timeout
@@ -100,11 +101,7 @@ class Exchange:
 
     def parameter(self, name: str) -> str | None:
         """Return a parameter after the `?`, the last one of several; None if it is not there."""
-        return self._query.get(name, [None])[-1]
-
-    def parameters(self, name: str) -> list[str]:
-        """Return all parameters of a name after the `?`."""
-        return self._query.get(name, [])
+        return self.query.get(name, [None])[-1]
 
     def seconds(self, name: str, most: float) -> float | None:
         """Return a parameter that is a number of seconds; None if it is not there.

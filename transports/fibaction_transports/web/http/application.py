@@ -36,10 +36,8 @@ from fibaction_transports._http.exchange import (
 )
 from fibaction_transports._http.problems import RETRY, Problem, problem_of
 from fibaction_transports.web.http.asgi_channel import AsgiChannel
-from fibaction_transports.web.http.assets import Assets, answer_with
 from fibaction_transports.web.http.handshake import SUBPROTOCOL
-from fibaction_transports.web.http.probes import Probes
-from fibaction_transports.web.http.recording_answer import ServedRecording
+from fibaction_transports.web.http.plain_paths import PlainPaths
 from fibaction_transports.web.rest.handlers import RestInterface
 
 NOT_SERVING = "the server does not run: serve() it in the lifespan of the program"
@@ -92,10 +90,10 @@ class WebApplication(HttpApplication):
         super().__init__(rules, server.settings.limits, server.frames)
         self.server = server
         self.guest = guest
-        self._assets = Assets(console=console)
         self._rest = RestInterface(server)
-        self._probes = Probes(metrics, self._rest.admit)
-        self._recording = ServedRecording(recording, self._rest.admit)
+        self._plain = PlainPaths(
+            self._rest.admit, console=console, metrics=metrics, recording=recording
+        )
         self._sockets: set[CancelScope] = set()
         server.tasks.start_soon(self._hold)
         if metrics is not None:
@@ -117,12 +115,7 @@ class WebApplication(HttpApplication):
             await super().__call__(scope, receive, send)
 
     async def answer(self, exchange: Exchange) -> None:
-        if exchange.path == "" and self._assets.has_page:
-            # The addresses in the page are relative to its own.
-            await exchange.answer(308, b"", ("Location", f"{exchange.root}/"))
-        elif (asset := self._assets.find(exchange)) is not None:
-            await answer_with(asset, exchange)
-        elif not (await self._probes.answer(exchange) or await self._recording.answer(exchange)):
+        if not await self._plain.answer(exchange):
             await self._rest.handle(exchange)
 
     # WebSocket

@@ -1,4 +1,4 @@
-"""`Assets`: the static files that a web server has: its pages, and the client for JavaScript.
+"""The static files that a web server has: its pages, and the client for JavaScript.
 
 The pages are the console, at the root, and that of the REST interface, at `/docs`. They come
 without the comments and the indents of their sources; `tests/transports/web/test_assets.py` bounds
@@ -13,17 +13,13 @@ asks for the token, or finds it in the fragment of its address, and uses it for 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache
 from hashlib import blake2b
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import PurePosixPath
-
-from fibaction.border.http_access import Refused
-from fibaction.border.peer_text import excerpt
-from fibaction_transports._http.exchange import Exchange
-from fibaction_transports.web.http.page_source import COMMENTED, as_served
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:;"
@@ -39,7 +35,6 @@ MEDIA_TYPES = {
     ".ts": "text/plain; charset=utf-8",
 }
 """The files that are served, by their suffixes."""
-ASSET_METHODS = ("GET", "HEAD")
 PAGE = "/"
 API_PAGE = "/docs"
 CLIENT = ("fibaction.js", "fibaction.d.ts", "package.json")
@@ -73,48 +68,6 @@ class Asset:
         return headers
 
 
-class Assets:
-    """The files of one server, by their paths."""
-
-    def __init__(self, *, console: bool) -> None:
-        """Take the client for JavaScript, and the pages if they are wanted."""
-        self._by_path = {
-            path: asset
-            for path, asset in all_assets().items()
-            if console or path.removeprefix("/") in CLIENT
-        }
-
-    @property
-    def has_page(self) -> bool:
-        """True if the console is served."""
-        return PAGE in self._by_path
-
-    def find(self, exchange: Exchange) -> Asset | None:
-        """Return the file that a request is about; None if it is not about a file.
-
-        Raises:
-            Refused: A file is only read.
-        """
-        asset = self._by_path.get(exchange.path)
-        if asset is not None and exchange.method not in ASSET_METHODS:
-            allowed = ", ".join(ASSET_METHODS)
-            raise Refused(
-                405,
-                f"{exchange.path} has the methods {allowed}, and not {excerpt(exchange.method)}",
-                ("Allow", allowed),
-            )
-        return asset
-
-
-async def answer_with(asset: Asset, exchange: Exchange) -> None:
-    """Answer a request with a file, or say that the client's copy of it is up to date."""
-    known = exchange.headers.get("if-none-match", "").replace("W/", "")
-    if asset.tag in (tag.strip() for tag in known.split(",")):
-        await exchange.answer(304, b"", *asset.headers)
-    else:
-        await exchange.answer(200, asset.body, *asset.headers, kind=asset.media_type)
-
-
 @cache
 def all_assets() -> dict[str, Asset]:
     """Return all files, by their paths."""
@@ -137,5 +90,19 @@ def all_assets() -> dict[str, Asset]:
 def _body_of(path: str, file: Traversable) -> bytes:
     """Return what is served of a file: all of it if it is of the client for JavaScript."""
     body = file.read_bytes()
-    is_of_page = path.endswith(COMMENTED) and path.removeprefix("/") not in CLIENT
+    is_of_page = path.endswith((".css", ".js")) and path.removeprefix("/") not in CLIENT
     return as_served(body) if is_of_page else body
+
+
+_COMMENT = re.compile(rb"^[ \t]*(?:/\*(?:[^*]|\*(?!/))*\*/[ \t]*|//[^\n]*)$", re.MULTILINE)
+_INDENT = re.compile(rb"^[ \t]+", re.MULTILINE)
+
+
+def as_served(source: bytes) -> bytes:
+    """Return the source of a script or of a style sheet without its comments and indents, which are
+    for its authors.
+
+    Only comments that are whole lines are left out, and the lines stay, empty, so that an error in
+    a browser has the line of the file. Nothing is parsed, so a page has no texts of several lines.
+    """
+    return _INDENT.sub(b"", _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), source))

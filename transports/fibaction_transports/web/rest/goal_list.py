@@ -13,10 +13,11 @@ in its history. It always comes in pages then, each with no more of the history 
 from __future__ import annotations
 
 import re
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Generator, Iterable, Mapping
+from contextlib import contextmanager
 from heapq import nsmallest
 from time import perf_counter
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 from urllib.parse import urlencode
 
 import anyio
@@ -32,11 +33,10 @@ from fibaction.words.goal_query import (
     GoalQuery,
     Labels,
     PastPage,
-    cancel_stamp_of,
     label_of,
     time_of,
 )
-from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo, Parent
+from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 
 LARGEST_PAGE = 10_000
@@ -44,6 +44,9 @@ LARGEST_PAGE = 10_000
 
 LAST_TIME = 10**19 - 1
 """The latest time that a stamp can tell."""
+
+Query: TypeAlias = Mapping[str, list[str]]
+"""The parameters of a request, each with its values."""
 
 _PAGE_CURSOR = re.compile(r"(\d{1,19})\.([0-9a-f]{32})", re.ASCII)
 
@@ -88,96 +91,70 @@ class Page(NamedTuple):
         return f"?{urlencode(parameters)}"
 
 
-def wanted_of(
-    words: Iterable[str],
-    client: str | None,
-    since: str | None,
-    until: str | None,
-    labels: Iterable[str],
-    now: int,
-) -> GoalQuery:
-    """Return the goals that the parameters of a request name: the words for their statuses, a part
-    of their client, the span of their acceptance, and labels that they have.
-
-    Raises:
-        Refused: One of them is wrong.
-    """
-    statuses: set[GoalStatus] = set()
-    for word in words:
-        if word not in STATUSES:
-            raise Refused(400, f"status is one of {', '.join(STATUSES)}, each in its own parameter")
-        statuses |= STATUSES[word]
-    times = (_time_of(name, text, now) for name, text in (("since", since), ("until", until)))
-    since_ns, until_ns = times
-    return GoalQuery(frozenset(statuses), client or "", since_ns, until_ns, labels_of(labels))
-
-
-def labels_of(texts: Iterable[str]) -> Labels:
-    """Return the labels that parameters of a request name.
-
-    Raises:
-        Refused: One of them is wrong.
+@contextmanager
+def refusing(name: str) -> Generator[None, None, None]:
+    """Refuse the request if the text of a parameter is wrong, for which the block raises
+    `ValueError`.
     """
     try:
-        return tuple(dict.fromkeys(map(label_of, texts)))
-    except ValueError as exc:
-        raise Refused(400, f"label: {exc}") from None
-
-
-def cancel_stamp_in(before: str | None, now: int) -> int | None:
-    """Return the stamp that the parameter `before` of a cancel means; None if it is not there.
-
-    Raises:
-        Refused: It is not a time.
-    """
-    try:
-        return None if before is None else cancel_stamp_of(before, now, is_local=False)
-    except ValueError as exc:
-        raise Refused(400, f"before: {exc}") from None
-
-
-def _time_of(name: str, text: str | None, now: int) -> int | None:
-    if text is None:
-        return None
-    try:
-        return time_of(text, now, is_local=False)
+        yield
     except ValueError as exc:
         raise Refused(400, f"{name}: {exc}") from None
 
 
-def page_of(
-    limit: str | None,
-    after: str | None,
-    parent: str | None = None,
-    wanted: GoalQuery = ANY_GOAL,
-    past: str | None = None,
-) -> Page:
-    """Return the page that the parameters of a request name, of the goals that are wanted.
+def labels_in(query: Query) -> Labels:
+    """Return the labels that the parameters of a request name.
 
     Raises:
         Refused: One of them is wrong.
     """
+    with refusing("label"):
+        return tuple(dict.fromkeys(map(label_of, query.get("label", []))))
+
+
+def page_of(query: Query, now: int) -> Page:
+    """Return the page that the parameters of a request name: the number of its goals and the goal
+    before them, and of which goals: by their parent, the words for their statuses, a part of their
+    client, the span of their acceptance, and labels that they have.
+
+    Raises:
+        Refused: One of them is wrong.
+    """
+    one = {name: values[-1] for name, values in query.items()}
+    times: dict[str, int | None] = {"since": None, "until": None}
+    for name in one.keys() & times:
+        with refusing(name):
+            times[name] = time_of(one[name], now, is_local=False)
+    client, labels = one.get("client", ""), labels_in(query)
+    wanted = GoalQuery(_statuses_in(query), client, times["since"], times["until"], labels)
+    limit = one.get("limit")
     if limit is not None and not (limit.isascii() and limit.isdecimal() and int(limit[:9]) > 0):
         raise Refused(400, f"limit is a number of goals between 1 and {LARGEST_PAGE}")
     size = None if limit is None else min(int(limit[:9]), LARGEST_PAGE)
-    if past not in (None, "true", "false"):
+    past = one.get("past", "false")
+    if past not in ("true", "false"):
         raise Refused(400, "past is true or false")
-    whole = Page(size, wanted=wanted)
+    page = Page(size, wanted=wanted)
     if past == "true":
-        whole = whole._replace(past=True, limit=MOST_PAST if size is None else size)
-    if parent is not None:
-        try:
-            whole = whole._replace(parent=GoalID.parse(parent))
-        except ValueError as exc:
-            raise Refused(400, f"parent is the ID of a goal: {exc}") from None
-        if whole.parent == NO_GOAL:
+        page = page._replace(past=True, limit=MOST_PAST if size is None else size)
+    if "parent" in one:
+        with refusing("parent is the ID of a goal"):
+            page = page._replace(parent=GoalID.parse(one["parent"]))
+        if page.parent == NO_GOAL:
             raise Refused(400, "parent is the ID of a goal, and that of zeros means all goals")
-    if after is None:
-        return whole
-    found = _PAGE_CURSOR.fullmatch(after)
+    if "after" not in one:
+        return page
+    found = _PAGE_CURSOR.fullmatch(one["after"])
     if found is None:
         raise Refused(400, "after is a cursor of the header Link of the page before")
-    return whole._replace(after=(int(found[1]), bytes.fromhex(found[2])))
+    return page._replace(after=(int(found[1]), bytes.fromhex(found[2])))
+
+
+def _statuses_in(query: Query) -> frozenset[GoalStatus]:
+    words = query.get("status", [])
+    if not set(words) <= STATUSES.keys():
+        raise Refused(400, f"status is one of {', '.join(STATUSES)}, each in its own parameter")
+    return frozenset().union(*(STATUSES[word] for word in words))
 
 
 def members_of(info: GoalInfo) -> dict[str, object]:
@@ -187,8 +164,18 @@ def members_of(info: GoalInfo) -> dict[str, object]:
 
 def facts_of(info: GoalInfo) -> dict[str, object]:
     """Return a goal as members of an object, without its place among those that wait. The stamp is
-    text: JavaScript would round such a number.
+    text: JavaScript would round such a number. What is not known is left out.
     """
+    parent = info.parent
+    optional = {
+        "began_at": None if info.began_at is None else str(info.began_at),
+        "ended_at": None if info.ended_at is None else str(info.ended_at),
+        "waited": info.waited,
+        "ran": info.ran,
+        "parent": parent and {"goal_id": str(parent.goal_id), "step": parent.step},
+        "labels": info.labels,
+        "worker": info.worker,
+    }
     return {
         "goal_id": str(info.goal_id),
         "stamp": str(info.stamp),
@@ -197,30 +184,8 @@ def facts_of(info: GoalInfo) -> dict[str, object]:
         "feedback_count": info.feedback_count,
         "client": info.client,
         "reason": info.reason,
-        **_times(info),
-        **_parent(info.parent),
-        **({"labels": info.labels} if info.labels else {}),
-        **({"worker": info.worker} if info.worker else {}),
+        **{name: text for name, text in optional.items() if text not in (None, "", {})},
     }
-
-
-def _times(info: GoalInfo) -> dict[str, object]:
-    """Return the times of a goal's begin and end, and the seconds before and after the begin, as
-    members, as far as they are known.
-    """
-    times = {"began_at": info.began_at, "ended_at": info.ended_at}
-    spans = {"waited": info.waited, "ran": info.ran}
-    known: dict[str, object] = {}
-    known |= {name: str(stamp) for name, stamp in times.items() if stamp is not None}
-    known |= {name: seconds for name, seconds in spans.items() if seconds is not None}
-    return known
-
-
-def _parent(parent: Parent | None) -> dict[str, object]:
-    """Return the parent of a goal as a member of an object; none if the goal has no parent."""
-    if parent is None:
-        return {}
-    return {"parent": {"goal_id": str(parent.goal_id), "step": parent.step}}
 
 
 async def past_of(endpoint: Endpoint, page: Page) -> list[GoalInfo]:

@@ -30,20 +30,20 @@ from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
+from fibaction.words.goal_query import cancel_stamp_of
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import trace_meta, with_labels
 from fibaction_transports._http.exchange import Exchange
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of
 from fibaction_transports.web.rest.goal_list import (
-    cancel_stamp_in,
     facts_of,
-    labels_of,
+    labels_in,
     listed,
     members_of,
     page_of,
     past_of,
-    wanted_of,
+    refusing,
 )
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import Resource, Route, route_of
@@ -69,10 +69,10 @@ class RestInterface:
             (Resource.ACTIONS, "GET"): self._list_actions,
             (Resource.ACTION, "GET"): self._get_action,
             (Resource.GOALS, "GET"): self._list_goals,
-            (Resource.GOALS, "POST"): self._post_goal,
+            (Resource.GOALS, "POST"): self._send_goal,
             (Resource.GOALS, "DELETE"): self._cancel_goals,
             (Resource.GOAL, "GET"): self._get_goal,
-            (Resource.GOAL, "PUT"): self._put_goal,
+            (Resource.GOAL, "PUT"): self._send_goal,
             (Resource.GOAL, "DELETE"): self._cancel_goal,
             (Resource.EVENTS, "GET"): self._follow_goal,
         }
@@ -143,16 +143,7 @@ class RestInterface:
 
     async def _list_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
-        asked = exchange.parameter
-        wanted = wanted_of(
-            exchange.parameters("status"),
-            asked("client"),
-            asked("since"),
-            asked("until"),
-            exchange.parameters("label"),
-            time_ns(),
-        )
-        page = page_of(asked("limit"), asked("after"), asked("parent"), wanted, asked("past"))
+        page = page_of(exchange.query, time_ns())
         with await endpoint.status() as statuses:
             # Afterwards, so that a goal which is forgotten meanwhile is in one of them.
             past = await past_of(endpoint, page)
@@ -160,19 +151,14 @@ class RestInterface:
         next_page = ("Link", f'<{page.next_query(cursor)}>; rel="next"')
         await exchange.answer(200, body, *([next_page] if cursor else ()))
 
-    async def _post_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
-        goal_id = GoalID.random()
-        await self._send_goal(exchange, client, Route(Resource.GOAL, route.action, goal_id))
-
-    async def _put_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
-        await self._send_goal(exchange, client, route)
-
     async def _send_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        if exchange.method == "POST":
+            route = Route(Resource.GOAL, route.action, GoalID.random())
         endpoint = await self._endpoint(client, route, Permission.SEND)
         wait = exchange.seconds("wait", LONGEST_WAIT)
         streams = exchange.wants_events
         is_detached = wait is None and not streams
-        labels = dict(labels_of(exchange.parameters("label")))
+        labels = dict(labels_in(exchange.query))
         body = await exchange.json_body(self._settings.limits.frame, self._memory)
         payload = await in_turn(len(body), partial(_payload, self._goal_codec(endpoint.info), body))
         is_known = bool(endpoint.owner_of(route.goal_id))
@@ -272,7 +258,10 @@ class RestInterface:
         await self._answer_cancel(exchange, answer)
 
     async def _cancel_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
-        stamp = cancel_stamp_in(exchange.parameter("before"), time_ns())
+        before, stamp = exchange.parameter("before"), None
+        if before is not None:
+            with refusing("before"):
+                stamp = cancel_stamp_of(before, time_ns(), is_local=False)
         endpoint = await self._endpoint(client, route, Permission.CANCEL)
         await self._answer_cancel(exchange, await endpoint.cancel_goals(None, stamp))
 

@@ -99,72 +99,61 @@ _PROBLEM = {
     "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
 }
 _GOAL_ID = {"name": "goal_id", "in": "path", "required": True, "schema": _ONE_ID}
-_WAIT = {
-    "name": "wait",
-    "in": "query",
-    "description": "Seconds to wait for the end of the goal before the answer.",
-    "schema": {"type": "number", "minimum": 0, "maximum": LONGEST_WAIT},
-}
-_LIMIT = {
-    "name": "limit",
-    "in": "query",
-    "description": "Goals of a page, in the order of acceptance; without it all are listed.",
-    "schema": {"type": "integer", "minimum": 1},
-}
-_AFTER_PAGE = {
-    "name": "after",
-    "in": "query",
-    "description": "The cursor in the header Link of the page before.",
-    "schema": {"type": "string", "pattern": r"^[0-9]{1,19}\.[0-9a-f]{32}$"},
-}
-_PARENT = {
-    "name": "parent",
-    "in": "query",
-    "description": "Only goals that the executor of this goal has sent.",
-    "schema": _ONE_ID,
-}
-_STATUSES = {
-    "name": "status",
-    "in": "query",
-    "description": "Only goals with this status; may be given several times.",
-    "schema": {"type": "array", "minItems": 1, "items": {"type": "string", "enum": [*STATUSES]}},
-}
+
+
+def _parameter(name: str, description: str, schema: Json) -> Json:
+    return {"name": name, "in": "query", "description": description, "schema": schema}
+
+
+_WAIT = _parameter(
+    "wait",
+    "Seconds to wait for the end of the goal before the answer.",
+    {"type": "number", "minimum": 0, "maximum": LONGEST_WAIT},
+)
+_LIMIT = _parameter(
+    "limit",
+    "Goals of a page, in the order of acceptance; without it all are listed.",
+    {"type": "integer", "minimum": 1},
+)
+_AFTER_PAGE = _parameter(
+    "after",
+    "The cursor in the header Link of the page before.",
+    {"type": "string", "pattern": r"^[0-9]{1,19}\.[0-9a-f]{32}$"},
+)
+_PARENT = _parameter("parent", "Only goals that the executor of this goal has sent.", _ONE_ID)
+_STATUSES = _parameter(
+    "status",
+    "Only goals with this status; may be given several times.",
+    {"type": "array", "minItems": 1, "items": {"type": "string", "enum": [*STATUSES]}},
+)
 _LABEL = {"type": "string", "pattern": LABEL_TEXT}
-_CLIENT = {
-    "name": "client",
-    "in": "query",
-    "description": "Only goals whose client has this text in it.",
-    "schema": {"type": "string"},
-}
+_CLIENT = _parameter("client", "Only goals whose client has this text in it.", {"type": "string"})
 _LABELS, _NEW_LABELS = (
-    {
-        "name": "label",
-        "in": "query",
-        "description": f"{what}, such as `order=17`; may be given several times.",
-        "schema": {"type": "array", "minItems": 1, "maxItems": MAX_KEYS, "items": _LABEL},
-    }
+    _parameter(
+        "label",
+        f"{what}, such as `order=17`; may be given several times.",
+        {"type": "array", "minItems": 1, "maxItems": MAX_KEYS, "items": _LABEL},
+    )
     for what in ("Only goals with this label", "A label of the goal, to find it again")
 )
 _TIME = {"type": "string", "anyOf": [{"format": "date-time"}, {"pattern": TIME_TEXT}]}
 _SINCE, _UNTIL = (
-    {
-        "name": name,
-        "in": "query",
-        "description": f"Only goals that were accepted at this time or {when}: a time of ISO 8601,"
+    _parameter(
+        name,
+        f"Only goals that were accepted at this time or {when}: a time of ISO 8601,"
         " a stamp, or `10m` for ten minutes ago.",
-        "schema": _TIME,
-    }
+        _TIME,
+    )
     for name, when in (("since", "later"), ("until", "earlier"))
 )
 _CANCEL_TIME = {"type": "string", "anyOf": [{"format": "date-time"}, {"pattern": CANCEL_TEXT}]}
 _BEFORE = _UNTIL | {"name": "before", "schema": _CANCEL_TIME}
-_PAST = {
-    "name": "past",
-    "in": "query",
-    "description": "With `true`, also the goals that the server has forgotten and that its store"
+_PAST = _parameter(
+    "past",
+    "With `true`, also the goals that the server has forgotten and that its store"
     " keeps as its history; always in pages.",
-    "schema": {"type": "boolean"},
-}
+    {"type": "boolean"},
+)
 _CHOICE = (_STATUSES, _CLIENT, _LABELS, _SINCE, _UNTIL, _PAST)
 _NEXT = {
     "Link": {
@@ -172,12 +161,11 @@ _NEXT = {
         "schema": {"type": "string"},
     }
 }
-_AFTER = {
-    "name": "after",
-    "in": "query",
-    "description": "The ID of the last event that is known, as in the header Last-Event-ID.",
-    "schema": {"type": "string", "pattern": r"^(end|([1-9][0-9]{0,8}\.)?[0-9]{1,18})$"},
-}
+_AFTER = _parameter(
+    "after",
+    "The ID of the last event that is known, as in the header Last-Event-ID.",
+    {"type": "string", "pattern": r"^(end|([1-9][0-9]{0,8}\.)?[0-9]{1,18})$"},
+)
 
 
 _DESCRIPTIONS = {

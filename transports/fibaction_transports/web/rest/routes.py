@@ -9,10 +9,9 @@ of `arm`.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Generator
+from collections.abc import Container
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import NamedTuple
 
 from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import excerpt
@@ -51,32 +50,13 @@ class Route:
     """The ID of the goal; `NO_GOAL` if the resource is not one goal."""
 
 
-class _Reading(NamedTuple):
-    """A way to read a path."""
-
-    resource: Resource
-    action: str
-    goal: str | None = None
-    """The text in the place of a goal's ID; None if the path has none."""
-
-    @property
-    def is_complete(self) -> bool:
-        """True unless the text in the place of a goal's ID is something else."""
-        return self.goal is None or _parsed(self.goal) is not None
-
-    def route(self) -> Route:
-        """Return the route.
-
-        Raises:
-            Refused: The text is not the ID of a goal.
-        """
-        goal_id = NO_GOAL if self.goal is None else _goal_id_of(self.goal)
-        return Route(self.resource, self.action, goal_id)
-
-
-_GOAL = re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)(?P<events>/events)?")
-_GOALS = re.compile(r"/actions/(?P<action>.+)/goals")
-_ACTION = re.compile(r"/actions/(?P<action>.+)")
+_PATHS = {
+    re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)/events"): Resource.EVENTS,
+    re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)"): Resource.GOAL,
+    re.compile(r"/actions/(?P<action>.+)/goals"): Resource.GOALS,
+    re.compile(r"/actions/(?P<action>.+)"): Resource.ACTION,
+}
+"""The ways to read the path of an action, the longest address below it first."""
 
 
 def route_of(method: str, path: str, served: Container[str]) -> Route:
@@ -104,31 +84,23 @@ def _route_of(path: str, served: Container[str]) -> Route:
         return Route(Resource.DESCRIPTION)
     if path == "/actions":
         return Route(Resource.ACTIONS)
-    readings = list(_readings(path))
+    readings = [
+        (resource, found["action"], found.groupdict().get("goal"))
+        for pattern, resource in _PATHS.items()
+        if (found := pattern.fullmatch(path))
+    ]
     if not readings:
         raise Refused(404, f"there is nothing at {excerpt(path)}: see /openapi.json")
-    usable = (one for one in readings if one.action in served and one.is_complete)
-    return next(usable, readings[0]).route()
-
-
-def _readings(path: str) -> Generator[_Reading, None, None]:
-    """Yield the ways to read the path of an action, the longest address below it first."""
-    if found := _GOAL.fullmatch(path):
-        resource = Resource.EVENTS if found["events"] else Resource.GOAL
-        yield _Reading(resource, found["action"], found["goal"])
-    if found := _GOALS.fullmatch(path):
-        yield _Reading(Resource.GOALS, found["action"])
-    if found := _ACTION.fullmatch(path):
-        yield _Reading(Resource.ACTION, found["action"])
-
-
-def _goal_id_of(text: str) -> GoalID:
-    goal_id = _parsed(text)
+    usable = (one for one in readings if one[1] in served and (one[2] is None or _parsed(one[2])))
+    resource, action, goal = next(usable, readings[0])
+    if goal is None:
+        return Route(resource, action)
+    goal_id = _parsed(goal)
     if goal_id is None:
-        raise Refused(400, f"a goal ID has 32 hexadecimal digits, unlike {excerpt(text)!r}")
+        raise Refused(400, f"a goal ID has 32 hexadecimal digits, unlike {excerpt(goal)!r}")
     if goal_id == NO_GOAL:
         raise Refused(400, "the goal ID of zeros means all goals: it has no address")
-    return goal_id
+    return Route(resource, action, goal_id)
 
 
 def _parsed(text: str) -> GoalID | None:

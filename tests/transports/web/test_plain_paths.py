@@ -1,7 +1,8 @@
-"""`/metrics`, `/healthz` and `/readyz` at the address of a server, as Prometheus asks for them."""
+"""`/metrics`, `/healthz`, `/readyz` and `/recording`, at the address of a server."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -65,3 +66,24 @@ async def test_without_metrics_there_is_nothing_and_a_probe_is_read_only() -> No
         assert (await fetch(url, "GET", "/metrics")).status == 404
         answer = await fetch(url, "POST", "/healthz", {})
         assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD")
+
+
+async def test_the_recording_arrives_whole_to_a_client_with_a_token(tmp_path: Path) -> None:
+    file = tmp_path / "today.jsonl"
+    file.write_bytes(b'{"event": "server"}\n' * 20_000)
+    transport = HttpTransport(port=0, recording=file, tokens={"secret": "ann"})
+    with anyio.fail_after(30):
+        async with serve(new_server(), transport) as (url,):
+            assert (await fetch(url, "GET", "/recording")).status == 401
+            token = "Bearer secret"
+            answer = await fetch(url, "GET", "/recording", authorization=token)
+            assert (answer.status, answer.body) == (200, file.read_bytes())
+            assert answer.headers["content-type"] == "application/jsonl"
+            head = await fetch(url, "HEAD", "/recording", authorization=token)
+            assert (head.status, head.body) == (200, b"")
+            refused = await fetch(url, "DELETE", "/recording", authorization=token)
+            assert (refused.status, refused.headers["allow"]) == (405, "GET, HEAD")
+            file.unlink()
+            gone = await fetch(url, "GET", "/recording", authorization=token)
+            assert gone.status == 404
+            assert b"the recording cannot be read: No such file" in gone.body

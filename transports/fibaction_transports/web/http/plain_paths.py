@@ -1,0 +1,107 @@
+"""`PlainPaths`: the paths that are only read: the files of the pages, and those for operators.
+
+`/healthz` and `/readyz` say that the server answers; they need no token, as the probes of an
+orchestrator have none. `/metrics` and `/recording` are there if the server has some, for clients
+that are let in. The console shows the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from functools import partial
+from os import PathLike
+
+import anyio
+
+from fibaction.border.http_access import Refused
+from fibaction.observe.metrics import Metrics
+from fibaction_transports._http.exchange import Exchange
+from fibaction_transports.web.http.assets import CLIENT, PAGE, Asset, all_assets
+
+ALIVE = ("/healthz", "/readyz")
+METRICS = "/metrics"
+RECORDING = "/recording"
+RECORDING_TYPE = "application/jsonl"
+PIECE = 2**16
+"""Bytes of a recording that are read at once."""
+
+
+class PlainPaths:
+    """The answers of one server at these paths."""
+
+    def __init__(
+        self,
+        admit: Callable[[Exchange], object],
+        *,
+        console: bool,
+        metrics: Metrics | None,
+        recording: str | PathLike[str] | None,
+    ) -> None:
+        """Have the client for JavaScript, and the pages, metrics and a recording where they are
+        wanted; `admit` lets in a client, or raises `Refused`.
+        """
+        self._admit = admit
+        self._metrics = metrics
+        self._recording = recording
+        self._assets = {
+            path: asset
+            for path, asset in all_assets().items()
+            if console or path.removeprefix("/") in CLIENT
+        }
+
+    async def answer(self, exchange: Exchange) -> bool:
+        """Answer the request, and return True, if it is about one of the paths.
+
+        Raises:
+            Refused: The client lacks a token, or does not only read; or the recording cannot be
+                read.
+        """
+        path = exchange.path
+        if path == "" and PAGE in self._assets:
+            # The addresses in the page are relative to its own.
+            await exchange.answer(308, b"", ("Location", f"{exchange.root}/"))
+            return True
+        if path in self._assets:
+            read: Callable[[Exchange], Awaitable[None]] = partial(_answer_with, self._assets[path])
+        elif path in ALIVE:
+            read = _answer_alive
+        elif path == METRICS and self._metrics is not None:
+            read = partial(self._answer_metrics, self._metrics)
+        elif path == RECORDING and self._recording is not None:
+            read = partial(self._answer_recording, self._recording)
+        else:
+            return False
+        if exchange.method not in ("GET", "HEAD"):
+            raise Refused(405, f"{path} is read only", ("Allow", "GET, HEAD"))
+        await read(exchange)
+        return True
+
+    async def _answer_metrics(self, metrics: Metrics, exchange: Exchange) -> None:
+        self._admit(exchange)
+        kind, text = metrics.answer(exchange.headers.get("accept", ""))
+        await exchange.answer(200, text, ("Vary", "Accept"), kind=kind)
+
+    async def _answer_recording(self, path: str | PathLike[str], exchange: Exchange) -> None:
+        self._admit(exchange)
+        try:
+            file = await anyio.open_file(path, "rb")
+        except OSError as exc:
+            raise Refused(404, f"the recording cannot be read: {exc.strerror}") from exc
+        async with file:
+            exchange.begin_stream(200, RECORDING_TYPE)
+            while exchange.method != "HEAD" and (piece := await file.read(PIECE)):
+                await exchange.write(piece)
+            await exchange.end()
+
+
+async def _answer_alive(exchange: Exchange) -> None:
+    await exchange.answer(200, b"ok\n", kind="text/plain; charset=utf-8")
+
+
+async def _answer_with(asset: Asset, exchange: Exchange) -> None:
+    """Answer with a file, or say that the client's copy of it is up to date."""
+    known = exchange.headers.get("if-none-match", "").replace("W/", "")
+    if asset.tag in (tag.strip() for tag in known.split(",")):
+        await exchange.answer(304, b"", *asset.headers)
+    else:
+        await exchange.answer(200, asset.body, *asset.headers, kind=asset.media_type)
