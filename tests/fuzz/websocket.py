@@ -17,7 +17,7 @@ from fibaction.wire.frames import FrameReader
 from fibaction.wire.messages import Goodbye, Ping
 from fibaction.words.errors import ActionError
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
+from fibaction_transports.web.http.websocket_frames import BinaryMessages, WebSocketFraming
 from tests.fuzz.fuzzer import fuzz
 from tests.transports.web.upgrade import upgrade
 
@@ -28,13 +28,13 @@ RULES = rules("127.0.0.1", "/", hosts=(), origins=(), has_tls=False)
 
 def framings() -> list[WebSocketFraming]:
     """A server before and after its handshake, and a client before."""
-    known = WebSocketFraming("the fuzzer", FrameReader(LIMIT), ServerHandshake(RULES))
+
+    def framing(handshake: ClientHandshake | ServerHandshake) -> WebSocketFraming:
+        return WebSocketFraming("the fuzzer", BinaryMessages(FrameReader(LIMIT)), handshake)
+
+    known = framing(ServerHandshake(RULES))
     known.feed(upgrade())
-    return [
-        known,
-        WebSocketFraming("the fuzzer", FrameReader(LIMIT), ServerHandshake(RULES)),
-        WebSocketFraming("the fuzzer", FrameReader(LIMIT), ClientHandshake("127.0.0.1", "/")),
-    ]
+    return [known, framing(ServerHandshake(RULES)), framing(ClientHandshake("127.0.0.1", "/"))]
 
 
 def one_input(data: bytes) -> None:

@@ -17,7 +17,7 @@ from fibaction.wire.codec import FromServer, decode_from_server
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.web.http.handshake import ClientHandshake
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
+from fibaction_transports.web.http.websocket_frames import BinaryMessages, WebSocketFraming
 
 
 class Hearing(logging.Handler):
@@ -130,7 +130,7 @@ async def raw(url: str) -> AsyncGenerator[Raw, None]:
         framing: Framing = FrameReader()
         if url.startswith("ws:"):
             handshake = ClientHandshake(url.removeprefix("ws://"), "/")
-            framing = WebSocketFraming("the server", FrameReader(), handshake)
+            framing = WebSocketFraming("the server", BinaryMessages(FrameReader()), handshake)
         peer = Raw(stream, framing)
         await peer.shake_hands()
         yield peer

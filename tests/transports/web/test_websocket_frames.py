@@ -16,7 +16,7 @@ from fibaction.border.http_access import rules
 from fibaction.wire.frames import FrameMemory, FrameReader, framed, header
 from fibaction.words.errors import ActionError, ConnectionLost, LimitReached, ProtocolError
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
+from fibaction_transports.web.http.websocket_frames import BinaryMessages, WebSocketFraming
 from tests.transports.web.upgrade import upgrade
 
 LIMIT = 1000
@@ -24,11 +24,13 @@ LIMIT = 1000
 
 def server(reader: FrameReader | None = None) -> WebSocketFraming:
     admitted = rules("robot", "/", hosts=(), origins=(), has_tls=False)
-    return WebSocketFraming("the client", reader or FrameReader(LIMIT), ServerHandshake(admitted))
+    messages = BinaryMessages(reader or FrameReader(LIMIT))
+    return WebSocketFraming("the client", messages, ServerHandshake(admitted))
 
 
 def client() -> WebSocketFraming:
-    return WebSocketFraming("the robot", FrameReader(LIMIT), ClientHandshake("robot", "/"))
+    messages = BinaryMessages(FrameReader(LIMIT))
+    return WebSocketFraming("the robot", messages, ClientHandshake("robot", "/"))
 
 
 def both() -> tuple[WebSocketFraming, WebSocketFraming]:

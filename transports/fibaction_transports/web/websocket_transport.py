@@ -17,7 +17,7 @@ from fibaction_transports._socket_lines.host_transport import (
     port_in,
 )
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
+from fibaction_transports.web.http.websocket_frames import BinaryMessages, WebSocketFraming
 
 if TYPE_CHECKING:
     from fibaction.wire.wire_server import WireServer
@@ -76,7 +76,8 @@ class WebSocketLineTransport(HostTransport):
     def _client_framing(self) -> Framing:
         host = self._netloc(self._port).removesuffix(f":{self._own_port}")
         handshake = ClientHandshake(host, self._path)
-        return WebSocketFraming(self.url, FrameReader(self.settings.max_frame), handshake)
+        messages = BinaryMessages(FrameReader(self.settings.max_frame))
+        return WebSocketFraming(self.url, messages, handshake)
 
     def _rules(self) -> HttpRules:
         return rules(
@@ -91,7 +92,8 @@ class WebSocketLineTransport(HostTransport):
         admitted = self._rules()
 
         def new_framing() -> Framing:
-            return WebSocketFraming("the client", server.new_reader(), ServerHandshake(admitted))
+            messages = BinaryMessages(server.new_reader())
+            return WebSocketFraming("the client", messages, ServerHandshake(admitted))
 
         return new_framing
 

@@ -38,6 +38,7 @@ from fibaction_transports._http.problems import RETRY, Problem, problem_of
 from fibaction_transports.web.http.asgi_channel import AsgiChannel
 from fibaction_transports.web.http.handshake import SUBPROTOCOL
 from fibaction_transports.web.http.plain_paths import PlainPaths
+from fibaction_transports.web.http.websocket_frames import BinaryMessages
 from fibaction_transports.web.rest.handlers import RestInterface
 
 NOT_SERVING = "the server does not run: serve() it in the lifespan of the program"
@@ -136,8 +137,8 @@ class WebApplication(HttpApplication):
             await self.guest.serve_asgi(self.server, receive, send, peer, headers)
             return
         await send({"type": "websocket.accept", "subprotocol": SUBPROTOCOL})
-        reader = self.server.new_reader()
-        await self.server.serve(AsgiChannel(receive, send, peer, reader))
+        messages = BinaryMessages(self.server.new_reader())
+        await self.server.serve(AsgiChannel(receive, send, peer, messages))
 
     def _check_socket(self, scope: Scope) -> None:
         has_tls = scope.get("scheme") == "wss"

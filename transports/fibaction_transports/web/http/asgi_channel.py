@@ -1,4 +1,4 @@
-"""`AsgiChannel`: frames of the wire protocol in binary messages of WebSocket, over ASGI.
+"""`AsgiChannel`: frames in messages of WebSocket, over ASGI.
 
 The server of the application assembles the messages, so its own limit is the one that counts before
 a message is here: 16 MiB with uvicorn and hypercorn.
@@ -13,59 +13,50 @@ import anyio
 
 from fibaction.border.peer_text import excerpt
 from fibaction.wire.channel import LEAVE, Channel
-from fibaction.wire.frames import FrameReader, framed
-from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError
+from fibaction.wire.frames import framed
+from fibaction.words.errors import ConnectionLost
 from fibaction_transports._http.exchange import Receive, Send
-
-NORMAL, UNSUPPORTED, INVALID, TOO_BIG, TRY_AGAIN = 1000, 1003, 1007, 1009, 1013
-"""Codes of a close, of RFC 6455."""
+from fibaction_transports.web.http.websocket_frames import SocketMessages
 
 
 class AsgiChannel(Channel):
     """One connection that an ASGI server has accepted."""
 
-    def __init__(self, receive: Receive, send: Send, peer: str, reader: FrameReader) -> None:
+    def __init__(self, receive: Receive, send: Send, peer: str, messages: SocketMessages) -> None:
         self.peer = peer
         self._receive = receive
         self._send = send
-        self._reader = reader
-        self._code = NORMAL
+        self._messages = messages
         self._is_lost = False
 
     async def send(self, frames: Sequence[bytes]) -> None:
+        await self._write(bytes=framed(frames))
+
+    async def _write(self, **message: bytes | str) -> None:
         try:
-            await self._send({"type": "websocket.send", "bytes": framed(frames)})
+            await self._send({"type": "websocket.send", **message})
         except (OSError, RuntimeError) as exc:  # servers differ in it
-            raise self._lost(f"the connection to {self.peer} broke") from exc
+            self._is_lost = True
+            raise ConnectionLost(f"the connection to {self.peer} broke") from exc
 
     async def receive(self) -> list[bytes]:
         message = await self._receive()
         if message["type"] == "websocket.disconnect":
+            self._is_lost = True
             reason = excerpt(message.get("reason") or "")
-            raise self._lost(f"{self.peer} closed: {message.get('code', '')} {reason}".rstrip())
+            code = message.get("code", "")
+            raise ConnectionLost(f"{self.peer} closed: {code} {reason}".rstrip())
         data = message.get("bytes")
-        if data is None:
-            self._code = UNSUPPORTED
-            raise ProtocolError("it sent a text message: the frames are in binary ones")
-        try:
-            frames = self._reader.feed(data)
-        except ProtocolError:
-            self._code = TOO_BIG
-            raise
-        except LimitReached:
-            self._code = TRY_AGAIN
-            raise
-        if self._reader.is_within_frame:
-            self._code = INVALID
-            raise ProtocolError("a WebSocket message ended within a frame")
-        return frames
+        return self._messages.take(message["text"] if data is None else data, is_last=True)
 
-    def _lost(self, text: str) -> ConnectionLost:
-        self._is_lost = True
-        return ConnectionLost(text)
+    def _closing(self) -> tuple[int, str]:
+        """Return the code and the reason of our close."""
+        return self._messages.code, ""
 
     async def aclose(self) -> None:
-        self._reader.close()
+        self._messages.close()
         if not self._is_lost:
+            code, reason = self._closing()
+            close = {"type": "websocket.close", "code": code, "reason": reason}
             with anyio.move_on_after(LEAVE, shield=True), suppress(OSError, RuntimeError):
-                await self._send({"type": "websocket.close", "code": self._code})
+                await self._send(close)

@@ -17,7 +17,7 @@ from fibaction_transports._socket_lines.on_asyncio import LineMaker
 from fibaction_transports._socket_lines.sockets import SocketStream
 from fibaction_transports.web.http.application import WebApplication
 from fibaction_transports.web.http.handshake import ServerHandshake
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
+from fibaction_transports.web.http.websocket_frames import BinaryMessages, WebSocketFraming
 
 
 class WebServer(HttpServer):
@@ -43,8 +43,8 @@ class WebServer(HttpServer):
             rules = replace(rules, path=path)
         headers = headers_in(upgrade.request.headers)
         if "sec-websocket-protocol" in headers:
-            reader = self._server.new_reader()
-            framing = WebSocketFraming("the client", reader, ServerHandshake(rules))
+            messages = BinaryMessages(self._server.new_reader())
+            framing = WebSocketFraming("the client", messages, ServerHandshake(rules))
             line = await self._line(upgrade, framing)
             upgrade.place.leave()  # the line takes it
             await self._server.serve(line)

@@ -27,12 +27,12 @@ maintained (2025-11, and 2026-10), neither has dependencies but h11, and this mo
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 
 from wsproto.connection import Connection, ConnectionState, ConnectionType
 from wsproto.events import BytesMessage, CloseConnection, Event, Ping, Pong, TextMessage
-from wsproto.frame_protocol import CloseReason
 from wsproto.utilities import LocalProtocolError
 
 from fibaction.border.peer_text import excerpt
@@ -40,16 +40,74 @@ from fibaction.wire.frames import FrameReader, Framing, framed
 from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
 
+NORMAL, UNSUPPORTED, INVALID, TOO_BIG, TRY_AGAIN = 1000, 1003, 1007, 1009, 1013
+"""Codes of a close, of RFC 6455 and of its registry."""
+
+
+class SocketMessages(ABC):
+    """The messages of one peer, as frames; the WebSocket may be that of another server."""
+
+    code = NORMAL
+    """The code of our close: that of the error after a message that is wrong."""
+
+    @abstractmethod
+    def take(self, data: bytes | str, *, is_last: bool) -> list[bytes]:
+        """Take a piece of a message, of bytes or text; return the frames that are complete.
+
+        Raises:
+            ProtocolError, LimitReached: It is wrong, or too large.
+        """
+
+    @property
+    @abstractmethod
+    def is_within_frame(self) -> bool:
+        """True if a frame has arrived in part."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Forget what is not complete."""
+
+
+class BinaryMessages(SocketMessages):
+    """Binary messages, which have the stream of frames of the wire protocol."""
+
+    def __init__(self, reader: FrameReader) -> None:
+        self._reader = reader
+
+    def take(self, data: bytes | str, *, is_last: bool) -> list[bytes]:
+        if isinstance(data, str):
+            self.code = UNSUPPORTED
+            raise ProtocolError("it sent a text message: the frames are in binary ones")
+        try:
+            frames = self._reader.feed(data)
+        except ProtocolError:
+            self.code = TOO_BIG
+            raise
+        except LimitReached:
+            self.code = TRY_AGAIN
+            raise
+        if is_last and self._reader.is_within_frame:
+            self.code = INVALID
+            raise ProtocolError("a WebSocket message ended within a frame")
+        return frames
+
+    @property
+    def is_within_frame(self) -> bool:
+        return self._reader.is_within_frame
+
+    def close(self) -> None:
+        self._reader.close()
+
 
 class WebSocketFraming(Framing):
-    """Frames in binary messages of WebSocket, with the handshake before them."""
+    """Frames in messages of WebSocket, with the handshake before them."""
 
     def __init__(
-        self, peer: str, reader: FrameReader, handshake: ClientHandshake | ServerHandshake
+        self, peer: str, messages: SocketMessages, handshake: ClientHandshake | ServerHandshake
     ) -> None:
-        """Read frames with that reader; `peer` is for errors."""
+        """Read frames in those messages; `peer` is for errors."""
         self._peer = peer
-        self._reader = reader
+        self._messages = messages
         self._handshake: ClientHandshake | ServerHandshake | None = handshake
         self._is_server = isinstance(handshake, ServerHandshake)
         side = ConnectionType.SERVER if self._is_server else ConnectionType.CLIENT
@@ -57,8 +115,6 @@ class WebSocketFraming(Framing):
         self._waiting: list[bytes] = []  # frames, until the handshake is done
         self._answer = handshake.answer
         self._pong: Event | None = None
-        self._code = CloseReason.NORMAL_CLOSURE
-        self._reason: str | None = None
         self._is_broken = False
         self._lost = ""  # why the peer has closed
         self._reply: Event | None = None  # to the close of the peer
@@ -87,7 +143,7 @@ class WebSocketFraming(Framing):
 
     @property
     def is_within_frame(self) -> bool:
-        return self._reader.is_within_frame
+        return self._messages.is_within_frame
 
     def feed(self, data: bytes) -> list[bytes]:
         self.check()
@@ -118,14 +174,13 @@ class WebSocketFraming(Framing):
             self._answer += self._message(waiting)
         return rest
 
-    def _read(self, data: bytes) -> list[bytes]:
+    def _read(self, received: bytes) -> list[bytes]:
         frames: list[bytes] = []
-        self._socket.receive_data(data)
+        self._socket.receive_data(received)
         for event in self._socket.events():
-            if isinstance(event, BytesMessage):
-                frames += self._take(event)
-            elif isinstance(event, TextMessage):
-                frames += self._take_text(event)
+            if isinstance(event, BytesMessage | TextMessage):
+                data = event.data if isinstance(event, TextMessage) else bytes(event.data)
+                frames += self._messages.take(data, is_last=event.message_finished)
             elif isinstance(event, Pong):
                 frames += self._take_pong()
             elif isinstance(event, Ping):
@@ -138,24 +193,6 @@ class WebSocketFraming(Framing):
                 break  # nothing counts behind it
         return frames
 
-    def _take(self, event: BytesMessage) -> list[bytes]:
-        try:
-            frames = self._reader.feed(bytes(event.data))
-        except ProtocolError:
-            self._code = CloseReason.MESSAGE_TOO_BIG
-            raise
-        except LimitReached:
-            self._code = CloseReason.TRY_AGAIN_LATER
-            raise
-        if event.message_finished and self._reader.is_within_frame:
-            self._code = CloseReason.INVALID_FRAME_PAYLOAD_DATA
-            raise ProtocolError("a WebSocket message ended within a frame")
-        return frames
-
-    def _take_text(self, event: TextMessage) -> list[bytes]:
-        self._code = CloseReason.UNSUPPORTED_DATA
-        raise ProtocolError("it sent a text message: the frames are in binary ones")
-
     def _take_pong(self) -> list[bytes]:
         """Return the frames that a pong stands for."""
         return []
@@ -164,7 +201,7 @@ class WebSocketFraming(Framing):
         """Note that the peer has closed, or that what it has sent is not WebSocket."""
         reason = excerpt(event.reason or "")
         if self._socket.state is ConnectionState.OPEN:
-            self._code = CloseReason(event.code)
+            self._messages.code = int(event.code)
             raise ProtocolError(f"invalid WebSocket data: {reason}")
         self._reply = event.response()
         self._lost = f"{self._peer} closed: {event.code} {reason}".rstrip()
@@ -205,8 +242,13 @@ class WebSocketFraming(Framing):
             reply, self._reply = self._reply, None
             last += self._socket.send(reply)
         elif self._socket.state is ConnectionState.OPEN:
-            last += self._socket.send(CloseConnection(code=self._code, reason=self._reason))
+            code, reason = self._closing()
+            last += self._socket.send(CloseConnection(code=code, reason=reason))
         return last
+
+    def _closing(self) -> tuple[int, str | None]:
+        """Return the code and the reason of our close."""
+        return self._messages.code, None
 
     def discard(self, data: bytes) -> None:
         if self._handshake is None and not self._is_broken and not self.is_closed:
@@ -216,4 +258,4 @@ class WebSocketFraming(Framing):
                 pass
 
     def close(self) -> None:
-        self._reader.close()
+        self._messages.close()

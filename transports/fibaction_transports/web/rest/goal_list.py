@@ -154,7 +154,7 @@ def _statuses_in(query: Query) -> frozenset[GoalStatus]:
     words = query.get("status", [])
     if not set(words) <= STATUSES.keys():
         raise Refused(400, f"status is one of {', '.join(STATUSES)}, each in its own parameter")
-    return frozenset().union(*(STATUSES[word] for word in words))
+    return frozenset[GoalStatus]().union(*(STATUSES[word] for word in words))
 
 
 def members_of(info: GoalInfo) -> dict[str, object]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from fibaction.wire.messages import Goodbye, Why
+from fibaction_transports.web.http.websocket_frames import NORMAL, TRY_AGAIN
 
-NORMAL, AWAY, PROTOCOL, UNSUPPORTED, INVALID = 1000, 1001, 1002, 1003, 1007
-FORBIDDEN, TOO_BIG, FAILED, TRY_AGAIN = 1008, 1009, 1011, 1013
-"""Codes of a close, of RFC 6455 and of its registry."""
+AWAY, PROTOCOL, FORBIDDEN, FAILED = 1001, 1002, 1008, 1011
+"""Codes of a close, of RFC 6455."""
 LONGEST_REASON = 123
 """Bytes of the reason of a close, at most."""
-BINARY = "it sent a binary message: rosbridge has JSON in text messages here"
 
 _CODES = {
     0: AWAY,
@@ -20,16 +19,14 @@ _CODES = {
 }
 
 
-def close_code(goodbye: Goodbye, found: int) -> int:
-    """Return the code of a close for the reason of a goodbye.
+def closing(goodbye: Goodbye | None, found: int) -> tuple[int, str]:
+    """Return the code and the reason of a close after a goodbye, or without one.
 
     `found` is the code of what was wrong with a message; 1000 if nothing was.
     """
+    if goodbye is None:
+        return found, ""
+    reason = goodbye.reason.encode("utf-8", "replace")[:LONGEST_REASON].decode("utf-8", "ignore")
     if found != NORMAL and goodbye.why == Why.PROTOCOL:
-        return found
-    return _CODES.get(goodbye.why, FAILED)
-
-
-def shortened_bytes(text: str, length: int) -> str:
-    """Return as much of a text as fits into so many bytes."""
-    return text.encode("utf-8", "replace")[:length].decode("utf-8", "ignore")
+        return found, reason
+    return _CODES.get(goodbye.why, FAILED), reason

@@ -10,10 +10,17 @@ import msgspec
 
 from fibaction.wire.frames import FrameMemory
 from fibaction.words.errors import LimitReached, ProtocolError
+from fibaction_transports.web.http.websocket_frames import (
+    NORMAL,
+    TOO_BIG,
+    UNSUPPORTED,
+    SocketMessages,
+)
 from fibaction_transports.web.rosbridge.operations import ClientID, Fragment
 
 LEAST_FRAGMENT = 1024
 """Characters of the smallest fragments: smaller ones would consist of their names."""
+BINARY = "it sent a binary message: rosbridge has JSON in text messages here"
 OVERHEAD = 100
 """Bytes that a fragment costs next to its own text."""
 
@@ -115,6 +122,35 @@ class PartialMessages:
         self._pieces, self._fragments = [], {}
         self._in_pieces = self._in_fragments = self._in_work = 0
         self._count()
+
+
+class TextMessages(SocketMessages):
+    """Text messages, with one operation in each, which is a frame as it is."""
+
+    def __init__(self, partial: PartialMessages) -> None:
+        self.partial = partial
+
+    def take(self, data: bytes | str, *, is_last: bool) -> list[bytes]:
+        if isinstance(data, bytes):
+            self.code = UNSUPPORTED
+            raise ProtocolError(
+                "it sent a binary message: rosbridge has JSON in text messages here"
+            )
+        self.code = TOO_BIG
+        text = self.partial.add_piece(data, is_last=is_last)
+        self.code = NORMAL
+        return [] if text is None else self.frames_of(text)
+
+    def frames_of(self, text: str) -> list[bytes]:
+        """Return the frames that a whole message is."""
+        return [text.encode()]
+
+    @property
+    def is_within_frame(self) -> bool:
+        return not self.partial.is_empty
+
+    def close(self) -> None:
+        self.partial.close()
 
 
 def in_fragments(text: str, message_id: ClientID, size: int | None) -> list[str]:

@@ -8,12 +8,13 @@ too many, and not again after a call without an answer.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import anyio
 import msgspec
 
 from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.words.plain_data import is_map
 from fibaction_transports.web.rosbridge.client.link import CallFailed, NoAnswer
 from fibaction_transports.web.rosbridge.types.type_details import TypeDefinition
 from fibaction_transports.web.rosbridge.types.type_schemas import schema_of
@@ -33,19 +34,18 @@ class ActionSchemas(NamedTuple):
     result: dict[str, Any]
 
 
+AnswerT = TypeVar("AnswerT")
+
 UNKNOWN = ActionSchemas({}, {}, {})
 
 
-class _Interfaces(msgspec.Struct):
-    """The answer of `rosapi/interfaces`."""
+def field_of(values: object, name: str, kind: type[AnswerT]) -> AnswerT:
+    """Return a field of an answer of rosapi.
 
-    interfaces: list[str]
-
-
-class _Details(msgspec.Struct):
-    """The answer of `rosapi/action_goal_details`, and of its neighbours."""
-
-    typedefs: list[TypeDefinition]
+    Raises:
+        msgspec.ValidationError: It is not of that kind.
+    """
+    return msgspec.convert(values.get(name) if is_map(values) else None, kind)
 
 
 class DescribedTypes:
@@ -91,7 +91,7 @@ class DescribedTypes:
     async def _interfaces(self) -> frozenset[str]:
         try:
             values = await self._call("/rosapi/interfaces", {})
-            return frozenset(msgspec.convert(values, _Interfaces).interfaces)
+            return frozenset(field_of(values, "interfaces", list[str]))
         except (CallFailed, msgspec.ValidationError) as exc:
             logger.info("types of actions are not described: %s", excerpt(str(exc)))
             return frozenset()
@@ -101,7 +101,7 @@ class DescribedTypes:
         for part in ActionSchemas._fields:
             try:
                 values = await self._call(f"/rosapi/action_{part}_details", {"type": type_name})
-                schemas.append(schema_of(msgspec.convert(values, _Details).typedefs))
+                schemas.append(schema_of(field_of(values, "typedefs", list[TypeDefinition])))
             except (CallFailed, msgspec.ValidationError) as exc:
                 text = f"the {part} of {type_name} is not described: {exc}"
                 logger.info("%s", excerpt(text))

@@ -10,17 +10,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from wsproto.events import BytesMessage, Event, Ping, TextMessage
-from wsproto.frame_protocol import CloseReason
+from wsproto.events import Event, Ping, TextMessage
 
 from fibaction.border.byte_budgets import ByteBudget
-from fibaction.wire.frames import FrameMemory, FrameReader
+from fibaction.wire.frames import FrameMemory
 from fibaction.wire.link import PING
-from fibaction.words.errors import ProtocolError
+from fibaction_transports.web.http import websocket_frames
 from fibaction_transports.web.http.handshake import ClientHandshake
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
-from fibaction_transports.web.rosbridge.close_codes import BINARY
-from fibaction_transports.web.rosbridge.fragments import PartialMessages
+from fibaction_transports.web.http.websocket_frames import NORMAL, WebSocketFraming
+from fibaction_transports.web.rosbridge.fragments import PartialMessages, TextMessages
 
 OPENED = b""
 """The frame that says that the server has accepted the WebSocket."""
@@ -38,27 +36,12 @@ class RosbridgeClientFraming(WebSocketFraming):
 
     def __init__(self, peer: str, limit: int, handshake: ClientHandshake) -> None:
         """Accept messages of at most `limit` bytes."""
-        super().__init__(peer, FrameReader(), handshake)
-        self._messages = partial_messages(limit)
-
-    @property
-    def is_within_frame(self) -> bool:
-        return not self._messages.is_empty
+        super().__init__(peer, TextMessages(partial_messages(limit)), handshake)
 
     def feed(self, data: bytes) -> list[bytes]:
         is_new = self._handshake is not None
         frames = super().feed(data)
         return [OPENED, *frames] if is_new and self._handshake is None else frames
-
-    def _take(self, event: BytesMessage) -> list[bytes]:
-        self._code = CloseReason.UNSUPPORTED_DATA
-        raise ProtocolError(BINARY)
-
-    def _take_text(self, event: TextMessage) -> list[bytes]:
-        self._code = CloseReason.MESSAGE_TOO_BIG
-        text = self._messages.add_piece(event.data, is_last=event.message_finished)
-        self._code = CloseReason.NORMAL_CLOSURE
-        return [] if text is None else [text.encode()]
 
     def _message(self, frames: Sequence[bytes]) -> bytes:
         return b"".join(map(self._socket.send, filter(None, map(self._event, frames))))
@@ -66,11 +49,7 @@ class RosbridgeClientFraming(WebSocketFraming):
     def _event(self, frame: bytes) -> Event | None:
         """Return what is sent for a frame; None for a sign that changes the close only."""
         if frame == INVALID:
-            if self._code == CloseReason.NORMAL_CLOSURE:  # or the text itself was not one
-                self._code = CloseReason.INVALID_FRAME_PAYLOAD_DATA
+            if self._messages.code == NORMAL:  # or the text itself was not one
+                self._messages.code = websocket_frames.INVALID
             return None
         return Ping() if frame == PING else TextMessage(data=frame.decode())
-
-    def close(self) -> None:
-        super().close()
-        self._messages.close()

@@ -35,6 +35,7 @@ from fibaction_transports.web.rosbridge.client.described_types import (
     UNKNOWN,
     ActionSchemas,
     DescribedTypes,
+    field_of,
 )
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed, ServerLink
@@ -125,7 +126,7 @@ class LinkKeeper:
             raise CallFailed(
                 f"{self.url} cannot list its actions: start rosapi next to rosbridge ({exc})"
             ) from exc
-        return _converted(values, _ActionServers).action_servers
+        return _told(values, "action_servers", list[str])
 
     async def type_of(self, action: str) -> str:
         """Return the type of an action; empty if rosapi does not tell it.
@@ -137,7 +138,7 @@ class LinkKeeper:
             values = await self.call("/rosapi/action_type", {"action": action})
         except CallFailed:
             return ""
-        return _converted(values, _ActionType).type
+        return _told(values, "type", str)
 
     async def schemas_of(self, type_name: str) -> ActionSchemas:
         """Return the schemas of an action type; empty ones if rosapi does not describe it.
@@ -222,25 +223,13 @@ class LinkKeeper:
             self._link.close(self._closed)
 
 
-class _ActionServers(msgspec.Struct):
-    """The answer of `rosapi/action_servers`."""
-
-    action_servers: list[str]
-
-
-class _ActionType(msgspec.Struct):
-    """The answer of `rosapi/action_type`."""
-
-    type: str
-
-
-def _converted(values: object, kind: type[AnswerT]) -> AnswerT:
-    """Return an answer of rosapi.
+def _told(values: object, name: str, kind: type[AnswerT]) -> AnswerT:
+    """Return a field of an answer of rosapi.
 
     Raises:
         ProtocolError: It is not of that kind.
     """
     try:
-        return msgspec.convert(values, kind)
+        return field_of(values, name, kind)
     except msgspec.ValidationError as exc:
         raise ProtocolError(f"invalid answer of rosapi: {exc}") from exc

@@ -3,33 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 
 import anyio
 from anyio.abc import ByteStream
 
 from fibaction.border.event_loop import Background
 from fibaction.border.http_access import HttpRules, bearer_in
-from fibaction.border.peer_text import clean_logger, excerpt
-from fibaction.wire.channel import LEAVE, Channel, NextFrames, OnFrames, StreamChannel
+from fibaction.border.peer_text import clean_logger
+from fibaction.wire.channel import Channel, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.link import PING
 from fibaction.wire.wire_server import WireServer
-from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction_transports._http.exchange import Receive, Send
 from fibaction_transports.web.http.application import SocketGuest
+from fibaction_transports.web.http.asgi_channel import AsgiChannel
 from fibaction_transports.web.http.handshake import ServerHandshake
-from fibaction_transports.web.rosbridge.close_codes import (
-    BINARY,
-    INVALID,
-    LONGEST_REASON,
-    NORMAL,
-    TOO_BIG,
-    UNSUPPORTED,
-    close_code,
-    shortened_bytes,
-)
-from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming
+from fibaction_transports.web.rosbridge.close_codes import closing
+from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming, WaitingTexts
 from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
 
 logger = clean_logger("fibaction.web")
@@ -73,18 +63,15 @@ class RosbridgeStreamChannel(StreamChannel, _RosbridgeChannel):
         return frames
 
 
-class RosbridgeAsgiChannel(_RosbridgeChannel):
+class RosbridgeAsgiChannel(AsgiChannel, _RosbridgeChannel):
     """rosbridge over ASGI, whose server watches the line itself: the client counts as alive."""
 
     def __init__(
         self, receive: Receive, send: Send, peer: str, translator: RosbridgeTranslator
     ) -> None:
-        self.peer = peer
         self.translator = translator
-        self._receive = receive
-        self._send = send
-        self._code = NORMAL
-        self._is_lost = False
+        self._texts = WaitingTexts(translator)
+        super().__init__(receive, send, peer, self._texts)
 
     @property
     def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
@@ -92,60 +79,27 @@ class RosbridgeAsgiChannel(_RosbridgeChannel):
         return self.translator.has_texts
 
     async def send(self, frames: Sequence[bytes]) -> None:
-        try:
-            for frame in frames:
-                if frame != PING:
-                    await self._send_texts(self.translator.texts_of(frame))
-            await self._send_texts(self.translator.take_texts())
-        except (OSError, RuntimeError) as exc:  # servers differ in it
-            self._is_lost = True
-            raise ConnectionLost(f"the connection to {self.peer} broke") from exc
+        for frame in frames:
+            if frame != PING:
+                await self._send_texts(self.translator.texts_of(frame))
+        await self._send_texts(self.translator.take_texts())
         self._reply(self.translator.is_alive() if PING in frames else [])
 
     async def _send_texts(self, texts: list[str]) -> None:
         for text in texts:
-            await self._send({"type": "websocket.send", "text": text})
+            await self._write(text=text)
 
     async def receive(self) -> list[bytes]:
         if hello := self.translator.begin():
             return hello
-        message = await self._receive()
-        if message["type"] == "websocket.disconnect":
-            self._is_lost = True
-            reason = excerpt(message.get("reason") or "")
-            code = message.get("code", "")
-            raise ConnectionLost(f"{self.peer} closed: {code} {reason}".rstrip())
-        text = message.get("text")
-        if text is None:
-            self._code = UNSUPPORTED
-            raise ProtocolError(BINARY)
-        frames = await self._frames_of(text)
+        await super().receive()
+        frames = await self._texts.translated()
         if self.has_answer:
             self.wake_writer()
         return frames
 
-    async def _frames_of(self, text: str) -> list[bytes]:
-        self._code = TOO_BIG
-        message = self.translator.messages.add_piece(text, is_last=True)
-        assert message is not None
-        self._code = NORMAL
-        try:
-            return await self.translator.frames_of(message)
-        except ActionError:
-            self._code = INVALID
-            raise
-
-    async def aclose(self) -> None:
-        self.translator.messages.close()
-        if self._is_lost:
-            return
-        code, reason = self._code, ""
-        if (goodbye := self.translator.goodbye) is not None:
-            code = close_code(goodbye, code)
-            reason = shortened_bytes(goodbye.reason, LONGEST_REASON)
-        close = {"type": "websocket.close", "code": code, "reason": reason}
-        with anyio.move_on_after(LEAVE, shield=True), suppress(OSError, RuntimeError):
-            await self._send(close)
+    def _closing(self) -> tuple[int, str]:
+        return closing(self.translator.goodbye, self._texts.code)
 
 
 class RosbridgeGuest(SocketGuest):
@@ -160,7 +114,7 @@ class RosbridgeGuest(SocketGuest):
         rules: HttpRules,
     ) -> None:
         handshake = ServerHandshake(rules, subprotocol="")
-        framing = RosbridgeFraming(server, handshake, _new_translator(server, peer, headers))
+        framing = RosbridgeFraming(handshake, _new_translator(server, peer, headers))
         await _serve(server, RosbridgeStreamChannel(stream, peer, framing))
 
     async def serve_asgi(

@@ -6,62 +6,33 @@ from collections import deque
 from collections.abc import Sequence
 
 from wsproto.connection import ConnectionState
-from wsproto.events import BytesMessage, Ping, TextMessage
-from wsproto.frame_protocol import CloseReason
+from wsproto.events import Ping, TextMessage
 
 from fibaction.wire.link import PING
-from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import LimitReached, ProtocolError
 from fibaction_transports.web.http.handshake import ServerHandshake
-from fibaction_transports.web.http.websocket_frames import WebSocketFraming
-from fibaction_transports.web.rosbridge.close_codes import (
-    BINARY,
-    LONGEST_REASON,
-    close_code,
-    shortened_bytes,
-)
+from fibaction_transports.web.http.websocket_frames import INVALID, WebSocketFraming
+from fibaction_transports.web.rosbridge.close_codes import closing
+from fibaction_transports.web.rosbridge.fragments import TextMessages
 from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
 
 
-class RosbridgeFraming(WebSocketFraming):
-    """Text messages of WebSocket, one operation in each."""
+class WaitingTexts(TextMessages):
+    """The messages of a client, which wait until they are translated."""
 
-    def __init__(
-        self, server: WireServer, handshake: ServerHandshake, translator: RosbridgeTranslator
-    ) -> None:
-        super().__init__("the client", server.new_reader(), handshake)
-        self.translator = translator
+    def __init__(self, translator: RosbridgeTranslator) -> None:
+        super().__init__(translator.messages)
+        self._translator = translator
         self._texts: deque[str] = deque()
 
-    @property
-    def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
-        """True if there are bytes to send that belong to no frame."""
-        return super().has_answer or self.translator.has_texts
-
-    @property
-    def is_within_frame(self) -> bool:
-        return not self.translator.messages.is_empty
-
-    def begin(self) -> list[bytes]:
-        """Return the hello for the session, once the handshake is done and was answered."""
-        return self.translator.begin() if self._handshake is None else []
-
-    def _take(self, event: BytesMessage) -> list[bytes]:
-        self._code = CloseReason.UNSUPPORTED_DATA
-        raise ProtocolError(BINARY)
-
-    def _take_text(self, event: TextMessage) -> list[bytes]:
-        messages = self.translator.messages
-        self._code = CloseReason.MESSAGE_TOO_BIG
-        text = messages.add_piece(event.data, is_last=event.message_finished)
-        self._code = CloseReason.NORMAL_CLOSURE
-        if text is not None:
-            self._texts.append(text)
+    def frames_of(self, text: str) -> list[bytes]:
+        self._texts.append(text)
         return []
 
-    def check(self) -> None:
-        if not self._texts:
-            super().check()
+    @property
+    def is_empty(self) -> bool:
+        """True if no message waits."""
+        return not self._texts
 
     async def translated(self) -> list[bytes]:
         """Return the frames that the messages are which have arrived, in their order.
@@ -72,13 +43,42 @@ class RosbridgeFraming(WebSocketFraming):
         frames: list[bytes] = []
         try:
             while self._texts:
-                frames += await self.translator.frames_of(self._texts[0])
+                frames += await self._translator.frames_of(self._texts[0])
                 self._texts.popleft()
         except (ProtocolError, LimitReached):
-            self._code = CloseReason.INVALID_FRAME_PAYLOAD_DATA
-            self._is_broken = True
+            self.code = INVALID
             raise
         return frames
+
+
+class RosbridgeFraming(WebSocketFraming):
+    """Messages of rosbridge, both ways."""
+
+    def __init__(self, handshake: ServerHandshake, translator: RosbridgeTranslator) -> None:
+        self.texts = WaitingTexts(translator)
+        super().__init__("the client", self.texts, handshake)
+        self.translator = translator
+
+    @property
+    def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
+        """True if there are bytes to send that belong to no frame."""
+        return super().has_answer or self.translator.has_texts
+
+    def begin(self) -> list[bytes]:
+        """Return the hello for the session, once the handshake is done and was answered."""
+        return self.translator.begin() if self._handshake is None else []
+
+    def check(self) -> None:
+        if self.texts.is_empty:
+            super().check()
+
+    async def translated(self) -> list[bytes]:
+        """See `WaitingTexts.translated`."""
+        try:
+            return await self.texts.translated()
+        except (ProtocolError, LimitReached):
+            self._is_broken = True
+            raise
 
     def _take_pong(self) -> list[bytes]:
         return self.translator.is_alive()
@@ -90,14 +90,10 @@ class RosbridgeFraming(WebSocketFraming):
                 events.append(Ping())
             else:
                 events += [TextMessage(data=text) for text in self.translator.texts_of(frame)]
-        self._note_goodbye()
         return b"".join(map(self._socket.send, events))
 
-    def _note_goodbye(self) -> None:
-        goodbye = self.translator.goodbye
-        if goodbye is not None:
-            self._code = CloseReason(close_code(goodbye, self._code))
-            self._reason = shortened_bytes(goodbye.reason, LONGEST_REASON)
+    def _closing(self) -> tuple[int, str | None]:
+        return closing(self.translator.goodbye, self.texts.code)
 
     def _take_answer(self) -> bytes:
         answer = super()._take_answer()
@@ -105,7 +101,3 @@ class RosbridgeFraming(WebSocketFraming):
             texts = self.translator.take_texts()
             answer += b"".join(self._socket.send(TextMessage(data=text)) for text in texts)
         return answer
-
-    def close(self) -> None:
-        super().close()
-        self.translator.messages.close()
