@@ -48,7 +48,6 @@ class Painted(msgspec.Struct):
 
 
 PAINT = Action("paint", goal=Paint, feedback=int, result=Painted)
-POLISH = Action("polish", goal=Paint, feedback=int, result=Painted)
 GOALS = 230
 """Goals of the action `paint`, more than a page of the history has."""
 
@@ -62,33 +61,24 @@ async def paint(goal: GoalHandle[Paint]) -> AsyncGenerator[Any, None]:
     yield Painted(request.order / 4, request.color)
 
 
-def servers(file: str) -> list[ActionServer[Any, Any, Any]]:
-    """Return the servers, which forget a goal as soon as it has ended, but for their history."""
-    store = SqliteStore(file, history=GoalHistory(), sync="normal")
-    settings: dict[str, Any] = {"store": store, "result_timeout": 0.001}
-    return [ActionServer(PAINT, paint, **settings), ActionServer(POLISH, paint, **settings)]
-
-
-async def fill(
-    painting: ActionServer[Any, Any, Any], polishing: ActionServer[Any, Any, Any]
-) -> None:
-    """Run the goals of the past, and wait until the servers have forgotten them."""
+async def fill(painting: ActionServer[Any, Any, Any]) -> None:
+    """Run the goals of the past, and wait until the server has forgotten them."""
     client = ActionClient(painting, PAINT)
     for order in range(1, GOALS + 1):
         labels = {"order": str(order), "wall": "north" if order % 2 else "south"}
         color = "blue" if order == GOALS - 1 else "red"
         with suppress(GoalAborted):
             await client.call(Paint(order, color, [Spot(order, 2.0)]), labels=labels)
-    await ActionClient(polishing, POLISH).call(Paint(7), labels={"order": "7"})
     while await client.goals():  # noqa: ASYNC110  # nothing tells that goals are forgotten
         await anyio.sleep(0.01)
 
 
 async def main(url: str, file: str) -> None:
     """Fill the history, and serve until the process is ended."""
-    painting, polishing = servers(file)
-    async with serve([painting, polishing], url) as (where,):
-        await fill(painting, polishing)
+    store = SqliteStore(file, history=GoalHistory(), sync="normal")
+    painting = ActionServer(PAINT, paint, store=store, result_timeout=0.001)
+    async with serve(painting, url) as (where,):
+        await fill(painting)
         print(where, flush=True)
         await anyio.sleep_forever()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import BrowserContext, Locator, Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.served import RobotProcess
 
@@ -119,24 +119,6 @@ def test_a_server_with_tokens_is_asked_with_the_token_of_the_user(
     expect(send(shown)).to_contain_text('"fibonacci"')
     expect(shown).to_contain_text('-H "Authorization: Bearer $TOKEN"')
     expect(page.locator("body")).not_to_contain_text("correct-horse")
-
-
-def test_a_description_that_cannot_be_had_is_told(page: Page, robot: RobotProcess) -> None:
-    page.route("**/openapi.json", lambda route: route.fulfill(status=500))
-    page.goto(f"{robot.url}/docs")
-    expect(page.get_by_role("alert")).to_contain_text("openapi.json: 500")
-
-
-def test_the_page_asks_its_own_server_only(
-    context: BrowserContext, page: Page, robot: RobotProcess
-) -> None:
-    asked: list[str] = []
-    context.on("request", lambda request: asked.append(request.url))
-    page.goto(f"{robot.url}/docs")
-    send(operation(page, "GET", "/actions"))
-    expect(page.get_by_label("Answer", exact=True)).to_contain_text("fibonacci")
-    assert asked
-    assert [url for url in asked if not url.startswith(f"{robot.url}/")] == []
 
 
 @pytest.mark.parametrize("width", [1280, 390])

@@ -64,15 +64,6 @@ def test_older_goals_come_from_the_history_page_by_page(page: Page, archive: Rob
     expect(rows(page).first).to_contain_text("the can is empty")
 
 
-def test_all_actions_have_their_history_in_one_list(page: Page, archive: RobotProcess) -> None:
-    page.goto(f"{archive.url}/#/")
-    expect(page.get_by_role("navigation").get_by_role("link", name="polish")).to_be_visible()
-    choose_label(page, "order=7")
-    expect(rows(page)).to_have_count(2)
-    expect(rows(page).filter(has_text="polish")).to_have_count(1)
-    expect(rows(page).filter(has_text="paint")).to_contain_text("order=7 wall=north")
-
-
 def test_goals_are_chosen_by_client_label_and_time(page: Page, archive: RobotProcess) -> None:
     open_action(page, archive, "paint")
     choose_label(page, "wall=south")
@@ -89,22 +80,6 @@ def test_goals_are_chosen_by_client_label_and_time(page: Page, archive: RobotPro
     page.get_by_label("Client", exact=True).fill("")
     page.get_by_label("Label", exact=True).fill("wall")
     expect(rows(page)).to_have_count(GOALS // 2)
-
-
-def test_times_that_no_stamp_can_tell_choose_all_goals_or_none(
-    page: Page, archive: RobotProcess
-) -> None:
-    open_action(page, archive, "paint")
-    page.get_by_text("Client, label and time").click()
-    page.get_by_label("Since", exact=True).fill("0002-01-01T00:00")
-    page.get_by_label("Until", exact=True).fill("9999-12-31T00:00")
-    page.get_by_role("button", name="Older goals").click()
-    expect(rows(page)).to_have_count(200)
-    page.get_by_label("Until", exact=True).fill("0003-01-01T00:00")
-    page.get_by_role("button", name="Older goals").click()
-    expect(page.get_by_text("The history of the server has no older goals.")).to_be_visible()
-    expect(rows(page)).to_have_count(0)
-    expect(page.locator("#connection")).to_have_text("connected")
 
 
 def test_the_address_has_the_choice_and_another_page_reads_it(
@@ -143,14 +118,6 @@ def test_a_link_to_a_goal_stays_true_when_the_server_has_forgotten_it(
     other.goto(f"{archive.url}/#/paint/{'ab' * 16}")
     expect(other.get_by_text("it may have forgotten it")).to_be_visible()
     other.close()
-
-
-def test_a_label_of_a_goal_lists_the_goals_that_have_it(page: Page, archive: RobotProcess) -> None:
-    open_action(page, archive, "paint")
-    open_order(page, 18)
-    goal(page).get_by_role("button", name="wall=south").click()
-    page.get_by_role("button", name="Older goals").click()
-    expect(rows(page)).to_have_count(GOALS // 2)
 
 
 def test_two_goals_are_compared(page: Page, archive: RobotProcess) -> None:
@@ -234,14 +201,3 @@ def test_a_goal_of_the_past_is_found_in_a_recording(
         expect(page.locator("#content")).to_contain_text(text)
         page.get_by_role("button", name="Close", exact=True).click()
         expect(goal(page).get_by_label("Goal", exact=True)).to_contain_text('"order": 31')
-
-
-def test_on_a_phone_the_history_does_not_scroll_sideways(page: Page, archive: RobotProcess) -> None:
-    page.set_viewport_size({"width": 390, "height": 800})
-    open_action(page, archive, "paint")
-    open_order(page, 40)
-    goal(page).get_by_role("button", name="Compare", exact=True).click()
-    open_order(page, 41)
-    expect(page.get_by_role("region", name="Comparison")).to_contain_text("goal.order")
-    width = page.evaluate("document.documentElement.scrollWidth")
-    assert width <= 390

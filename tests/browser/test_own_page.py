@@ -78,12 +78,3 @@ def test_the_page_cancels(
     expect(page.locator("#text")).to_contain_text("0,1,1")
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#text")).to_have_text("CANCELED ")
-
-
-def test_a_page_from_elsewhere_is_refused(
-    page: Page, tmp_path: Path, site: str, new_robot: Callable[..., RobotProcess]
-) -> None:
-    robot = new_robot()
-    with page.expect_console_message(lambda message: "code: 403" in message.text):
-        open_page(page, tmp_path, site, robot)
-    expect(page).to_have_title("Robot")

@@ -21,7 +21,6 @@ import anyio
 
 from tests.hostile.arena import Figures, figures_of
 from tests.hostile.attacks import ATTACKS
-from tests.hostile.meter import Reading
 from tests.hostile.rtps import crowd
 from tests.hostile.rtps.datagram_attacks import DATAGRAM_ATTACKS
 from tests.hostile.verdict import faults
@@ -46,19 +45,19 @@ def row(name: str, found: Figures, above: int) -> str:
     )
 
 
-async def attack(name: str, seconds: float, *, looks: bool) -> tuple[str, list[str], Reading]:
-    """Make an attack; return its row, the bounds that were broken, and what the meter says."""
+async def attack(name: str, seconds: float) -> tuple[str, list[str]]:
+    """Make an attack; return its row, and the bounds that were broken."""
     is_trial = seconds > 0
     if name in DATAGRAM_ATTACKS:
         by_datagrams = DATAGRAM_ATTACKS[name]
         found = await crowd.figures_of(name, seconds)
         wrong = crowd.broken_bounds(by_datagrams, found, is_trial=is_trial)
-        return row(name, found, by_datagrams.above), wrong, found.reading
-    found = await figures_of(name, seconds, looks=looks)
+        return row(name, found, by_datagrams.above), wrong
+    found = await figures_of(name, seconds)
     wrong = faults(ATTACKS[name], found, is_trial=is_trial)
     if is_trial and found.latency(0.99) > P99:
         wrong.append(f"p99 is {found.latency(0.99) * 1000:.0f} ms")
-    return row(name, found, ATTACKS[name].above), wrong, found.reading
+    return row(name, found, ATTACKS[name].above), wrong
 
 
 def _leaves(group: BaseExceptionGroup[Exception]) -> Iterator[BaseException]:
@@ -69,20 +68,18 @@ def _leaves(group: BaseExceptionGroup[Exception]) -> Iterator[BaseException]:
             yield exc
 
 
-async def run(names: list[str], seconds: float, *, looks: bool) -> int:
+async def run(names: list[str], seconds: float) -> int:
     """Run the attacks; return how many broke a bound."""
     broken = 0
     print(HEAD, flush=True)
     for name in names:
         try:
-            line, wrong, reading = await attack(name, seconds, looks=looks)
+            line, wrong = await attack(name, seconds)
         except* Exception as group:
             wrong = [f"{type(exc).__name__}: {exc}"[:200] for exc in _leaves(group)]
             print(f"{name:46}  {'; '.join(wrong)}", flush=True)
         else:
             print(line, "; ".join(wrong) or "ok", flush=True)
-            if wrong and looks:
-                print(f"    {reading.slow} slow turns: {reading.stack}", flush=True)
         broken += bool(wrong)
     print(f"{broken} of {len(names)} attacks broke a bound")
     return broken
@@ -95,15 +92,12 @@ def main(*words: str) -> int:
     parser.add_argument(
         "--seconds", type=float, default=20.0, help="for each attack; %(default)g if not given"
     )
-    parser.add_argument(
-        "--looks", action="store_true", help="print in which functions the longest turn was"
-    )
     arguments = parser.parse_args(words or None)
     if not 0 <= arguments.seconds < math.inf:
         parser.error("--seconds is 0 or more")
     short = [name for name, attack in ATTACKS.items() if arguments.seconds or not attack.is_long]
     names = named(parser, arguments.names, [*short, *DATAGRAM_ATTACKS])
-    return 1 if anyio.run(lambda: run(names, arguments.seconds, looks=arguments.looks)) else 0
+    return 1 if anyio.run(lambda: run(names, arguments.seconds)) else 0
 
 
 if __name__ == "__main__":

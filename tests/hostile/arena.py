@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import anyio
 import anyio.lowlevel
-import msgspec
 from anyio import to_thread
 
 from fibaction import ActionClient, connect
@@ -251,13 +250,13 @@ async def honest_client(server: Server, settings: Settings) -> AsyncGenerator[Ho
         yield client
 
 
-async def figures_of(name: str, seconds: float = 0.0, *, looks: bool = False) -> Figures:
+async def figures_of(name: str, seconds: float = 0.0) -> Figures:
     """Attack a server, and end it during the attack.
 
     The short form, of no seconds, is one wave of this process; the long form has a process.
     """
     attack = ATTACKS[name]
-    settings = msgspec.structs.replace(attack.settings, looks=looks)
+    settings = attack.settings
     token = "hostile" if "tokens" in settings.wire else ""
     latencies: list[float] = []
     work: list[float] = []

@@ -170,15 +170,18 @@ async def credit_games(target: Target) -> None:
         await raw.fence()
 
 
-@attack("goals that yield without a pause", above=192)
-async def chatty(target: Target) -> None:
+async def chatty(target: Target, credit: int | None) -> None:
     async with target.dial() as raw:
-        goals = target.size(100, 1000)
-        ids = [next(raw.ids) for _ in range(goals)]
-        await raw.say(*(sending(id, "ticker", ticking(0.0, 10)) for id in ids))
+        ids = [next(raw.ids) for _ in range(target.size(100, 1000))]
+        await raw.say(*(sending(id, "ticker", ticking(0.0, 10), credit) for id in ids))
         await anyio.sleep(target.size(1, 5))
         await raw.say(CancelGoals(next(raw.ids), "ticker", None, None))
         await raw.fence()
+
+
+attack("goals that yield without a pause", above=192)(partial(chatty, credit=MOST))
+# Nothing holds up those without a reader.
+attack("goals without a follower", above=192)(partial(chatty, credit=None))
 
 
 @attack("goals that yield without a pause, unread", above=192)
@@ -187,18 +190,6 @@ async def chatty_unread(target: Target) -> None:
         goals = target.size(200, 2000)
         await raw.say(*(sending(next(raw.ids), "ticker", ticking(0.0, 10)) for _ in range(goals)))
         await anyio.sleep(0.5)
-
-
-@attack("goals without a follower", above=192)
-async def chatty_unfollowed(target: Target) -> None:
-    """Let goals yield without a pause and without a reader, so that nothing holds them up."""
-    async with target.dial() as raw:
-        goals = target.size(100, 1000)
-        ids = [next(raw.ids) for _ in range(goals)]
-        await raw.say(*(sending(id, "ticker", ticking(0.0, 10), None) for id in ids))
-        await anyio.sleep(target.size(1, 5))
-        await raw.say(CancelGoals(next(raw.ids), "ticker", None, None))
-        await raw.fence()
 
 
 async def leave_goals(target: Target) -> None:

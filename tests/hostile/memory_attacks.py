@@ -135,25 +135,22 @@ async def large_results_unread(target: Target) -> None:
         await anyio.sleep(0.3)
 
 
-@attack("large feedback unread", above=96, server=SMALL)
-async def large_feedback_unread(target: Target) -> None:
-    """Let goals yield large feedback without credit: it is remembered for their client."""
+async def large_feedback(target: Target, credit: int | None, count: int) -> None:
     async with target.dial() as raw:
         ids = [next(raw.ids) for _ in range(10)]
-        await raw.say(*(sending(id, "ticker", ticking(0.0, MIB), 0) for id in ids))
+        await raw.say(*(sending(id, "ticker", ticking(0.0, MIB, count), credit) for id in ids))
         await anyio.sleep(0.5)
         await raw.say(CancelGoals(next(raw.ids), "ticker", None, None))
         await raw.fence()
 
 
-@attack("large feedback unfollowed", above=96, server=SMALL)
-async def large_feedback_unfollowed(target: Target) -> None:
-    async with target.dial() as raw:
-        ids = [next(raw.ids) for _ in range(10)]
-        await raw.say(*(sending(id, "ticker", ticking(0.0, MIB, 300), None) for id in ids))
-        await anyio.sleep(0.5)
-        await raw.say(CancelGoals(next(raw.ids), "ticker", None, None))
-        await raw.fence()
+# Without credit it is remembered for the client.
+attack("large feedback unread", above=96, server=SMALL)(
+    partial(large_feedback, credit=0, count=2**31)
+)
+attack("large feedback unfollowed", above=96, server=SMALL)(
+    partial(large_feedback, credit=None, count=300)
+)
 
 
 # Texts that reach errors and the log

@@ -15,10 +15,8 @@ import gc
 import os
 import selectors
 import signal
-import sys
 import threading
 import time
-import traceback
 from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -26,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 SLOW = 0.02
-"""Seconds of a turn from which on it is counted as slow."""
+"""Seconds of a turn from which on the speed of the processor is measured, too."""
 PIECE = range(50_000)
 """What is summed up to know how fast the processor is: about a millisecond."""
 
@@ -37,41 +35,27 @@ class Reading(NamedTuple):
     longest: float
     """Seconds of the processor that the longest turn took, or the one that is not over, at the best
     speed of this machine."""
-    slow: int
-    """Turns that took longer than `SLOW`."""
-    turns: int
-    cpu: float
-    """Seconds of the processor that the thread has used."""
     peak: int
     """Bytes of resident memory, at most."""
     memory: int
     """Bytes of resident memory now."""
     collecting: float
     """Seconds of the processor that the longest garbage collection took."""
-    stack: str
-    """The functions in which the longest turn was seen; empty if it was too short to be seen."""
 
 
 class Meter(selectors.DefaultSelector):
     """A selector of asyncio's loop that measures the time between two calls of `select`."""
 
-    def __init__(self, orders: Connection, *, looks: bool = False) -> None:
-        """Obey `orders`; look in which functions a slow turn is, if `looks`."""
+    def __init__(self, orders: Connection) -> None:
         super().__init__()
         self._orders = orders
         self._clock = time.pthread_getcpuclockid(threading.get_ident())
-        self._thread = threading.get_ident()
         self._turn_began: float | None = None
-        self._longest = self._seen = 0.0
-        self._slow = self._turns = 0
-        self._stack = ""
+        self._longest = 0.0
         self._best = min(self._summing() for _ in range(10))
-        self._reset_at = self._now()
         self._collecting = self._collection_began = 0.0
         gc.callbacks.append(self._collects)
         threading.Thread(target=self._obey, daemon=True).start()
-        if looks:
-            threading.Thread(target=self._look, daemon=True).start()
 
     def _now(self) -> float:
         return time.clock_gettime(self._clock)
@@ -86,12 +70,10 @@ class Meter(selectors.DefaultSelector):
         if self._turn_began is not None:
             taken = self._now() - self._turn_began
             if taken > SLOW:
-                self._slow += 1
                 summing = self._summing()
                 self._best = min(self._best, summing)
                 taken *= self._best / summing
             self._longest = max(self._longest, taken)
-            self._turns += 1
             self._turn_began = None
         ready = super().select(timeout)
         self._turn_began = self._now()
@@ -103,20 +85,13 @@ class Meter(selectors.DefaultSelector):
         sizes = _sizes()
         return Reading(
             longest=max(self._longest, running),
-            slow=self._slow,
-            turns=self._turns,
-            cpu=now - self._reset_at,
             peak=sizes["VmHWM"],
             memory=sizes["VmRSS"],
             collecting=self._collecting,
-            stack=self._stack,
         )
 
     def reset(self) -> None:
-        self._longest = self._seen = self._collecting = 0.0
-        self._slow = self._turns = 0
-        self._stack = ""
-        self._reset_at = self._now()
+        self._longest = self._collecting = 0.0
         Path("/proc/self/clear_refs").write_text("5")  # the peak of memory is that of now
 
     def _collects(self, phase: str, _info: Mapping[str, int]) -> None:
@@ -133,20 +108,6 @@ class Meter(selectors.DefaultSelector):
                     self.reset()
                 self._orders.send(self.read())
         os.kill(os.getpid(), signal.SIGKILL)  # the test has gone, and the loop may hang
-
-    def _look(self) -> None:
-        while True:
-            time.sleep(0.02)  # noqa: TID251  # in a thread of its own
-            began = self._turn_began
-            if began is None or (taken := self._now() - began) <= max(self._seen, SLOW):
-                continue
-            frame = sys._current_frames().get(self._thread)
-            self._seen = taken
-            names = [
-                f"{Path(f.filename).stem}.{f.name}:{f.lineno}"
-                for f in traceback.extract_stack(frame)
-            ]
-            self._stack = " < ".join(reversed(names[-6:]))
 
 
 def _sizes() -> Mapping[str, int]:

@@ -115,11 +115,3 @@ async def test_the_loop_goes_on_while_a_document_is_checked(
         assert pauses[0] >= (
             size / TURN / 3 if document.is_goal and document.action == "tree" else 1
         )
-
-
-@pytest.mark.parametrize("name", DOCUMENTS)
-async def test_a_small_document_is_answered_in_the_same_way(name: str) -> None:
-    document = DOCUMENTS[name]
-
-    async with rest() as send:
-        assert await send(document, document.text(500)) == document.is_goal

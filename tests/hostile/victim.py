@@ -41,8 +41,6 @@ class Settings(msgspec.Struct):
     """The name of a function in `AUTHORIZE`; empty for none."""
     url: str = "tcp://127.0.0.1:0"
     """The address at which it serves, beside one of `http://`."""
-    looks: bool = False
-    """True if the meter looks where the longest turn is."""
 
 
 class Beat(msgspec.Struct):
@@ -210,8 +208,6 @@ def run(test: Connection, orders: Connection, log: str, settings: Settings) -> N
         serve_all,
         settings,
         test,
-        backend_options={
-            "loop_factory": lambda: asyncio.SelectorEventLoop(Meter(orders, looks=settings.looks))
-        },
+        backend_options={"loop_factory": lambda: asyncio.SelectorEventLoop(Meter(orders))},
     )
     LIMIT.flush()  # a process of multiprocessing calls nothing at its exit

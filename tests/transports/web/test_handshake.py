@@ -69,17 +69,6 @@ def test_a_wrong_request_is_rejected_with_its_status(data: bytes, status: int, r
     assert shaking.feed(b"more") is None
 
 
-def test_the_answer_says_which_method_and_version_would_be_right() -> None:
-    for data, header in (
-        (UPGRADE["another method"][0], b"\r\nAllow: GET\r\n"),
-        (UPGRADE["an old version"][0], b"\r\nSec-WebSocket-Version: 13\r\n"),
-    ):
-        shaking = server()
-        with pytest.raises(ProtocolError):
-            shaking.feed(data)
-        assert header in shaking.answer
-
-
 def test_a_request_that_is_given_up_is_answered_with_the_reason() -> None:
     waiting = [encode(Ping()), encode(Goodbye("the server is full", Why.LIMIT))]
     answer = server().give_up(waiting)

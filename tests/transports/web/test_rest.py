@@ -39,7 +39,7 @@ from fibaction_transports.web.rest import event_stream
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, hearing
 from tests.transports.tcp.servers import new_server
-from tests.transports.web.http_client import Answer, client_of, events_in, fetch
+from tests.transports.web.http_client import Answer, client_of, fetch
 
 pytestmark = pytest.mark.anyio
 
@@ -271,14 +271,6 @@ async def test_a_quiet_stream_is_kept_alive(monkeypatch: pytest.MonkeyPatch) -> 
     async with served(Held().server) as url, client_of(url) as client:
         await client.ask("POST", GOALS, {"order": 0}, accept=EVENTS)
         await client.until("\n\n:\n\n:\n\n")
-
-
-async def test_much_feedback_is_told_in_few_pieces_and_in_order() -> None:
-    async with served(new_server()) as url, client_of(url) as client:
-        await client.ask("POST", GOALS, {"order": 90}, accept=EVENTS)
-        events = events_in(await client.rest())
-        numbers = [int(event_id) for name, event_id, _ in events if name == "feedback"]
-        assert numbers == list(range(1, 90))
 
 
 async def test_a_client_that_does_not_read_is_let_go() -> None:

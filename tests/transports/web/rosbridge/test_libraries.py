@@ -17,7 +17,6 @@ from fibaction import serve
 from tests.support.node import IS_LEFT_OUT, MISSING, run_node
 from tests.support.processes import Finished, ended
 from tests.transports.web.rosbridge.robot import Robot
-from tests.transports.web.test_asgi_servers import ROOT, running
 
 pytestmark = pytest.mark.anyio
 
@@ -128,36 +127,3 @@ async def test_a_program_of_roslibpy_watches_the_goals_of_others(transport: str)
     assert finished.code == 0, finished.err
     assert "Traceback" not in finished.err
     assert finished.json == [TOPICS]
-
-
-class TestInUvicorn:
-    """Both, in an application that uvicorn runs."""
-
-    pytestmark = pytest.mark.anyio
-
-    @pytest.fixture
-    def anyio_backend(self) -> str:
-        return "asyncio"
-
-    @needs_node
-    async def test_roslibjs(self, tmp_path: Path) -> None:
-        program = (PROGRAMS / "short.mjs").read_text()
-        async with running("uvicorn") as url:
-            address = url.replace("http", "ws") + "/robot/"
-            run = lambda: run_node(tmp_path, program, address)  # noqa: E731  # for a thread
-            finished = await anyio.to_thread.run_sync(run)
-        assert (finished.out, finished.err) == ('{"sequence":[]}\n', "")
-
-    async def test_roslibpy(self) -> None:
-        async with running("uvicorn") as url:
-            program = PROGRAMS / "short_program.py"
-            process = subprocess.Popen(  # noqa: ASYNC220  # it returns at once
-                [sys.executable, str(program), url.replace("http", "ws") + "/robot/"],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                cwd=ROOT,
-            )
-            finished = await anyio.to_thread.run_sync(lambda: ended(process))
-        lines = ["{'partial_sequence': [0]}", "{'sequence': []}"]
-        assert finished.lines == lines, finished.err

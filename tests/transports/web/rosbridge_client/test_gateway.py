@@ -99,17 +99,6 @@ async def test_the_end_of_the_connection_cancels_the_goals_of_open_blocks() -> N
             await client.send_goal(Goal(1))
 
 
-async def test_a_cancel_of_all_goals_can_be_rejected() -> None:
-    robot = Robot()
-    robot.refuses_cancels = True
-    async with client_of(robot) as client:
-        goal = await client.send_goal(Goal(50))
-        answer = await client.cancel_goals()
-        assert (answer.return_code, answer.reason) == (CancelCode.REJECTED, "it is nearly done")
-        robot.go_on.set()
-        assert await goal.result() == Result([50])
-
-
 async def test_the_actions_are_listed_with_their_schemas() -> None:
     async with connected(Robot().server) as connection:
         (info,) = await connection.actions()
