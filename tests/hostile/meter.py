@@ -35,6 +35,8 @@ class Reading(NamedTuple):
     longest: float
     """Seconds of the processor that the longest turn took, or the one that is not over, at the best
     speed of this machine."""
+    cpu: float
+    """Seconds of the processor that the thread has used."""
     peak: int
     """Bytes of resident memory, at most."""
     memory: int
@@ -53,6 +55,7 @@ class Meter(selectors.DefaultSelector):
         self._turn_began: float | None = None
         self._longest = 0.0
         self._best = min(self._summing() for _ in range(10))
+        self._reset_at = self._now()
         self._collecting = self._collection_began = 0.0
         gc.callbacks.append(self._collects)
         threading.Thread(target=self._obey, daemon=True).start()
@@ -85,6 +88,7 @@ class Meter(selectors.DefaultSelector):
         sizes = _sizes()
         return Reading(
             longest=max(self._longest, running),
+            cpu=now - self._reset_at,
             peak=sizes["VmHWM"],
             memory=sizes["VmRSS"],
             collecting=self._collecting,
@@ -92,6 +96,7 @@ class Meter(selectors.DefaultSelector):
 
     def reset(self) -> None:
         self._longest = self._collecting = 0.0
+        self._reset_at = self._now()
         Path("/proc/self/clear_refs").write_text("5")  # the peak of memory is that of now
 
     def _collects(self, phase: str, _info: Mapping[str, int]) -> None:

@@ -11,7 +11,7 @@ from tests.hostile.rtps.crowd import broken_bounds
 from tests.hostile.rtps.datagram_attacks import DATAGRAM_ATTACKS
 from tests.hostile.verdict import faults
 
-READING = Reading(0.01, 40 * 2**20, 40 * 2**20, 0.0)
+READING = Reading(0.01, 1.0, 40 * 2**20, 40 * 2**20, 0.0)
 FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], [0.001], 0.0002, 0.1, 0, "", 1000, 2000)
 
 
