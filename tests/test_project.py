@@ -159,7 +159,7 @@ def test_the_description_for_the_package_index_has_absolute_links_to_files_that_
     text = module.with_absolute_links(README, base, PROJECT["version"])
 
     links = re.findall(r"(!?)\[[^]]*\]\(([^)\s]+)\)", text)
-    assert len(links) > 30
+    assert len(links) > 20
     for picture, target in links:
         assert "://" in target or target.startswith("#")
         kind, found, path = target.removeprefix(f"{base}/").partition(f"/v{PROJECT['version']}/")
@@ -187,6 +187,22 @@ def test_readme_and_the_first_page_open_with_the_same_program() -> None:
     index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
 
     assert programs_of(README)[0] == programs_of(index)[0]
+
+
+def test_readme_is_short() -> None:
+    prose = re.sub(r"^```.*?^```", "", README, flags=re.DOTALL | re.MULTILINE)
+
+    assert len(prose.split()) <= 700
+    assert README.count("](") <= 30
+    assert "pip install" in "\n".join(README.splitlines()[:25])
+
+
+def test_every_extra_is_in_the_page_about_installing() -> None:
+    page = (ROOT / "docs/installing.md").read_text(encoding="utf-8")
+
+    named = re.findall(r"^\| `(.+?)` \|", page, re.MULTILINE)
+
+    assert sorted(named) == sorted(PROJECT["optional-dependencies"])
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process gets no Ctrl-C alone there")

@@ -30,6 +30,22 @@ SENTENCES = [
         " cancel half-way, a result.\n",
     ),
     Sentence(
+        "docs/installing.md",
+        "fibaction is not published yet, so you install it from a clone, into a virtual"
+        " environment:\n",
+        "You install it into a virtual environment:\n",
+    ),
+    Sentence(
+        "docs/installing.md",
+        "$ pip install '.[cli]'    # or '.' without the command line\n",
+        "$ pip install 'fibaction[cli]'    # or fibaction without the command line\n",
+    ),
+    Sentence(
+        "docs/installing.md",
+        "`pip install '.[cli,web]'`",
+        "`pip install 'fibaction[cli,web]'`",
+    ),
+    Sentence(
         "README.md",
         "For example, start a server in one terminal:\n",
         "For example, start a server in one terminal, in a clone of the repository:\n",
