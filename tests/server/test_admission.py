@@ -29,11 +29,6 @@ ARM, LEG = Sender("the arm"), Sender("the leg")
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 # Deciding
 
 

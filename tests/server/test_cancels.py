@@ -25,11 +25,6 @@ from tests.support.slices import let_slices_last
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 def agree(goal: Goal) -> None:
     """A callback that has nothing against it."""
 

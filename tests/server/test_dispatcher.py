@@ -38,11 +38,6 @@ PREEMPTING = Schedule(concurrency=1, when_full="preempt")
 HANDING_OVER = Schedule(concurrency=1, when_full="preempt", handover=math.inf)
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 def packed(order: int) -> bytes:
     return FIBONACCI.goal.encode(Goal(order))
 

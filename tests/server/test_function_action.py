@@ -31,11 +31,6 @@ from tests.support.matching import End
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 class Pose(msgspec.Struct):
     x: float
 

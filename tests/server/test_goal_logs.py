@@ -34,11 +34,6 @@ from tests.support.virtual_time import in_virtual_time
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 def waited_for(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> Coroutine[Any, Any, GoalStream]:

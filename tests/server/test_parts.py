@@ -31,11 +31,6 @@ from tests.support.slices import let_slices_last
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 # Starting and stopping
 
 

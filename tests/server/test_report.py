@@ -30,11 +30,6 @@ from tests.support.matching import End
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 @asynccontextmanager
 async def client_of(
     function: Any, *, window: int = 64, **settings: Any

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from random import Random
-from typing import Any
 
 import anyio
 import pytest
@@ -41,11 +40,6 @@ PAUSES = (0, 2, 8, 20)
 KEYS = 3
 MOST_TURNS = 6
 """Turns of the event loop that an executor, its clean-up or a client takes at most."""
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 def key_of(goal: Goal) -> int:

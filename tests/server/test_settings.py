@@ -23,11 +23,6 @@ from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 @pytest.mark.parametrize(
     ("options", "text"),
     [

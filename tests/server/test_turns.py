@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import AsyncGenerator
-from typing import Any
 
 import anyio
 import anyio.lowlevel
@@ -18,11 +17,6 @@ from fibaction.server.execution.turns import EXECUTOR_SLICE, FEW, FairQueue, Tur
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 async def test_one_goes_on_in_each_turn_and_keys_take_turns() -> None:

@@ -39,11 +39,6 @@ LIMIT = 0.01
 """Seconds of servers whose executors block until they are named."""
 
 
-@pytest.fixture(params=BACKENDS)
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 def watchdogs() -> list[Watchdog]:
     return [thread for thread in threading.enumerate() if isinstance(thread, Watchdog)]
 

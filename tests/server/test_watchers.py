@@ -36,11 +36,6 @@ pytestmark = pytest.mark.anyio
 ORDER: ContextVar[int] = ContextVar("ORDER", default=0)
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 class Diary(Watcher):
     """Remembers each call in short."""
 

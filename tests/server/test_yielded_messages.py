@@ -35,11 +35,6 @@ LIKE: Action[Any, Any, Any] = Action(
 )
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 async def outcome_of(action: Action[Any, Any, Any], *items: Any) -> tuple[list[Any], Any]:
     """Return the feedback and the outcome of a goal whose executor yields these, or raises one."""
 
