@@ -1,12 +1,16 @@
-"""Goals of Fibonacci as bytes, and an executor that waits, for the tests of a server's parts."""
+"""Goals of Fibonacci as bytes, and executors and callbacks that wait, for the tests of a server."""
 
 from __future__ import annotations
 
+from collections.abc import Coroutine
+from typing import Any
+
 import anyio
 
-from fibaction import GoalHandle
+from fibaction import ActionServer, GoalHandle, GoalID
+from fibaction.border.abc import GoalStream
 from tests.support.executors import Items
-from tests.support.fibonacci import FIBONACCI, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 
 def packed(order: int) -> bytes:
@@ -28,3 +32,48 @@ class Held:
         self.begun.set()
         await self.go.wait()
         yield Result([goal.request.order])
+
+
+def waited_for(
+    offered: GoalStream | Coroutine[Any, Any, GoalStream],
+) -> Coroutine[Any, Any, GoalStream]:
+    """Return the coroutine that waits for the decision on a goal."""
+    assert not isinstance(offered, GoalStream)
+    return offered
+
+
+class Gate:
+    """An `on_goal` that decides when it is told to."""
+
+    def __init__(self) -> None:
+        self.asked: list[Goal] = []
+        self.open = anyio.Event()
+
+    async def __call__(self, goal: Goal) -> None:
+        self.asked.append(goal)
+        await self.open.wait()
+
+
+async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -> list[GoalStream]:
+    streams: list[GoalStream] = [
+        await server.send_goal(GoalID.random(), packed(order)) for order in range(count)
+    ]
+    await anyio.wait_all_tasks_blocked()
+    return streams
+
+
+async def turns_during(work: Coroutine[Any, Any, object]) -> int:
+    """Return the number of turns that another task has during the work."""
+    turns = 0
+
+    async def take_turns() -> None:
+        nonlocal turns
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turns += 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(take_turns)
+        await work
+        tasks.cancel_scope.cancel()
+    return turns

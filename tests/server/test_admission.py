@@ -15,12 +15,11 @@ from fibaction import (
     GoalID,
     GoalRejected,
     GoalStatus,
-    Outcome,
     RejectionCode,
 )
 from fibaction.border.abc import GoalRequest, GoalStream
 from fibaction.words.goals import Sender
-from tests.server.held import Held, packed
+from tests.server.held import Held, packed, waited_for
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
@@ -58,27 +57,7 @@ def at_once(
     return offered
 
 
-def waited_for(
-    offered: GoalStream | Coroutine[Any, Any, GoalStream],
-) -> Coroutine[Any, Any, GoalStream]:
-    """Return the coroutine that waits for the decision on a goal."""
-    assert not isinstance(offered, GoalStream)
-    return offered
-
-
 # Offering a goal
-
-
-class Gate:
-    """An `on_goal` that decides when it is told to."""
-
-    def __init__(self) -> None:
-        self.asked: list[Goal] = []
-        self.open = anyio.Event()
-
-    async def __call__(self, goal: Goal) -> None:
-        self.asked.append(goal)
-        await self.open.wait()
 
 
 async def test_a_decision_that_does_not_end_with_the_server_comes_too_late() -> None:
@@ -178,59 +157,3 @@ async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_
         assert server.owner_of(goal_id) == b"arm"
         assert server.owner_of(GoalID.random()) == b""
         executor.go.set()
-
-
-async def test_a_caller_that_waited_for_the_decision_and_then_decides_is_the_sender() -> None:
-    gate = Gate()
-    async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
-        goal_id = GoalID.random()
-        first = waited_for(server.offer_goal(GoalRequest(goal_id, packed(2), sender=ARM)))
-        scope = anyio.CancelScope()
-        streams: list[GoalStream] = []
-
-        async def give_up() -> None:
-            with scope:
-                await first
-
-        async def wait(asking: Coroutine[Any, Any, GoalStream]) -> None:
-            streams.append(await asking)
-
-        with anyio.fail_after(5):
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(give_up)
-                await anyio.wait_all_tasks_blocked()
-                again = server.offer_goal(
-                    GoalRequest(goal_id, packed(2), feedback=False, sender=LEG)
-                )
-                tasks.start_soon(wait, waited_for(again))
-                await anyio.wait_all_tasks_blocked()
-                scope.cancel()
-                await anyio.wait_all_tasks_blocked()
-                gate.open.set()
-            assert [type(one) async for one in streams[0]] == [Outcome]  # as it was asked for
-            with await server.status() as statuses:
-                info = await statuses.receive()
-            assert info is not None
-            assert info.client == "the leg"
-
-
-@pytest.mark.parametrize("followed", [True, False])
-async def test_a_follower_that_comes_after_the_end_gets_the_feedback_that_another_has_kept(
-    followed: bool,
-) -> None:
-    async with ActionServer(FIBONACCI, fibonacci) as server:
-        stream = at_once(
-            server.offer_goal(GoalRequest(GoalID.random(), packed(4), feedback=followed))
-        )
-        goal_id = stream.goal_id
-        await stream.outcome()
-        late = await server.feedback(stream.goal_id, after=0)
-        numbers = []
-        while (item := await late.receive()) is not None:
-            numbers.append(item.number)
-        assert (numbers, late.dropped) == ([1, 2, 3], 0)
-        assert await late.outcome() == await stream.outcome()
-        del stream, late
-        await anyio.wait_all_tasks_blocked()
-        later = await server.feedback(goal_id, after=0)
-        assert (await later.receive(), later.dropped) == (None, 3)

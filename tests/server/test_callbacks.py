@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import asyncio  # noqa: TID251  # it alone can cancel a task from outside
 from collections.abc import Awaitable, Callable, Coroutine, Generator
-from functools import partial
 from typing import Any
 
 import anyio
 import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalID, GoalStatus
-from fibaction.server.admission.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, GoalCallbacks
+from fibaction.server.admission.callbacks import SERVER_STOPPING, GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
 from fibaction.words.errors import CancelRejected, GoalRejected
 from tests.support.executors import Items
@@ -87,16 +86,6 @@ async def test_a_callback_that_awaits_a_canceled_task_rejects(
     assert text in caplog.text
 
 
-@each_colour
-async def test_the_other_rejection_is_a_failure(colour: Colour) -> None:
-    def refuse(argument: Any) -> None:
-        raise CancelRejected("no")
-
-    with pytest.raises(GoalRejected) as caught:
-        await ask(colour(refuse), GoalRejected)
-    assert caught.value.reason == "on_goal failed: CancelRejected: no"
-
-
 @each_refusal
 async def test_stopping_rejects_what_is_still_being_asked(
     refusal: Refusal, caplog: pytest.LogCaptureFixture
@@ -172,26 +161,6 @@ async def test_a_caller_whose_own_task_is_canceled_is_not_rejected() -> None:
     asking.cancel()
     with anyio.fail_after(5), pytest.raises(asyncio.CancelledError):
         await asking
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-async def test_a_cancellation_from_elsewhere_is_a_failure_on_each_backend(backend: str) -> None:
-    async def raise_an_old_one(argument: None) -> None:
-        with anyio.CancelScope() as scope:
-            scope.cancel()
-            try:
-                await anyio.sleep_forever()
-            except anyio.get_cancelled_exc_class() as exc:
-                old = exc
-        raise old
-
-    async def main() -> None:
-        with pytest.raises(GoalRejected) as caught:
-            await ask(raise_an_old_one)
-        assert caught.value.reason == f"on_goal failed: RuntimeError: {CANCELED_ELSEWHERE}"
-
-    # In a thread, as this one has a loop of asyncio's.
-    await anyio.to_thread.run_sync(partial(anyio.run, main, backend=backend))
 
 
 # Callbacks that act upon the goal that they decide upon

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
 from typing import Any
 
 import anyio
@@ -17,8 +16,8 @@ from fibaction import (
     GoalStatus,
 )
 from fibaction.border.abc import GoalStream
-from tests.server.held import Held, packed
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.server.held import Held, packed, start_many, turns_during
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.matching import End
 from tests.support.slices import let_slices_last
 
@@ -66,31 +65,6 @@ async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
         assert (await server.cancel_goals(stream.goal_id)).accepted
         assert await stream.outcome() == End(GoalStatus.CANCELED)
     assert not executor.begun.is_set()
-
-
-async def turns_during(work: Coroutine[Any, Any, object]) -> int:
-    """Return the number of turns that another task has during the work."""
-    turns = 0
-
-    async def take_turns() -> None:
-        nonlocal turns
-        while True:
-            await anyio.lowlevel.checkpoint()
-            turns += 1
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(take_turns)
-        await work
-        tasks.cancel_scope.cancel()
-    return turns
-
-
-async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -> list[GoalStream]:
-    streams: list[GoalStream] = [
-        await server.send_goal(GoalID.random(), packed(order)) for order in range(count)
-    ]
-    await anyio.wait_all_tasks_blocked()
-    return streams
 
 
 @pytest.fixture

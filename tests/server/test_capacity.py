@@ -14,13 +14,11 @@ from fibaction import (
     Action,
     ActionClient,
     ActionServer,
-    ConnectionLost,
     GoalHandle,
     GoalRejected,
     GoalStatus,
     Schedule,
 )
-from fibaction.words.goals import GoalID
 from tests.support.memory_store import MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
@@ -166,28 +164,3 @@ async def test_a_goal_that_is_decided_when_the_drain_begins_is_rejected() -> Non
         tasks.start_soon(send)
         await anyio.sleep(0.5)
         await server.drain()
-
-
-async def test_goals_that_are_left_after_a_drain_are_released_before_that_is_told() -> None:
-    store = MemoryStore()
-    schedule = Schedule(concurrency=1, queue=1)
-    async with server_with(store, at_stop="keep", schedule=schedule) as server:
-        goals = [await client_of(server).send_goal(100) for _ in range(2)]
-        await server.drain(timeout=1)
-        released: list[GoalID] = []
-
-        def note(what: str, goal: Any) -> None:
-            if what == "release":
-                released.append(goal.goal_id)
-
-        store.on_kept = note
-
-        async def wait() -> None:
-            with pytest.raises(ConnectionLost):
-                await goals[0].result()
-            assert goals[0].goal_id in released
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await server.stop()
-        assert sorted(released) == sorted(goal.goal_id for goal in goals)

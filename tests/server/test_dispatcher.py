@@ -26,6 +26,7 @@ from fibaction.border.abc import FeedbackItem, GoalStream
 from fibaction.server.durability.keeper import Keeper
 from fibaction.server.scheduling import goal_dispatcher
 from fibaction.server.scheduling.dispatcher import Dispatcher
+from tests.server.held import packed
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.matching import End
@@ -33,13 +34,9 @@ from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
-ONE_PLACE = Schedule(concurrency=1, queue=10)
+
 PREEMPTING = Schedule(concurrency=1, when_full="preempt")
 HANDING_OVER = Schedule(concurrency=1, when_full="preempt", handover=math.inf)
-
-
-def packed(order: int) -> bytes:
-    return FIBONACCI.goal.encode(Goal(order))
 
 
 def result(order: int) -> bytes:
@@ -180,26 +177,6 @@ async def test_a_goal_whose_client_has_given_it_up_meanwhile_is_skipped_if_so_to
 # Places, for observers
 
 
-async def places(site: Server) -> list[tuple[int, int]]:
-    """Return the places of the goals that are active, in the order of their acceptance."""
-    with await site.server.status() as statuses:
-        infos = [await statuses.receive() for _ in range(statuses.known)]
-    return [(i.place, i.queue_length) for i in infos if i is not None and i.status.is_active]
-
-
-async def test_the_places_of_very_many_goals_may_be_a_moment_old(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(goal_dispatcher, "MANY", 1)
-    monkeypatch.setattr(goal_dispatcher, "POSITIONS_TIME", 1000)
-    async with serving(ONE_PLACE, Arm()) as site:
-        for order in range(3):
-            await site.send(order)
-        assert await places(site) == [(0, 0), (1, 2), (2, 2)]
-        await site.send(3)
-        assert await places(site) == [(0, 0), (1, 2), (2, 2), (0, 0)]
-
-
 # Functions that fail
 
 
@@ -281,25 +258,6 @@ async def test_a_goal_is_rejected_by_the_function_that_fails_and_the_server_goes
 # Preempting
 
 
-class Tidying(Arm):
-    """An executor that cleans up after an interruption, until it is let go, and has a part then."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.cleaning, self.clean = anyio.Event(), anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        self.begin(goal)
-        order = goal.request.order
-        try:
-            await self.end_of(order)
-        except anyio.get_cancelled_exc_class():
-            self.cleaning.set()
-            await self.clean.wait()
-            raise GoalCanceled(result=Result([-order])) from None
-        yield Result([order])
-
-
 async def test_a_goal_that_ends_as_canceled_by_itself_is_aborted_with_the_servers_reason() -> None:
     async def gives_up(goal: GoalHandle[Goal]) -> Items:
         if goal.request.order == 1:
@@ -314,23 +272,6 @@ async def test_a_goal_that_ends_as_canceled_by_itself_is_aborted_with_the_server
         await settled()
         await site.send(2)
         assert await first.outcome() == End(GoalStatus.ABORTED, None, site.preempted_by(2))
-
-
-async def test_the_first_reason_to_end_a_goal_is_told() -> None:
-    arm = Tidying()
-    async with serving(PREEMPTING, arm) as site:
-        first = await site.send(1)
-        await arm.until_begun(1)
-        await site.send(2)
-        third = await site.send(3)
-        await arm.cleaning.wait()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(site.server.stop)
-            await settled()
-            arm.clean.set()
-        assert (await first.outcome()).reason == site.preempted_by(2)
-        assert (await third.outcome()).reason == "server stopped"
-    assert arm.begun == [1]
 
 
 # Killing
@@ -437,45 +378,6 @@ async def test_the_feedback_of_an_executor_that_goes_on_after_it_was_killed_is_d
 
 
 # Taking over
-
-
-class Driving(Arm):
-    """An executor that takes its successor over as soon as it is told to look."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.looks: dict[int, anyio.Event] = {}
-        self.ended = 0
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        self.begin(goal)
-        try:
-            while True:
-                order = goal.request.order
-                yield Feedback([order])
-                look = self.looks[order] = anyio.Event()
-                await look.wait()
-                if goal.successor is None:
-                    yield Result([order])
-                    return
-                goal = goal.take_over()
-                self.begin(goal)
-        finally:
-            self.ended += 1
-
-
-async def test_a_canceled_goal_that_is_not_interrupted_may_take_over_and_is_canceled() -> None:
-    arm = Driving()
-    async with serving(HANDING_OVER, arm, interrupt_on_cancel=False) as site:
-        first = await site.send(1)
-        await arm.until_begun(1)
-        await site.send(2)
-        await site.cancel(1)
-        await settled()
-        arm.looks[1].set()
-        handle = await arm.until_begun(2)
-        assert handle.status is GoalStatus.EXECUTING
-        assert (await first.outcome()).status is GoalStatus.CANCELED
 
 
 async def test_a_goal_takes_nothing_over_after_its_result() -> None:

@@ -96,27 +96,6 @@ def test_a_place_is_given_back_between_two_goals_of_a_key() -> None:
     assert one.x() == (0, 0)
 
 
-def test_as_many_places_are_asked_for_as_goals_wait_and_may_run() -> None:
-    one = Played(concurrency=2)
-    one.offer(A)
-    assert one.x() == (0, 1)
-    one.offer(B)
-    assert one.x() == (0, 2)
-    one.offer(C)
-    assert one.x() == (0, 2)
-    assert one.grant() == starts(A)
-    assert one.x() == (1, 1)
-
-
-def test_the_place_is_for_the_goal_that_comes_first_by_then() -> None:
-    one = Played(priority=lambda _goal: 0)
-    one.offer(A, urgency=5)
-    one.offer(B, urgency=1)
-    assert one.grant() == starts(B)
-    one.scheduler.leave(B, 1)
-    assert one.grant() == starts(A)
-
-
 def test_a_place_that_no_goal_needs_any_longer_is_not_used() -> None:
     one = Played()
     one.offer(A)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import AsyncGenerator, AsyncIterator, Generator
-from typing import Annotated, Any
+from typing import Any
 
 import anyio
 import msgspec
@@ -109,15 +109,6 @@ def test_several_parameters_are_the_fields_of_the_goal_with_their_defaults() -> 
     assert home.goal_of() is None
     with pytest.raises(TypeError, match="missing a required argument: 'what'"):
         pick.goal_of(force=1)
-
-
-async def test_a_parameter_may_have_any_type_that_an_action_can() -> None:
-    @action("count")
-    async def count(number: Annotated[int, msgspec.Meta(ge=0)], /) -> int | str:
-        return number
-
-    assert (await outcome_of(count, 3)).result == 3
-    assert count.info.goal == {"type": "integer", "minimum": 0}
 
 
 def test_it_is_named_and_documented_as_its_function() -> None:
@@ -354,23 +345,6 @@ async def test_a_cancel_arrives_at_the_next_check() -> None:
             assert (await goal.cancel()).accepted
             go.set()
             assert await goal.outcome() == End(GoalStatus.CANCELED, "a part", "stopped")
-
-
-async def test_a_check_in_the_event_loop_is_where_a_cancel_arrives_too() -> None:
-    @action("spin")
-    async def spin(goal: GoalHandle[None], report: Report[int]) -> str:
-        with anyio.CancelScope(shield=True):
-            while not goal.cancel_requested:
-                await report(1)
-        try:
-            goal.check()
-        except GoalCanceled:
-            await anyio.lowlevel.checkpoint()  # clean-up is not canceled
-            raise GoalCanceled(result="a part") from None
-        return "not canceled"
-
-    trial = await run_executor(spin, spin.executor, None, cancel_after=2)
-    assert trial.outcome == End(GoalStatus.CANCELED, "a part", "")
 
 
 async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> None:

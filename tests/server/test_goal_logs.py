@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import tracemalloc
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator
 from contextlib import suppress
 from typing import Any
 
@@ -26,40 +26,12 @@ from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusSt
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server import goal_logs
 from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
-from tests.server.held import Held, packed, result
+from tests.server.held import Gate, Held, packed, result, start_many, waited_for
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
-
-
-def waited_for(
-    offered: GoalStream | Coroutine[Any, Any, GoalStream],
-) -> Coroutine[Any, Any, GoalStream]:
-    """Return the coroutine that waits for the decision on a goal."""
-    assert not isinstance(offered, GoalStream)
-    return offered
-
-
-class Gate:
-    """An `on_goal` that decides when it is told to."""
-
-    def __init__(self) -> None:
-        self.asked: list[Goal] = []
-        self.open = anyio.Event()
-
-    async def __call__(self, goal: Goal) -> None:
-        self.asked.append(goal)
-        await self.open.wait()
-
-
-async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -> list[GoalStream]:
-    streams: list[GoalStream] = [
-        await server.send_goal(GoalID.random(), packed(order)) for order in range(count)
-    ]
-    await anyio.wait_all_tasks_blocked()
-    return streams
 
 
 # Expiry
@@ -132,22 +104,6 @@ async def test_feedback_outlives_its_goal_for_a_moment_while_the_goals_are_watch
             assert [await feedback_of(one) for one in (unwatched, watched, later)] == [0, 3, 3]
             await anyio.sleep(RECENT_TIME / 2 + EXPIRY_STEP)
             assert [await feedback_of(one) for one in (watched, later)] == [0, 3]
-
-
-@in_virtual_time()
-async def test_the_goal_itself_outlives_its_end_for_a_moment_while_the_goals_are_watched() -> None:
-    async def goal_after_its_end() -> bytes | None:
-        goal_id = GoalID.random()
-        with await server.send_goal(goal_id, packed(4), feedback=False) as stream:
-            assert stream.goal == packed(4)
-            await stream.outcome()
-            with await server.feedback(goal_id) as follower:
-                return follower.goal
-
-    async with ActionServer(FIBONACCI, fibonacci) as server:
-        assert await goal_after_its_end() is None
-        with await server.status():
-            assert await goal_after_its_end() == packed(4)
 
 
 @pytest.mark.promise("FEEDBACK-4")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncGenerator
-from typing import Any, TypeAlias
+from typing import Any
 
 import anyio
 import pytest
@@ -32,48 +31,22 @@ from fibaction.border.abc import FeedbackItem
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.server.durability.recovery import ASKED_AT_ONCE
-from fibaction.words.goals import UNKNOWN_SENDER, digest_of
+from tests.server.painting import (
+    ID,
+    PAINT,
+    Painting,
+    Server,
+    client_of,
+    paint,
+    server_with,
+    store_with,
+    stored,
+)
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.slices import let_slices_last
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
-
-PAINT = Action("paint", goal=int, feedback=int, result=str, checkpoint=int)
-Painting: TypeAlias = AsyncGenerator[int | str, None]
-Server: TypeAlias = ActionServer[int, int, str]
-ID = GoalID(bytes(15) + b"\1")
-
-
-async def paint(goal: GoalHandle[int]) -> Painting:
-    """Paint one stroke a second, from the last checkpoint on."""
-    for done in range(goal.restored or 0, goal.request):
-        yield done
-        await anyio.sleep(1)
-        await goal.checkpoint(done + 1)
-    yield f"painted {goal.request} in attempt {goal.attempt}"
-
-
-def server_with(store: MemoryStore, **settings: Any) -> Server:
-    return ActionServer(PAINT, paint, store=store, **settings)
-
-
-def client_of(server: Server) -> ActionClient[int, int, str]:
-    return ActionClient(server, PAINT)
-
-
-def stored(request: Any = 3, number: int = 1, **fields: Any) -> StoredGoal:
-    """Return a goal as an earlier process has left it."""
-    goal = PAINT.goal.encode(request)
-    goal_id = GoalID(number.to_bytes(16, "big"))
-    fields.setdefault("stamp", number)
-    return StoredGoal(goal_id, sender=UNKNOWN_SENDER, digest=digest_of(goal), goal=goal, **fields)
-
-
-def store_with(*goals: StoredGoal) -> MemoryStore:
-    store = MemoryStore()
-    store.goals = {("paint", goal.goal_id): goal for goal in goals}
-    return store
 
 
 async def attached(server: Server, number: int = 1) -> ClientGoal[int, str]:
@@ -252,23 +225,6 @@ async def test_a_goal_whose_turn_comes_while_its_acceptance_is_written_begins_af
         assert results == ["waited"]
 
 
-async def test_a_goal_that_is_canceled_while_its_begin_is_written_never_runs() -> None:
-    store = MemoryStore()
-    async with server_with(store, schedule=Schedule(concurrency=1, queue=2)) as server:
-        client = client_of(server)
-        first, second = [await client.send_goal(order) for order in (1, 5)]
-        store.on_kept = lambda what, _goal: store.hold() if what == "end" else None
-        await first.outcome()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(second.cancel)
-            await anyio.sleep(1)
-            store.on_kept = lambda _what, _goal: None
-            store.release()
-        assert (await second.outcome()).status is GoalStatus.CANCELED
-        assert [feedback async for feedback in second.feedback] == []
-        assert await client.call(1) == "painted 1 in attempt 1"
-
-
 async def test_a_goal_whose_kill_is_due_before_its_interruption_is_interrupted_first() -> None:
     schedule = Schedule(concurrency=1, when_full="preempt", run_timeout=3)
     store = MemoryStore()
@@ -424,17 +380,6 @@ async def test_a_goal_for_which_the_schedule_of_a_server_fails_cannot_run_there(
         async with server_with(store, schedule=schedule):
             assert store.obstacles["paint"](stored()) == reason
     assert not caplog.text, "the store tells it"
-
-
-async def test_a_goal_that_waits_to_run_again_is_free_after_a_planned_stop() -> None:
-    lost = stored(request=99, is_running=True, attempt=1)
-    other = stored(request=99, number=2, is_running=True, attempt=1)
-    new = stored(request=99, number=3)
-    store, schedule = store_with(lost, other, new), Schedule(concurrency=1)
-    async with server_with(store, recovery="rerun", at_stop="keep", schedule=schedule):
-        await anyio.sleep(1)
-    assert [goal.is_running for goal in store.goals.values()] == [False] * 3
-    assert [goal.attempt for goal in store.goals.values()] == [2, 1, 0]
 
 
 async def test_very_long_times_are_kept_as_unlimited() -> None:

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import AsyncGenerator
 from types import SimpleNamespace
-from typing import Any, TypeAlias
-from weakref import ref
+from typing import Any
 
 import anyio
 import pytest
 from anyio import current_time
 
 from fibaction import (
-    Action,
-    ActionClient,
-    ActionServer,
     CancelCode,
     ConnectionLost,
     GoalAborted,
@@ -32,41 +26,21 @@ from fibaction.border.goal_store import GoalTaken, StoredGoal
 from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
-from fibaction.words.goals import UNKNOWN_SENDER, digest_of
+from fibaction.words.goals import UNKNOWN_SENDER
+from tests.server.painting import (
+    ID,
+    PAINT,
+    Painting,
+    client_of,
+    server_with,
+    stored,
+)
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 
-PAINT = Action("paint", goal=int, feedback=int, result=str, checkpoint=int)
-Painting: TypeAlias = AsyncGenerator[int | str, None]
-Server: TypeAlias = ActionServer[int, int, str]
-ID = GoalID(bytes(15) + b"\1")
 TAKEN = "another server has taken the goal over"
-
-
-async def paint(goal: GoalHandle[int]) -> Painting:
-    """Paint one stroke a second, from the last checkpoint on."""
-    for done in range(goal.restored or 0, goal.request):
-        yield done
-        await anyio.sleep(1)
-        await goal.checkpoint(done + 1)
-    yield f"painted {goal.request} in attempt {goal.attempt}"
-
-
-def server_with(store: MemoryStore, executor: Any = paint, **settings: Any) -> Server:
-    return ActionServer(PAINT, executor, store=store, **settings)
-
-
-def client_of(server: Server) -> ActionClient[int, int, str]:
-    return ActionClient(server, PAINT)
-
-
-def stored(request: int = 3, number: int = 1, **fields: Any) -> StoredGoal:
-    """Return a goal as another server has left it."""
-    goal = PAINT.goal.encode(request)
-    goal_id = GoalID(number.to_bytes(16, "big"))
-    return StoredGoal(goal_id, number, UNKNOWN_SENDER, digest_of(goal), goal, **fields)
 
 
 def taking(what: str) -> MemoryStore:
@@ -155,31 +129,6 @@ async def test_the_loss_of_a_goal_whose_executor_was_taken_over_leaves_the_succe
         with pytest.raises(ConnectionLost, match=TAKEN):
             await first.result()
         assert await second.result() == "painted 0"
-
-
-async def test_the_loss_of_a_successor_interrupts_the_executor_that_has_taken_it_over() -> None:
-    interrupted: list[int] = []
-
-    async def hand_over(goal: GoalHandle[int]) -> Painting:
-        await goal.wait_for_successor()
-        goal = goal.take_over()
-        try:
-            await anyio.sleep(1000)
-        finally:
-            interrupted.append(goal.request)
-        yield ""
-
-    store = taking("begin")
-    schedule = Schedule(concurrency=1, when_full="preempt", handover=9)
-    async with server_with(store, hand_over, schedule=schedule) as server:
-        first, second = [await client_of(server).send_goal(order) for order in (1, 2)]
-        with pytest.raises(ConnectionLost, match=TAKEN):
-            await second.result()
-        assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
-        await anyio.sleep(0.1)
-        assert interrupted == [2]
-        assert isinstance(server._dispatcher, GoalDispatcher)
-        assert len(server._dispatcher._shared.scheduler._entries) == 0
 
 
 @pytest.mark.parametrize("when_full", ["preempt", "replace"])
@@ -314,30 +263,6 @@ async def test_a_stop_kills_the_executor_of_a_goal_that_is_lost_while_the_server
             store.take("paint", goal.goal_id)
         assert current_time() - begin < 5.5
     assert executor.ended == []
-
-
-async def test_nothing_is_held_of_a_lost_goal_whose_executor_has_ended() -> None:
-    store = MemoryStore()
-    gone: list[ref[object]] = []
-
-    class Pot:
-        """The paint of a goal."""
-
-    async def wait(goal: GoalHandle[int]) -> Painting:
-        pot = Pot()
-        gone.append(ref(pot))
-        await anyio.sleep(goal.request)
-        yield ""
-
-    async with server_with(store, wait) as server:
-        goal = await client_of(server).send_goal(1000)
-        await anyio.sleep(1)
-        store.take("paint", goal.goal_id)
-        del goal
-        await anyio.sleep(60)
-        gc.collect()
-        assert server._parts.runs._registry.budget.used == 0
-        assert [pot() for pot in gone] == [None]
 
 
 # Taken over

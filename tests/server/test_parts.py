@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import math
-from collections.abc import Coroutine
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -22,9 +21,9 @@ from fibaction.border.abc import GoalStream
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.turns import Turns
-from tests.server.held import Held, packed
+from tests.server.held import Held, packed, start_many, turns_during
 from tests.support.executors import Items
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.matching import End
 from tests.support.slices import let_slices_last
 
@@ -176,31 +175,6 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on(
             streams.append(await server.send_goal(GoalID.random(), packed(1)))
             await anyio.sleep_forever()
     assert await streams[0].outcome() == End(GoalStatus.ABORTED, None, "SystemExit")
-
-
-async def turns_during(work: Coroutine[Any, Any, object]) -> int:
-    """Return the number of turns that another task has during the work."""
-    turns = 0
-
-    async def take_turns() -> None:
-        nonlocal turns
-        while True:
-            await anyio.lowlevel.checkpoint()
-            turns += 1
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(take_turns)
-        await work
-        tasks.cancel_scope.cancel()
-    return turns
-
-
-async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -> list[GoalStream]:
-    streams: list[GoalStream] = [
-        await server.send_goal(GoalID.random(), packed(order)) for order in range(count)
-    ]
-    await anyio.wait_all_tasks_blocked()
-    return streams
 
 
 class Stubborn:

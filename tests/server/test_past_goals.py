@@ -30,7 +30,6 @@ from fibaction import (
 )
 from fibaction.border.abc import ForwardingEndpoint
 from fibaction.words.goal_query import GoalQuery, PastPage
-from fibaction.words.goals import UNKNOWN_OUTCOME
 from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
@@ -94,13 +93,6 @@ async def test_the_endpoints_of_a_server_have_its_history(tmp_path: Path) -> Non
         async with connect("inproc://past", PAINT) as client:
             for endpoint in (client.endpoint, ForwardingEndpoint(server)):
                 assert await endpoint.past_goals(PastPage()) == infos
-
-
-async def test_a_server_without_a_store_has_no_past() -> None:
-    async with ActionServer(PAINT, paint, result_timeout=0) as server:
-        goal_id = await ran(ActionClient(server, PAINT), 3)
-        assert await server.past_goals(PastPage()) == []
-        assert await server.get_result(goal_id) == UNKNOWN_OUTCOME
 
 
 async def test_goals_of_the_past_are_read_as_far_as_there_is_room_for_their_bytes(

@@ -213,15 +213,6 @@ def test_the_reasons_of_very_many_goals_are_cut() -> None:
     assert len(reason) == 1000
 
 
-def test_a_reason_behind_those_that_almost_fill_the_answer_is_known_to_be_missing() -> None:
-    registry = GoalRegistry()
-    three_goals(registry)
-    cancellation = registry.cancel(None, None, now=0.0)
-    for reason in ("a" * 999, "b"):
-        cancellation.reject(reason)
-    assert cancellation.answer().reason == "a" * 999 + "…"
-
-
 # Cancelling: time passes while it is decided
 
 
@@ -242,21 +233,6 @@ def test_a_goal_that_another_server_takes_while_it_is_canceled_is_left_out() -> 
 
 
 # Knowing and forgetting
-
-
-def test_a_status_list_is_made_once_until_a_goal_comes_or_goes() -> None:
-    registry = GoalRegistry(result_timeout=10.0)
-    lists = [registry.goals(), registry.goals()]
-    goal = executing(registry, A)
-    lists += [registry.goals(), registry.goals()]
-    finish(registry, goal, Ending(EndKind.RESULT), now=0.0)
-    lists.append(registry.goals())
-    registry.expire(9.9)
-    lists.append(registry.goals())
-    registry.expire(10.0)
-    lists.append(registry.goals())
-    assert lists == [(), (), (goal,), (goal,), (goal,), (goal,), ()]
-    assert lists[2] is lists[3] is not lists[4] is lists[5]
 
 
 def test_rejections_are_forgotten_two_hundred_at_a_time() -> None:
@@ -324,18 +300,6 @@ def test_the_sentence_about_bytes_does_not_count_results() -> None:
         ended(registry, one)  # b"done", four bytes
     registry.admit(C, bytes(20), now=0.0)
     assert registry.busy == "busy: goals and feedback would take 20 bytes, the limit is 10"
-
-
-def test_results_of_any_number_are_not_counted_as_goals() -> None:
-    registry = GoalRegistry(max_bytes=3)
-    for one in (A, B):
-        ended(registry, one)
-    assert not registry.has_too_many_bytes
-    restored = GoalRegistry(max_bytes=3)
-    for number in (1, 2):
-        restored.restore(stored(number, status=GoalStatus.ABORTED, result=b"done"), until=5.0)
-    assert restored.budget.used == 8
-    assert not restored.has_too_many_bytes
 
 
 def test_a_goal_id_used_again_gives_back_the_bytes_of_the_expired_goal() -> None:
@@ -721,29 +685,6 @@ def test_the_labels_of_a_goal_are_told_and_count_until_it_is_forgotten() -> None
     assert registry.budget.used == 0
     restored = registry.restore(stored(2, meta={"order": "18"}))
     assert (restored.info.labels, registry.budget.used) == ({"order": "18"}, 7)
-
-
-@pytest.mark.parametrize(
-    ("fields", "size"),
-    [
-        ({"goal": b"12345"}, 5),
-        ({"status": GoalStatus.SUCCEEDED, "result": b"1234567"}, 7),
-        ({"status": GoalStatus.ABORTED, "reason": "123"}, 3),
-    ],
-)
-def test_a_restored_goal_takes_the_bytes_of_what_is_kept(fields: dict[str, Any], size: int) -> None:
-    registry = GoalRegistry()
-    kept = stored(1)
-    for name, value in fields.items():
-        setattr(kept, name, value)
-    registry.restore(kept, until=5.0)
-    assert registry.budget.used == size
-
-
-def test_an_outcome_without_a_time_is_not_remembered() -> None:
-    registry = GoalRegistry()
-    goal = registry.restore(stored(1, status=GoalStatus.ABORTED))
-    assert registry.find(goal.goal_id, now=0.0) is None
 
 
 def test_the_end_of_a_restored_goal_is_remembered_at_least_until_its_time() -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import threading
-from collections.abc import AsyncGenerator, Awaitable
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -47,22 +46,6 @@ async def feedback_of(function: Any, goal: int = 3, *, window: int = 64) -> list
     async with client_of(function, window=window) as client:
         assert await client.call(goal, on_feedback=found.append) == "done"
     return found
-
-
-async def test_what_a_report_returns_is_awaited_at_any_time_and_in_any_task() -> None:
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        async def wait_for(reported: Awaitable[None]) -> None:
-            assert inspect.isawaitable(reported)
-            await checkpoint()
-            await reported
-
-        async with anyio.create_task_group() as tasks:
-            for number in range(goal):
-                tasks.start_soon(wait_for, report(number))
-        return "done"
-
-    assert await feedback_of(count) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("window", [1, 2, 64])

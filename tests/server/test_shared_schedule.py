@@ -15,13 +15,10 @@ from fibaction import (
     ActionServer,
     ClientGoal,
     GoalHandle,
-    GoalID,
     GoalRejected,
     GoalStatus,
     Schedule,
 )
-from fibaction.border.goal_store import StoredGoal
-from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
@@ -207,21 +204,6 @@ async def test_the_id_of_a_goal_that_has_lost_its_place_is_free_for_the_other_ac
         for goal in aborted:
             other = await client(grasp).send_goal(0.1, goal_id=goal.goal_id)
             assert await other.result() == "done"
-
-
-async def test_a_stored_goal_whose_id_another_action_has_ends_and_harms_it_not() -> None:
-    payload, goal_id = GRASP.goal.encode(1.0), GoalID.random()
-    store = MemoryStore()
-    store.goals["grasp", goal_id] = StoredGoal(
-        goal_id, sender=UNKNOWN_SENDER, digest=digest_of(payload), goal=payload, stamp=1
-    )
-    schedule = Schedule(**ONE)
-    async with server(MOVE, schedule) as move:
-        goal = await client(move).send_goal(10, goal_id=goal_id)
-        async with server(GRASP, schedule, store=store) as grasp:
-            outcome = await (await client(grasp).attach(goal_id)).outcome()
-            assert "another action of the same schedule" in outcome.reason
-            assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
 
 
 async def test_servers_of_one_schedule_have_the_same_shutdown_timeout() -> None:

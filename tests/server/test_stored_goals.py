@@ -23,7 +23,8 @@ from fibaction import (
     StoreError,
 )
 from fibaction.border.goal_store import StoredGoal
-from tests.server.test_keeper import PAINT, attached, paint, server_with, store_with, stored
+from tests.server.painting import PAINT, paint, server_with, store_with, stored
+from tests.server.test_keeper import attached
 from tests.support.memory_store import MemoryStore
 
 pytestmark = pytest.mark.anyio

@@ -94,17 +94,6 @@ async def test_jobs_that_do_not_wait_are_done_in_one_task_in_their_order() -> No
         assert bench.names == {"worker"}
 
 
-async def test_a_job_that_waits_keeps_no_other_from_being_done() -> None:
-    async with running() as bench:
-        for number in range(1, 11):
-            (bench.add_waiting if number % 2 else bench.add)(number)
-        await bench.all_done(10)
-        assert bench.done == list(range(1, 11))
-        bench.go_on.set()
-        await bench.all_done(15)
-        assert sorted(bench.done[10:]) == [-9, -7, -5, -3, -1]
-
-
 async def test_not_more_than_some_idle_tasks_are_kept() -> None:
     async with running() as bench:
         for number in range(1, MOST_IDLE + 10):
@@ -136,19 +125,6 @@ async def test_a_task_whose_job_was_interrupted_takes_no_other() -> None:
         await bench.all_done(5)
         assert all_scopes[0].phase is ScopesPhase.SPENT
         assert bench.tasks.count(bench.tasks[0]) == 1
-
-
-async def test_a_job_is_not_interrupted_by_the_end_of_what_the_crew_runs_in() -> None:
-    async with running() as bench:
-        bench.add_waiting(1)
-        await bench.all_done(1)
-        bench.crew._tasks.cancel_scope.cancel()
-        with anyio.CancelScope(shield=True):
-            await anyio.wait_all_tasks_blocked()
-            assert bench.done == [1]
-            bench.go_on.set()
-            await bench.all_done(2)
-            assert bench.done == [1, -1]
 
 
 async def test_an_interruption_arrives_even_if_the_task_is_known_only_later() -> None:

@@ -10,8 +10,7 @@ import pytest
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalID, GoalStatus, Schedule
 from fibaction.border.goal_store import RecordTooLarge, StoredGoal, StoreFull, Then
-from fibaction.server.durability.keeper import STORE_IS_LATE
-from fibaction.words.errors import GoalAborted, GoalKept, GoalRejected, RejectionCode
+from fibaction.words.errors import GoalAborted, GoalRejected, RejectionCode
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import MemoryJournal, MemoryStore
 from tests.support.virtual_time import in_virtual_time
@@ -78,28 +77,6 @@ async def test_a_goal_for_which_a_store_has_no_room_now_is_rejected_as_busy(
         with pytest.raises(GoalRejected, match="busy: the brokers have no room") as caught:
             await ActionClient(server, ECHO).call("hello")
     assert caught.value.code is RejectionCode.BUSY
-
-
-async def test_a_goal_whose_acceptance_the_store_does_not_answer_ends_with_the_server(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def silent(self: MemoryJournal, what: str, goal: StoredGoal, then: Then) -> None:
-        asked.set()
-
-    asked, errors = anyio.Event(), list[str]()
-    monkeypatch.setattr(MemoryJournal, "_write", silent)
-
-    async def send() -> None:
-        with pytest.raises(GoalKept) as caught:
-            await ActionClient(server, ECHO).call("hello")
-        errors.append(str(caught.value))
-
-    async with server_with(MemoryStore()) as server:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(send)
-            await asked.wait()
-            await server.stop()
-    assert errors == [STORE_IS_LATE]
 
 
 async def test_a_checkpoint_is_an_error_at_the_await_and_the_goal_goes_on(

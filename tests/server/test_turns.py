@@ -4,7 +4,6 @@ loop."""
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import AsyncGenerator
 
 import anyio
 import anyio.lowlevel
@@ -12,9 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction import ActionServer, GoalHandle, GoalID, Sender
 from fibaction.server.execution.turns import EXECUTOR_SLICE, FEW, FairQueue, Turns
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -80,40 +77,6 @@ async def test_the_more_wait_the_shorter_is_a_slice() -> None:
             await anyio.lowlevel.checkpoint()
     assert 0.25 <= shortest / EXECUTOR_SLICE < 0.3
     assert turns.slice == EXECUTOR_SLICE
-
-
-async def test_executors_that_are_woken_at_once_go_on_one_after_another() -> None:
-    turn, waiting = 0, 0
-    went_on: list[int] = []
-
-    async def executor(_: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        nonlocal waiting
-        waiting += 1
-        yield Feedback([])  # which nothing reads
-        went_on.append(turn)
-        yield Result([])
-
-    server = ActionServer(FIBONACCI, executor, feedback_window=1, stall_timeout=60.0)
-    with anyio.fail_after(20):
-        async with server:
-            payload = FIBONACCI.goal.encode(Goal(1))
-            senders = [Sender(owner=bytes([number] * 16)) for number in range(20)]
-            streams = [
-                await server.send_goal(GoalID.random(), payload, feedback=True, sender=sender)
-                for sender in senders
-            ]
-            while waiting < 20:
-                await anyio.lowlevel.checkpoint()
-            await anyio.wait_all_tasks_blocked()
-            assert went_on == []
-            for stream in streams:
-                stream.hold(False)
-            while len(went_on) < 20:
-                turn += 1
-                await anyio.lowlevel.checkpoint()
-            for stream in streams:
-                stream.close()
-    assert max(map(went_on.count, went_on)) <= 2  # as above
 
 
 # The queue in which keys take turns

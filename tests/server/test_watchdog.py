@@ -3,7 +3,6 @@ log."""
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import linecache
 import logging
 import math
@@ -25,15 +24,13 @@ from anyio.lowlevel import checkpoint
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID
 from fibaction.server.execution import watchdog as watchdog_module
 from fibaction.server.execution.interruption import CancelOnce, Stepper
-from fibaction.server.execution.turns import EXECUTOR_SLICE
-from fibaction.server.execution.watchdog import ADVICE, CHECKS, POLL, Watch, Watchdog
+from fibaction.server.execution.watchdog import ADVICE, POLL, Watch, Watchdog
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
-BACKENDS = ["asyncio", "trio"]
 
 LIMIT = 0.01
 """Seconds of servers whose executors block until they are named."""
@@ -224,19 +221,6 @@ async def test_checks_are_made_more_often_while_a_step_blocks(bench: Bench) -> N
     due: list[float] = []
     bench.executor("a", lambda: due.extend((bench.check(2), bench.check(2)))).send(None)
     assert due == [POLL, POLL]
-
-
-@pytest.mark.parametrize(
-    ("limit", "interval"),
-    [(1e-9, EXECUTOR_SLICE), (0.1, 0.1 / CHECKS), (1e300, threading.TIMEOUT_MAX)],
-)
-async def test_the_time_between_checks_has_bounds(
-    limit: float, interval: float, bench: Bench
-) -> None:
-    bench.watch = Watch("count", limit)
-    bench.watch.open()
-    bench.executor("a", lambda: None)
-    assert bench.watch.check(0) == interval
 
 
 @pytest.mark.parametrize("limit", [0, math.inf])
@@ -463,21 +447,6 @@ async def test_all_servers_of_a_process_share_one_thread_which_ends_with_the_las
             assert watchdogs() not in ([], [watchdog])
 
 
-@pytest.mark.parametrize("anyio_backend", ["asyncio"])
-async def test_the_thread_ends_with_a_server_that_is_canceled_while_it_starts() -> None:
-    async def serves() -> None:
-        async with ActionServer(FIBONACCI, fibonacci):
-            raise AssertionError("it has started")
-
-    task = asyncio.ensure_future(serves())
-    await asyncio.sleep(0)
-    assert len(watchdogs()) == 1
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
-    assert watchdogs() == []
-
-
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
 def test_the_thread_ends_at_ctrl_c(backend: str) -> None:
     async def main() -> None:
@@ -489,26 +458,6 @@ def test_the_thread_ends_at_ctrl_c(backend: str) -> None:
     with pytest.raises(KeyboardInterrupt):
         anyio.run(main, backend=backend)
     assert watchdogs() == []
-
-
-async def test_a_server_closes_even_if_the_log_keeps_the_thread(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(watchdog_module, "JOIN_TIMEOUT", 0.01)
-    closed = threading.Event()
-
-    class Waits(Names):
-        def filter(self, record: logging.LogRecord) -> bool:
-            passes = super().filter(record)
-            if isinstance(threading.current_thread(), Watchdog):
-                assert closed.wait(PATIENCE)
-            return passes
-
-    with Waits("so far") as names:
-        await run_goal(ActionServer(FIBONACCI, names.blocks, watchdog=LIMIT))
-        (watchdog,) = watchdogs()
-        closed.set()
-        watchdog.join(PATIENCE)
 
 
 async def test_a_process_that_was_forked_has_a_thread_of_its_own() -> None:

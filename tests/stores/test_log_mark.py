@@ -17,7 +17,7 @@ from fibaction import ActionServer, SqliteStore, StoreError
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
-from tests.server.test_keeper import PAINT, paint
+from tests.server.painting import PAINT, paint
 from tests.stores.made import a_goal
 
 MISSING = (
