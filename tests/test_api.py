@@ -185,29 +185,6 @@ async def test_a_connection_that_cannot_have_the_action_is_closed(*, is_block: b
     assert transport.open == 0
 
 
-async def test_a_transport_does_as_well_as_a_url() -> None:
-    transport = InProcessTransport()
-    async with connect(transport, FIBONACCI) as client:
-        with pytest.raises(ServerNotFound):
-            await client.call(Goal(1))
-        async with serve(ActionServer(FIBONACCI, fibonacci), transport):
-            assert await client.call(Goal(1)) == Result([0, 1])
-
-
-async def test_a_url_that_cannot_be_used_is_told_before_the_block() -> None:
-    with pytest.raises(TransportError, match="no transport for pigeon:// is installed"):
-        async with connect("pigeon://loft", FIBONACCI):
-            raise AssertionError("the block must not run")
-
-
-async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
-    error = KeyError("mine")
-    with pytest.raises(KeyError) as caught:
-        async with connect("inproc://connection", FIBONACCI):
-            raise error
-    assert caught.value is error
-
-
 async def test_settings_go_to_the_transport() -> None:
     with pytest.raises(TransportError, match="reconnect_timeout is between 0 and inf"):
         async with connect("inproc://connection", FIBONACCI, reconnect_timeout=-1):
@@ -260,13 +237,6 @@ async def test_what_is_no_address_is_told_in_one_sentence() -> None:
 
 
 OTHER = Action("other", goal=Goal, feedback=Feedback, result=Result)
-
-
-async def test_one_server_at_one_address() -> None:
-    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://one") as urls:
-        assert urls == ("inproc://one",)
-        async with connect(urls[0], FIBONACCI) as client:
-            assert await client.call(Goal(1)) == Result([0, 1])
 
 
 async def test_several_servers_at_several_addresses() -> None:
@@ -348,14 +318,6 @@ async def test_an_address_that_cannot_be_used_stops_what_was_started() -> None:
     assert repr(server) == "<ActionServer 'fibonacci' stopped goals=0>"
 
 
-async def test_the_exception_of_a_block_that_serves_goes_on_as_itself() -> None:
-    error = KeyError("mine")
-    with pytest.raises(KeyError) as caught:
-        async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
-            raise error
-    assert caught.value is error
-
-
 async def test_settings_go_to_the_transports() -> None:
     with pytest.raises(TypeError, match="tokens"):
         async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a", tokens={"x": "me"}):
@@ -389,13 +351,6 @@ async def test_what_is_no_server_is_told_in_one_sentence(
     assert SERVER.is_new
 
 
-async def test_serving_at_what_is_not_an_address_is_told_in_one_sentence() -> None:
-    where: Any = SERVER
-    with pytest.raises(TypeError, match=f"an address is a URL such as .* not {SERVER!r}"):
-        async with serve(SERVER, where):
-            raise AssertionError("the block must not run")
-
-
 async def test_serving_without_an_address_is_rejected_with_what_to_do_instead() -> None:
     with pytest.raises(TypeError) as caught:
         async with serve(SERVER):
@@ -406,12 +361,6 @@ async def test_serving_without_an_address_is_rejected_with_what_to_do_instead() 
         " ActionClient"
     )
     assert SERVER.is_new
-
-
-async def test_servers_may_come_from_anything_that_can_be_iterated_over() -> None:
-    servers = (ActionServer(action, fibonacci) for action in (FIBONACCI, OTHER))
-    async with serve(servers, "inproc://a") as (url,), connect(url) as connection:
-        assert await connection.actions() == [FIBONACCI.info, OTHER.info]
 
 
 class Audited(ForwardingEndpoint):

@@ -38,9 +38,6 @@ class Succession(Generic[GoalT]):
         raise RuntimeError(f"goal {goal_id} has no successor: the server has no schedule")
 
 
-NO_SUCCESSION: Succession[Any] = Succession()
-
-
 class GoalHandle(Generic[GoalT]):
     """One goal, as its executor sees it.
 
@@ -59,7 +56,7 @@ class GoalHandle(Generic[GoalT]):
         goal: GoalRecord,
         request: GoalT,
         checkpoints: Checkpoints,
-        succession: Succession[GoalT] = NO_SUCCESSION,
+        succession: Succession[GoalT],
         restored: Any = None,
     ) -> None:
         self.request = request

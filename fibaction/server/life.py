@@ -23,8 +23,7 @@ table, `LIFE_IN_MEMORY`, is made from the first one (`without_writes`).
 
 Clients are told a status only by the effects `TELL_...`. It is ACCEPTED from the acceptance,
 EXECUTING from the first step, CANCELING when an accepted cancel is kept, and terminal when the end
-is kept. `TOLD` says which statuses clients may have been told in a phase. A cancel does not change
-the phase: the executor may still clean up, or yield its result.
+is kept. A cancel does not change the phase: the executor may still clean up, or yield its result.
 
 A goal may be taken over by the executor of another one, which runs already. It is *running ahead*
 until its begin is kept; that has an event of its own, because the goal may have ended by then.
@@ -60,7 +59,6 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from fibaction.words.action_error import ActionError
-from fibaction.words.statuses import GoalStatus
 
 
 class Phase(IntEnum):
@@ -392,27 +390,3 @@ class Life(dict[tuple[Phase, Event], tuple[Phase, tuple[Callable[[Any], None], .
         step = self._table[at]
         row = self[at] = step.phase, tuple(self._acts[effect] for effect in step.effects)
         return row
-
-
-_STARTED = frozenset({GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING})
-_ENDS = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
-
-TOLD: Final[Mapping[Phase, frozenset[GoalStatus]]] = MappingProxyType(
-    {
-        Phase.DECIDING: frozenset(),
-        Phase.ACCEPTANCE_IN_WRITING: frozenset(),
-        Phase.WAITING: _STARTED,  # more than ACCEPTED only if an earlier attempt was told
-        Phase.BEGIN_IN_WRITING: _STARTED,
-        Phase.CALLED: _STARTED,
-        Phase.RUNNING_AHEAD: frozenset({GoalStatus.ACCEPTED}),
-        Phase.RUNNING: frozenset({GoalStatus.EXECUTING, GoalStatus.CANCELING}),
-        Phase.END_IN_WRITING: _STARTED,
-        Phase.RELEASE_IN_WRITING: _STARTED,
-        Phase.ENDED: _ENDS,
-        Phase.RELEASED: _STARTED,
-        Phase.LOST: _STARTED,
-        Phase.REJECTED: frozenset(),
-    }
-)
-"""The statuses that clients may have been told, for each phase. Which of them it is depends on the
-writes that the store has answered: the record of the goal has it (`told_status`)."""

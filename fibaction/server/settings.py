@@ -27,6 +27,12 @@ RecoveryFunction: TypeAlias = Callable[[GoalHandle[GoalT]], Awaitable[None] | No
 it."""
 RecoveryRule: TypeAlias = Literal["abort", "rerun"] | RecoveryFunction[GoalT]
 
+WORDS = (
+    ("feedback", "every", "latest"),
+    ("unreadable", "refuse", "abort"),
+    ("at_stop", "abort", "keep"),
+)
+AT_LEAST_ONE = ("feedback_window", "max_attempts")
 NOT_NEGATIVE = (
     "stall_timeout",
     "result_timeout",
@@ -144,25 +150,18 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
             ValueError: A number is out of range; or `feedback`, `recovery`, `unreadable` or
                 `at_stop` is not one of its words.
         """
-        if self.feedback not in ("every", "latest"):
-            raise ValueError(f"feedback is 'every' or 'latest', not {self.feedback!r}")
-        check_is_number("feedback_window", self.feedback_window)
-        if self.feedback_window < 1:
-            raise ValueError(f"feedback_window is at least 1, not {self.feedback_window}")
-        for name in NOT_NEGATIVE:
-            value = getattr(self, name)
-            check_is_number(name, value)
-            if not value >= 0:
-                raise ValueError(f"{name} is 0 or more, not {value}")
+        for name, one, other in WORDS:
+            if (word := getattr(self, name)) not in (one, other):
+                raise ValueError(f"{name} is {one!r} or {other!r}, not {word!r}")
+        for least, names in ((1, AT_LEAST_ONE), (0, NOT_NEGATIVE)):
+            for name in names:
+                value = getattr(self, name)
+                check_is_number(name, value)
+                if not value >= least:
+                    bound = "0 or more" if not least else "at least 1"
+                    raise ValueError(f"{name} is {bound}, not {value}")
         if not (self.recovery in ("abort", "rerun") or callable(self.recovery)):
             raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {self.recovery!r}")
-        check_is_number("max_attempts", self.max_attempts)
-        if self.max_attempts < 1:
-            raise ValueError(f"max_attempts is at least 1, not {self.max_attempts}")
-        if self.unreadable not in ("refuse", "abort"):
-            raise ValueError(f"unreadable is 'refuse' or 'abort', not {self.unreadable!r}")
-        if self.at_stop not in ("abort", "keep"):
-            raise ValueError(f"at_stop is 'abort' or 'keep', not {self.at_stop!r}")
         if self.schedule is not None:
             _check_is_schedule(self.schedule)
         if self.store is not None:

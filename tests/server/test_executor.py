@@ -20,12 +20,15 @@ from fibaction.server.execution.executor import Execution, Executor
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.functions.executor_check import runner_of
+from fibaction.server.goal_handle import Succession
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
 from fibaction.words.statuses import GoalEvent, transition
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.forms import FORMS, as_function
+
+NO_CHECKPOINTS = Checkpoints("fibonacci", None, Keeper("fibonacci"))
 
 pytestmark = pytest.mark.anyio
 
@@ -55,7 +58,10 @@ class Bench:
         self.log = FeedbackLog(self.goal, window=window)
         self.stream = self.log.follow(own=True)
         handle = GoalHandle(
-            self.goal, Goal(order), Checkpoints("fibonacci", None, Keeper("fibonacci"))
+            self.goal,
+            Goal(order),
+            NO_CHECKPOINTS,
+            Succession(),
         )
         if self.form == "function":
             executor = as_function(cast("Any", executor))
@@ -246,9 +252,7 @@ def test_a_field_of_the_goal_is_looked_for_in_the_request(
     request_: Any, name: str, hint: str
 ) -> None:
     record = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
-    handle: GoalHandle[Any] = GoalHandle(
-        record, request_, Checkpoints("fibonacci", None, Keeper("fibonacci"))
-    )
+    handle: GoalHandle[Any] = GoalHandle(record, request_, NO_CHECKPOINTS, Succession())
     with pytest.raises(AttributeError) as caught:
         getattr(handle, name)
     assert str(caught.value) == f"a GoalHandle has no attribute {name!r}{hint}"

@@ -116,7 +116,7 @@ def priority_is_ignored(real: Any) -> Any:
     """Start goals in the order of their arrival alone."""
 
     def offer(self: AnyDispatcher, *args: Any) -> bool:
-        self._priority = None
+        self._functions = [one for one in self._functions if one[0] != "priority"]
         is_first: bool = real(self, *args)
         return is_first
 
@@ -128,7 +128,7 @@ def keys_are_ignored(real: Any) -> Any:
     """Count the goals of all keys together."""
 
     def offer(self: AnyDispatcher, *args: Any) -> bool:
-        self._key = None
+        self._functions = [one for one in self._functions if one[0] != "key"]
         is_first: bool = real(self, *args)
         return is_first
 

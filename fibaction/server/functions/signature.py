@@ -35,11 +35,14 @@ class FunctionSignature:
         self._check_kind(function)
         parameters = inspect.signature(function).parameters
         hints = self._hints_of(function)
-        self._report = ""
+        self.report = ""
+        """The name of the parameter that is the report; empty if there is none."""
         self._handle = ""
         self.feedback: Any = type(None)
         """The type of the feedback; that of None without a `Report`."""
-        self.result: Any = self._result_of(hints)
+        if "return" not in hints:
+            self._fail("has no type for what it returns: write `-> str`, or `-> None`")
+        self.result: Any = hints["return"]
         """The type of the result."""
         self._fields: dict[str, Parameter] = {}
         request: Any = None
@@ -47,8 +50,11 @@ class FunctionSignature:
             hint = self._hint_of(name, parameter, hints)
             origin = get_origin(hint) or hint
             if origin is Report:
-                self._take_once(name, self._report, "a Report")
-                self._report, self.feedback = name, self._argument_of(name, hint, "Report")
+                self._take_once(name, self.report, "a Report")
+                if not get_args(hint):
+                    what = f"has no type of feedback for {name!r}: write `{name}: Report[int]`"
+                    self._fail(what)
+                self.report, (self.feedback,) = name, get_args(hint)
             elif origin is GoalHandle:
                 self._take_once(name, self._handle, "a GoalHandle")
                 self._handle, request = name, (get_args(hint) or (None,))[0]
@@ -70,8 +76,8 @@ class FunctionSignature:
             given = dict.fromkeys(names, request)
         else:
             given = {name: getattr(request, name) for name in names}
-        if self._report:
-            given[self._report] = report
+        if self.report:
+            given[self.report] = report
         if self._handle:
             given[self._handle] = handle
         return [given.pop(name) for name in self._positional], given
@@ -87,11 +93,6 @@ class FunctionSignature:
             return self.goal(**bound.arguments)
         bound.apply_defaults()
         return next(iter(bound.arguments.values()), None)
-
-    @property
-    def report(self) -> str:
-        """The name of the parameter that is the report; empty if there is none."""
-        return self._report
 
     def _check_kind(self, function: Callable[..., Any]) -> None:
         called: Any = getattr(function, "__call__", None)  # noqa: B004  # of an object with the method
@@ -109,11 +110,6 @@ class FunctionSignature:
         except NameError as exc:
             self._fail(f"has a type that its module does not define: {exc}", exc)
 
-    def _result_of(self, hints: dict[str, Any]) -> Any:
-        if "return" not in hints:
-            self._fail("has no type for what it returns: write `-> str`, or `-> None`")
-        return hints["return"]
-
     def _hint_of(self, name: str, parameter: Parameter, hints: dict[str, Any]) -> Any:
         if parameter.kind in NO_FIELDS:
             self._fail(f"takes {parameter}, and the fields of a goal have names")
@@ -122,12 +118,6 @@ class FunctionSignature:
         if name == "report":
             self._fail("has no type for `report`: write `report: Report[int]`")
         self._fail(f"has no type for its parameter {name!r}: write `{name}: int`")
-
-    def _argument_of(self, name: str, hint: Any, what: str) -> Any:
-        found = get_args(hint)
-        if not found:
-            self._fail(f"has no type of feedback for {name!r}: write `{name}: {what}[int]`")
-        return found[0]
 
     def _take_once(self, name: str, before: str, what: str) -> None:
         if before:

@@ -1,16 +1,16 @@
-"""The goals that a cancel means, and the answer to it: the rules of `action_msgs/srv/CancelGoal`.
+"""The answer to a cancel: the rules of `action_msgs/srv/CancelGoal`.
 
-Sans-I/O: it calls no callbacks and interrupts no executors.
+`GoalRegistry.cancel` chooses the goals. Sans-I/O: this calls no callbacks and interrupts no
+executors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from operator import attrgetter
 
 from fibaction._runtime.text import REASON, shortened
 from fibaction.server.registry.goal_record import GoalRecord
-from fibaction.words.goals import NO_GOAL, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
 
 
@@ -61,30 +61,3 @@ class Cancellation:
         else:
             code = self._otherwise
         return CancelAnswer(code, canceling, shortened("; ".join(self._reasons)))
-
-
-def cancellation_of(
-    goal_id: GoalID | None,
-    stamp: int | None,
-    *,
-    active: Iterable[GoalRecord],
-    find: Callable[[GoalID], GoalRecord | None],
-) -> Cancellation:
-    """Return the cancellation of the goals that an ID and a stamp mean.
-
-    Without both it means all goals; with a stamp, those accepted at or before it; with an ID, that
-    goal; with both, that goal and those accepted at or before the stamp. An ID of zeros, or a stamp
-    of 0, counts as absent.
-    """
-    if goal_id == NO_GOAL:
-        goal_id = None
-    if goal_id is not None and not stamp:
-        goal = find(goal_id)
-        if goal is None:
-            return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
-        candidates = (goal,) if goal.phase.is_open and goal.status.is_active else ()
-        return Cancellation(candidates, CancelCode.GOAL_TERMINATED)
-    if not stamp:
-        return Cancellation(tuple(active), CancelCode.NONE)
-    chosen = (goal for goal in active if goal.stamp <= stamp or goal.goal_id == goal_id)
-    return Cancellation(tuple(chosen), CancelCode.NONE)

@@ -40,11 +40,11 @@ from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 from fibaction.border.byte_budgets import ByteBudget
-from fibaction.server.registry.cancellation import Cancellation, cancellation_of
+from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
 from fibaction.server.registry.kept_results import ExpiringMap, HeldBytes, KeptResults
 from fibaction.words.errors import GoalRejected, RejectionCode
-from fibaction.words.goals import ID_IN_USE, NO_GOAL, GoalID, Outcome, Sender, digest_of
+from fibaction.words.goals import ID_IN_USE, NO_GOAL, CancelCode, GoalID, Outcome, Sender, digest_of
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
 
 if TYPE_CHECKING:
@@ -300,13 +300,25 @@ class GoalRegistry:
         self._listing = None
 
     def cancel(self, goal_id: GoalID | None, stamp: int | None, *, now: float) -> Cancellation:
-        """Begin a cancel of the goals that an ID and a stamp mean: see `cancellation_of`."""
-        return cancellation_of(
-            goal_id,
-            stamp,
-            active=self._active.values(),
-            find=lambda known: self.find(known, now=now),
-        )
+        """Begin a cancel of the goals that an ID and a stamp mean.
+
+        Without both it means all goals; with a stamp, those accepted at or before it; with an ID,
+        that goal; with both, that goal and those accepted at or before the stamp. An ID of zeros,
+        or a stamp of 0, counts as absent.
+        """
+        if goal_id == NO_GOAL:
+            goal_id = None
+        active = self._active.values()
+        if stamp:
+            chosen = (goal for goal in active if goal.stamp <= stamp or goal.goal_id == goal_id)
+            return Cancellation(tuple(chosen), CancelCode.NONE)
+        if goal_id is None:
+            return Cancellation(tuple(active), CancelCode.NONE)
+        goal = self.find(goal_id, now=now)
+        if goal is None:
+            return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
+        candidates = (goal,) if goal.phase.is_open and goal.status.is_active else ()
+        return Cancellation(candidates, CancelCode.GOAL_TERMINATED)
 
     # Queries
 

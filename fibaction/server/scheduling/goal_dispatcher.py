@@ -69,8 +69,15 @@ class GoalDispatcher(Dispatcher[GoalT]):
         super().__init__()
         self._schedule = schedule
         self._shared: SharedScheduler
-        self._key = schedule.key and with_sender("key", schedule.key)
-        self._priority = schedule.priority and with_sender("priority", schedule.priority)
+        as_key: Callable[[Any], Hashable] = portable if schedule.fleet_limit else _hashable
+        self._functions = [
+            (name, check, with_sender(name, function))
+            for name, check, function in (
+                ("key", as_key, schedule.key),
+                ("priority", _number, schedule.priority),
+            )
+            if function is not None
+        ]
         self._changed: Callable[[], None]
         self._action = action
         self.kill_after = kill_after
@@ -80,7 +87,6 @@ class GoalDispatcher(Dispatcher[GoalT]):
             or min(schedule.queue_timeout, schedule.run_timeout) < math.inf
         )
         self._skips_expired = schedule.skip_expired
-        self._as_key: Callable[[Any], Hashable] = portable if schedule.fleet_limit else _hashable
         self._successor_news: dict[GoalID, Notifier] = {}
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
@@ -137,10 +143,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._shared.carry_out(orders)
 
     def failure_of(self, request: GoalT, sender: Sender) -> str:
-        functions = ("key", self._as_key, self._key), ("priority", _number, self._priority)
-        for name, check, function in functions:
-            if function is None:
-                continue
+        for name, check, function in self._functions:
             try:
                 _asked(check, function, request, sender)
             except GoalRejected:
@@ -153,14 +156,17 @@ class GoalDispatcher(Dispatcher[GoalT]):
         return deadline if self._skips_expired else math.inf
 
     def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
-        """Return the key and the urgency of a goal."""
-        key: Hashable = None
-        urgency = 0.0
-        if self._key is not None:
-            key = self._answer("key", self._as_key, self._key, request, sender)
-        if self._priority is not None:
-            urgency = self._answer("priority", _number, self._priority, request, sender)
-        return key, urgency
+        """Return the key and the urgency of a goal.
+
+        Raises:
+            GoalRejected: A function of the schedule raised this or another exception, or its answer
+                cannot be used.
+        """
+        rank: dict[str, Any] = {"key": None, "priority": 0.0}
+        for name, check, function in self._functions:
+            with failures_as(GoalRejected, name, self._action):
+                rank[name] = _asked(check, function, request, sender)
+        return rank["key"], rank["priority"]
 
     def accepted(self, goal_id: GoalID) -> None:
         self._shared.carry_out(self._held.pop(goal_id, ()))
@@ -228,22 +234,6 @@ class GoalDispatcher(Dispatcher[GoalT]):
                 shared.carry_out(shared.scheduler.due(current_time(), ORDERS_IN_A_TURN))
         finally:
             shared.quit(self, current_time())
-
-    def _answer(
-        self,
-        name: str,
-        check: Callable[[Any], Any],
-        function: Callable[[GoalT, Sender], Any],
-        request: GoalT,
-        sender: Sender,
-    ) -> Any:
-        """Call a function of the schedule.
-
-        Raises:
-            GoalRejected: It raised this or another exception, or its answer cannot be used.
-        """
-        with failures_as(GoalRejected, name, self._action):
-            return _asked(check, function, request, sender)
 
     def note_positions(self) -> None:
         """Note in the records of waiting goals their places in the queue, for observers.
