@@ -38,16 +38,6 @@ def test_the_fuzzer_begins_with_the_kept_inputs_and_writes_elsewhere() -> None:
     assert command[4:] == ["-artifact_prefix=build/fuzz/wire/"]
 
 
-def test_a_merge_adds_to_the_kept_inputs() -> None:
-    command = fuzzer.command("wire", ["-merge=1"])
-    assert command[2:4] == ["tests/fuzz/corpus/wire", "build/fuzz/wire"]
-
-
-def test_folders_of_the_command_line_count_instead() -> None:
-    command = fuzzer.command("wire", ["-artifact_prefix=a/", "crash-1"])
-    assert command[1:] == ["-artifact_prefix=a/", "crash-1"]
-
-
 def test_the_target_of_websocket_takes_any_input() -> None:
     chance = random.Random(1)
     codes = b"\x80\x81\x82\x83\x88\x89\x8a\0\1\2\xc2"

@@ -11,7 +11,7 @@ import pytest
 
 from fibaction import GoalID, GoalStatus, Outcome
 from tests.kills.harness import run
-from tests.kills.ledger import Ledger, Rules, Told, attempts_of, faults_of
+from tests.kills.ledger import Ledger, Rules, attempts_of, faults_of
 from tests.kills.victim import TOO_HARD, Diary, Done, Entry, Work, entries_of
 
 
@@ -149,11 +149,3 @@ def test_what_is_in_the_diary_can_be_read(tmp_path: Path) -> None:
     (read,) = entries_of(tmp_path / "diary")
     assert (read.what, read.goal_id, read.attempt, read.steps) == ("began", str(GOAL), 2, 3)
     assert attempts_of([read]) == {2: 1}
-
-
-def test_ends_are_counted_by_status_and_reason() -> None:
-    ledger = Ledger()
-    ledger.goals[GOAL] = told = Told(Work(1, 0.0), 1)
-    told.outcomes.append(GIVEN_UP)
-
-    assert ledger.ends() == {f"ABORTED {GIVEN_UP.reason}": 1}

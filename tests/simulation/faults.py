@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from functools import wraps
 from types import ModuleType
 from typing import Any
 
@@ -66,16 +67,34 @@ class Mistake(msgspec.Struct, frozen=True):
 MISTAKES: dict[str, Mistake] = {}
 
 
-def mistake(
-    cls: type | ModuleType, method: str, *seeds: int
-) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
-    """Register a function that makes the wrong method; its docstring describes the mistake."""
+Make = Callable[[Any], Any]
+Wrong = Callable[..., Any]
 
-    def register(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
+
+def making(cls: type | ModuleType, method: str, *seeds: int) -> Callable[[Make], Make]:
+    """Register a function that makes the wrong method, with a state of its own, from the real one;
+    its docstring describes the mistake.
+    """
+
+    def register(make: Make) -> Make:
         name = make.__name__.replace("_", " ")
         meaning = " ".join((make.__doc__ or "").split())
         MISTAKES[name] = Mistake(name, meaning, cls, method, make, seeds)
         return make
+
+    return register
+
+
+def mistake(cls: type | ModuleType, method: str, *seeds: int) -> Callable[[Wrong], Wrong]:
+    """Register a wrong method, which takes the real one before its own arguments."""
+
+    def register(wrong: Wrong) -> Wrong:
+        @wraps(wrong)
+        def make(real: Any) -> Wrong:
+            return lambda *args, **keywords: wrong(real, *args, **keywords)
+
+        making(cls, method, *seeds)(make)
+        return wrong
 
     return register
 
@@ -93,104 +112,74 @@ class _Deaf(Notifier):
 
 
 @mistake(GoalRegistry, "admit", 38, 10, 28)
-def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
+def a_goal_runs_again_when_it_is_sent_again(
+    real: Any, self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float
+) -> Any:
     """Treat a retry as a new goal."""
-
-    def admit(self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> Verdict:
-        verdict: Verdict = real(self, goal_id, payload, now=now)
-        if verdict is Verdict.REPEAT:
-            self._undecided[goal_id] = _Undecided(
-                digest_of(payload), HeldBytes(self.budget, len(payload))
-            )
-            return Verdict.DECIDE
-        return verdict
-
-    return admit
+    verdict: Verdict = real(self, goal_id, payload, now=now)
+    if verdict is Verdict.REPEAT:
+        self._undecided[goal_id] = _Undecided(
+            digest_of(payload), HeldBytes(self.budget, len(payload))
+        )
+        return Verdict.DECIDE
+    return verdict
 
 
 @mistake(Cancellation, "accept", 192, 94, 376)
-def a_cancel_races_the_end(real: Any) -> Any:
+def a_cancel_races_the_end(real: Any, self: Cancellation, goal: GoalRecord) -> Any:
     """Report a goal as canceling that has ended while its cancel was decided."""
-
-    def accept(self: Cancellation, goal: GoalRecord) -> bool:
-        if goal.status.is_terminal:
-            self._canceling[goal.goal_id] = goal.info
-            return True
-        accepted: bool = real(self, goal)
-        return accepted
-
-    return accept
+    if goal.status.is_terminal:
+        self._canceling[goal.goal_id] = goal.info
+        return True
+    return real(self, goal)
 
 
 @mistake(GoalRegistry, "outcome_for", 18, 36, 47)
-def a_cancel_beats_the_result(real: Any) -> Any:
+def a_cancel_beats_the_result(
+    real: Any, self: GoalRegistry, goal: GoalRecord, ending: Ending, *, stamp: int
+) -> Any:
     """End a goal as canceled that yields its result while it is canceling."""
-
-    def outcome_for(self: GoalRegistry, goal: GoalRecord, ending: Ending, *, stamp: int) -> Any:
-        if goal.status is GoalStatus.CANCELING and ending.kind is EndKind.RESULT:
-            ending = Ending(EndKind.CANCELED, ending.result)
-        return real(self, goal, ending, stamp=stamp)
-
-    return outcome_for
+    if goal.status is GoalStatus.CANCELING and ending.kind is EndKind.RESULT:
+        ending = Ending(EndKind.CANCELED, ending.result)
+    return real(self, goal, ending, stamp=stamp)
 
 
 @mistake(ExpiringMap, "put", 159, 97, 190)
-def a_result_expires_too_early(real: Any) -> Any:
+def a_result_expires_too_early(
+    real: Any, self: ExpiringMap[Any], goal_id: GoalID, thing: Any, now: float, **keywords: Any
+) -> Any:
     """Keep outcomes for half the time."""
-
-    def put(
-        self: ExpiringMap[Any], goal_id: GoalID, thing: Any, now: float, **keywords: Any
-    ) -> None:
-        real(self, goal_id, thing, now - self._seconds / 2, **keywords)
-
-    return put
+    real(self, goal_id, thing, now - self._seconds / 2, **keywords)
 
 
 @mistake(Admission, "_tell_decision", 97)
-def a_decision_is_not_told(_real: Any) -> Any:
+def a_decision_is_not_told(_real: Any, self: Admission[Any, Any, Any], goal_id: GoalID) -> Any:
     """Do not wake tasks that wait for the decision on a goal."""
-
-    def _tell_decision(self: Admission[Any, Any, Any], goal_id: GoalID) -> None:
-        pass
-
-    return _tell_decision
 
 
 @mistake(FeedbackWindow, "append", 6)
-def feedback_is_numbered_twice(real: Any) -> Any:
+def feedback_is_numbered_twice(real: Any, self: FeedbackWindow[Any], payload: bytes) -> Any:
     """Give every fifth message the number of the one before."""
-
-    def append(self: FeedbackWindow[Any], payload: bytes) -> None:
-        if self.goal.feedback_count % 5 == 4:
-            self.goal.feedback_count -= 1
-        real(self, payload)
-
-    return append
+    if self.goal.feedback_count % 5 == 4:
+        self.goal.feedback_count -= 1
+    real(self, payload)
 
 
 @mistake(FeedbackLog, "finish", 8, 19)
-def the_end_wakes_only_readers(real: Any) -> Any:
+def the_end_wakes_only_readers(real: Any, self: FeedbackLog[Any]) -> Any:
     """Do not notify followers without feedback that the goal has ended."""
-
-    def finish(self: FeedbackLog[Any]) -> None:
-        for stream in self._readers:
-            stream.news.notify()
-
-    return finish
+    for stream in self._readers:
+        stream.news.notify()
 
 
 @mistake(FeedbackCursor, "take", 14, 5, 26)
-def the_end_overtakes_feedback(real: Any) -> Any:
+def the_end_overtakes_feedback(real: Any, self: FeedbackCursor, limit: int = 1) -> Any:
     """Drop the unread feedback of a goal when it ends."""
-
-    def take(self: FeedbackCursor, limit: int = 1) -> Any:
-        outcome = self.known_outcome()
-        return real(self, limit) if outcome is None else (outcome,)
-
-    return take
+    outcome = self.known_outcome()
+    return real(self, limit) if outcome is None else (outcome,)
 
 
-@mistake(StatusBroadcast, "publish", 5, 6, 8)
+@making(StatusBroadcast, "publish", 5, 6, 8)
 def statuses_come_out_of_order(real: Any) -> Any:
     """Send the status EXECUTING after the status that follows it."""
     late: list[GoalInfo] = []
@@ -211,48 +200,31 @@ def statuses_come_out_of_order(real: Any) -> Any:
 
 
 @mistake(Session, "_say", 5, 17, 8)
-def an_answer_is_dropped(real: Any) -> Any:
+async def an_answer_is_dropped(real: Any, self: Session, answer: Any) -> Any:
     """Do not send the answer to a cancel."""
-
-    async def _say(self: Session, answer: Any) -> None:
-        if not isinstance(answer, CancelAnswered):
-            await real(self, answer)
-
-    return _say
+    if not isinstance(answer, CancelAnswered):
+        await real(self, answer)
 
 
 @mistake(Session, "_handle", 5, 8, 14)
-def received_is_not_heard(real: Any) -> Any:
+def received_is_not_heard(real: Any, self: Session, frame: bytes) -> Any:
     """Ignore that a client has received the end of a goal."""
-
-    def _handle(self: Session, frame: bytes) -> None:
-        if not isinstance(decode_from_client(frame), Received):
-            real(self, frame)
-
-    return _handle
+    if not isinstance(decode_from_client(frame), Received):
+        real(self, frame)
 
 
 @mistake(Owners, "_wait", 49, 3, 66)
-def an_orphan_is_never_ended(real: Any) -> Any:
+async def an_orphan_is_never_ended(real: Any, self: Owners, *_: Any) -> Any:
     """Keep the goals of a client that does not come back for ever."""
-
-    async def _wait(self: Owners, *_: Any) -> None:
-        pass
-
-    return _wait
 
 
 @mistake(Subscription, "add", 30, 14, 8)
-def credit_counts_twice(real: Any) -> Any:
+def credit_counts_twice(real: Any, self: Subscription, count: int) -> Any:
     """Send a client more than its credit allows."""
-
-    def add(self: Subscription, count: int) -> None:
-        real(self, 2 * count)
-
-    return add
+    real(self, 2 * count)
 
 
-@mistake(Notifier, "notify", 28, 22)
+@making(Notifier, "notify", 28, 22)
 def a_listener_is_lost(real: Any) -> Any:
     """Forget the callback of a notifier instead of calling it, once in a while."""
     calls = [0]
@@ -270,122 +242,82 @@ def a_listener_is_lost(real: Any) -> Any:
 
 
 @mistake(RemoteGoal, "opening", 483, 97, 458)
-def the_resume_number_is_one_too_large(real: Any) -> Any:
+def the_resume_number_is_one_too_large(real: Any, self: RemoteGoal) -> Any:
     """Resume a goal on a new connection one message too late."""
-
-    def opening(self: RemoteGoal) -> Any:
-        message = real(self)
-        if isinstance(message, Follow) and message.after is not None:
-            message.after += 1
-        return message
-
-    return opening
+    message = real(self)
+    if isinstance(message, Follow) and message.after is not None:
+        message.after += 1
+    return message
 
 
 @mistake(RemoteGoal, "opening", 17, 50)
-def the_resume_number_is_one_too_small(real: Any) -> Any:
+def the_resume_number_is_one_too_small(real: Any, self: RemoteGoal) -> Any:
     """Resume a goal on a new connection with messages that have arrived already."""
-
-    def opening(self: RemoteGoal) -> Any:
-        message = real(self)
-        if isinstance(message, Follow) and message.after:
-            message.after -= 1
-        return message
-
-    return opening
+    message = real(self)
+    if isinstance(message, Follow) and message.after:
+        message.after -= 1
+    return message
 
 
 @mistake(RemoteGoal, "on_message", 8)
-def the_end_wakes_nobody(real: Any) -> Any:
+def the_end_wakes_nobody(real: Any, self: RemoteGoal, message: Any) -> Any:
     """Do not wake tasks of the client that wait for the end of a goal."""
-
-    def hear(self: RemoteGoal, message: Any) -> Any:
-        news = self.news
-        if isinstance(message, Ended):
-            self.news = _Deaf()
-        try:
-            return real(self, message)
-        finally:
-            self.news = news
-
-    return hear
+    news = self.news
+    if isinstance(message, Ended):
+        self.news = _Deaf()
+    try:
+        return real(self, message)
+    finally:
+        self.news = news
 
 
 @mistake(Credits, "grant", 22, 14)
-def credit_is_never_granted(real: Any) -> Any:
+def credit_is_never_granted(real: Any, self: Credits, count: int = 1) -> Any:
     """Give no credit for messages that were read."""
-
-    def grant(self: Credits, count: int = 1) -> None:
-        pass
-
-    return grant
 
 
 @mistake(RemoteConnection, "_begin", 5, 6)
-def a_call_is_not_opened_again(real: Any) -> Any:
+def a_call_is_not_opened_again(real: Any, self: RemoteConnection, welcome: Any) -> Any:
     """Do not resume the last request on a new connection."""
-
-    def _begin(self: RemoteConnection, welcome: Any) -> None:
-        if self.calls._calls:
-            self.calls._calls.popitem()
-        real(self, welcome)
-
-    return _begin
+    if self.calls._calls:
+        self.calls._calls.popitem()
+    real(self, welcome)
 
 
 @mistake(OpenCalls, "fail", 2, 3)
-def giving_up_forgets_a_waiter(real: Any) -> Any:
+def giving_up_forgets_a_waiter(real: Any, self: OpenCalls, error: Any, absent: Any) -> Any:
     """Do not fail one waiting call when a connection is given up."""
-
-    def fail(self: OpenCalls, error: Any, absent: Any) -> None:
-        if self._calls:
-            self._calls.popitem()
-        real(self, error, absent)
-
-    return fail
+    if self._calls:
+        self._calls.popitem()
+    real(self, error, absent)
 
 
 @mistake(Reconnector, "_lose_patience", 2, 4)
-def patience_ends_too_early(real: Any) -> Any:
+async def patience_ends_too_early(real: Any, self: Reconnector, patience: Any, ends: float) -> Any:
     """Give up a lost connection after half of the timeout."""
-
-    async def _lose_patience(self: Reconnector, patience: Any, ends: float) -> None:
-        await real(self, patience, (ends + current_time()) / 2)
-
-    return _lose_patience
+    await real(self, patience, (ends + current_time()) / 2)
 
 
 @mistake(_Merger, "_follow", 400, 291)
-def a_goal_is_followed_twice(real: Any) -> Any:
+async def a_goal_is_followed_twice(
+    real: Any, self: _Merger[Any], goal_id: GoalID, *args: Any
+) -> Any:
     """Follow a goal a second time if its status changes after the end of its feedback."""
-
-    async def _follow(self: _Merger[Any], goal_id: GoalID, *args: Any) -> None:
-        await real(self, goal_id, *args)
-        self._late.pop(goal_id, None)
-
-    return _follow
+    await real(self, goal_id, *args)
+    self._late.pop(goal_id, None)
 
 
 # Both halves
 
 
 @mistake(Link, "_watch", 31, 9, 17)
-def silence_is_not_noticed(real: Any) -> Any:
+async def silence_is_not_noticed(real: Any, self: Link) -> Any:
     """Treat a silent connection as alive."""
-
-    async def _watch(self: Link) -> None:
-        while True:
-            await sleep(self.heartbeat.interval)
-            self.post(PING)
-
-    return _watch
+    while True:
+        await sleep(self.heartbeat.interval)
+        self.post(PING)
 
 
 @mistake(StreamChannel, "aclose", 1, 2, 0)
-def a_connection_is_left_open(real: Any) -> Any:
+async def a_connection_is_left_open(real: Any, self: StreamChannel) -> Any:
     """Do not close a connection after its end."""
-
-    async def aclose(self: StreamChannel) -> None:
-        pass
-
-    return aclose

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from fibaction import (
-    CancelAnswer,
-    CancelCode,
     GoalID,
     GoalInfo,
     GoalStatus,
@@ -58,12 +56,6 @@ def test_a_goal_that_is_started_twice_is_found() -> None:
     assert known.found() == ["once"]
 
 
-def test_a_goal_that_is_accepted_twice_is_found() -> None:
-    known = Known()
-    known.record.accepted(known.life, GOAL, 2)
-    assert known.found() == ["once"]
-
-
 def test_a_goal_that_ends_twice_or_never_is_found() -> None:
     known = Known()
     known.record.over()
@@ -85,13 +77,6 @@ def test_a_status_that_cannot_follow_is_found() -> None:
     assert known.found() == ["status"]
 
 
-def test_a_status_that_goes_back_is_found() -> None:
-    known = Known()
-    known.view.status(GoalStatus.CANCELING)
-    known.view.status(GoalStatus.EXECUTING)
-    assert known.found() == ["status"]
-
-
 def test_a_gap_that_nobody_has_told_is_found() -> None:
     known = Known()
     known.truth.count = 5
@@ -100,15 +85,6 @@ def test_a_gap_that_nobody_has_told_is_found() -> None:
     assert known.found() == []
     known.view.feedback(Step(5), 1)
     assert known.found() == ["feedback"]
-
-
-def test_feedback_that_comes_again_or_was_never_yielded_is_found() -> None:
-    known = Known()
-    known.truth.count = 1
-    known.view.feedback(Step(1), None)
-    known.view.feedback(Step(1), None)
-    known.view.feedback(Step(2), None)
-    assert known.found() == ["feedback", "feedback"]
 
 
 def test_feedback_of_a_goal_may_be_read_after_a_copy_of_it_was_restored() -> None:
@@ -126,16 +102,6 @@ def test_feedback_of_a_goal_may_be_read_after_a_copy_of_it_was_restored() -> Non
     assert known.found() == []
 
 
-def test_feedback_that_is_missing_at_the_end_is_found() -> None:
-    known = Known()
-    known.truth.count = 2
-    known.view.feedback(Step(1), 0)
-    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
-    known.view.status(GoalStatus.ABORTED)
-    known.view.end_of_feedback(0)
-    assert known.found() == ["feedback"]
-
-
 def test_an_outcome_that_is_not_the_servers_is_found() -> None:
     known = Known()
     known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
@@ -143,12 +109,6 @@ def test_an_outcome_that_is_not_the_servers_is_found() -> None:
     assert known.found() == []
     known.view.outcome(Outcome(GoalStatus.ABORTED, Done(1, 1)))
     assert known.found() == ["outcome"]
-
-
-def test_a_goal_that_is_forgotten_too_early_is_found() -> None:
-    known = Known()
-    known.view.outcome(Outcome(GoalStatus.UNKNOWN))
-    assert set(known.found()) == {"status", "outcome"}
 
 
 def test_a_server_may_have_forgotten_what_the_next_one_restores() -> None:
@@ -163,13 +123,6 @@ def test_a_server_may_have_forgotten_what_the_next_one_restores() -> None:
     assert known.found() == []
     known.record.failed(known.client, UnknownGoal(GOAL), "follow", GOAL, since=known.now + 0.1)
     assert known.found() == ["error"]
-
-
-def test_a_cancel_of_a_goal_that_is_not_canceling_is_found() -> None:
-    known = Known()
-    info = GoalInfo(GOAL, 1, GoalStatus.CANCELING)
-    known.record.cancel_answered(CancelAnswer(CancelCode.NONE, (info,)), GOAL, 10.0, None)
-    assert known.found() == ["cancel"]
 
 
 def test_a_goal_that_is_canceled_though_nobody_asked_is_found() -> None:

@@ -28,16 +28,6 @@ def test_an_hour_passes_at_once() -> None:
     assert in_virtual_time(main).turns < 100
 
 
-def test_a_timeout_comes_when_it_is_due() -> None:
-    async def main() -> None:
-        with anyio.move_on_after(5) as scope:
-            await anyio.sleep_forever()
-        assert scope.cancelled_caught
-
-    loop = in_virtual_time(main)
-    assert 5 <= loop.now - virtual.EPOCH < 5.01
-
-
 def test_if_nobody_can_ever_run_the_loop_says_who_waits() -> None:
     async def waits_in_vain() -> None:
         await anyio.Event().wait()

@@ -119,22 +119,6 @@ def test_a_frozen_line_goes_on_later() -> None:
     over_a_line(main)
 
 
-def test_a_new_connection_may_overtake_an_old_one() -> None:
-    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
-        line.freeze(30, "up", "down", new_too=False)
-        await near.send(b"old")
-        assert network.host.listener is not None
-        second = await line.dial()
-        accepted = await network.host.listener.accept()
-        await second.send(b"new")
-        assert await accepted.receive() == b"new"
-        assert await far.receive() == b"old"
-        await second.aclose()
-        await accepted.aclose()
-
-    over_a_line(main)
-
-
 def test_who_closes_is_seen_to_have_closed() -> None:
     async def main(network: Network, line: Line, near: Any, far: Any) -> None:
         await near.send(b"last")
@@ -147,15 +131,6 @@ def test_who_closes_is_seen_to_have_closed() -> None:
             await far.send(b"to nobody")
         with pytest.raises(anyio.ClosedResourceError):
             await near.receive()
-
-    over_a_line(main)
-
-
-def test_a_line_may_refuse() -> None:
-    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
-        line.rejects_until = anyio.current_time() + 1
-        with pytest.raises(ConnectionRefusedError):
-            await line.dial()
 
     over_a_line(main)
 

@@ -56,26 +56,6 @@ class Known:
         return self.begin(self.accept(number))
 
 
-def test_a_goal_beyond_the_limit_is_found() -> None:
-    known = Known(concurrency=1, queue=1)
-    first, second = known.run(1), known.accept(2)
-    known.end(first)
-    known.begin(second)  # the executor of the first one is not gone
-    assert known.found() == ["place"]
-
-
-def test_a_goal_that_waits_beside_a_free_place_is_found() -> None:
-    known = Known(concurrency=1, queue=1)
-    first = known.run(1)
-    known.accept(2)
-    known.places.check(known.life)
-    assert known.found() == []
-    known.end(first)
-    known.places.left(first)
-    known.places.check(known.life)
-    assert known.found() == ["place"]
-
-
 def test_a_goal_that_runs_or_begins_though_it_must_not_is_found() -> None:
     known = Known(concurrency=1, queue=1)
     first, second = known.run(1), known.accept(2)
@@ -83,34 +63,6 @@ def test_a_goal_that_runs_or_begins_though_it_must_not_is_found() -> None:
     assert known.found() == ["turn"]
     known.places.begun(first)
     assert known.found() == ["turn"] * 2
-
-
-def test_a_canceled_goal_that_waits_on_is_found() -> None:
-    known = Known(concurrency=1, queue=1)
-    known.run(1)
-    known.record.changed(known.accept(2), GoalStatus.CANCELING)
-    known.places.check(known.life)
-    assert known.found() == ["turn"]
-
-
-def test_a_goal_that_begins_before_its_turn_is_found() -> None:
-    for urgencies, wrong in ((0, 6), (6, 5)):  # the sixth goal is more urgent than the fifth
-        known = Known(concurrency=1, queue=2, urgencies=urgencies)
-        first = known.run(1)
-        others = {number: known.accept(number) for number in (5, 6)}
-        known.end(first)
-        known.places.left(first)
-        known.begin(others[wrong])
-        assert known.found() == ["turn"]
-
-
-def test_a_successor_that_begins_beside_its_predecessor_is_found() -> None:
-    known = Known(concurrency=1, when_full="preempt")
-    first, second = known.run(1), known.accept(2)
-    known.places.interrupted(first, f"preempted by {second.goal_id}")
-    assert known.found() == []
-    known.begin(second)
-    assert known.found() == ["place", "turn"]
 
 
 def test_a_goal_that_is_preempted_by_another_than_its_successor_is_found() -> None:
@@ -121,16 +73,6 @@ def test_a_goal_that_is_preempted_by_another_than_its_successor_is_found() -> No
     assert known.found() == ["turn", "turn"]  # it has no successor, and so no time of it
     known.places.interrupted(first, f"preempted by {third.goal_id}")
     assert known.found() == ["turn", "turn"]
-
-
-def test_a_goal_that_gives_way_at_another_time_is_found() -> None:
-    known = Known(concurrency=1, queue=1, queue_timeout=3.0, run_timeout=5.0)
-    first, second = known.run(1), known.accept(2)
-    known.now += 3
-    known.places.interrupted(second, "waited for 3 s")
-    assert known.found() == []
-    known.places.interrupted(first, "took longer than 5 s")
-    assert known.found() == ["turn"]
 
 
 def test_a_goal_that_waits_runs_or_cleans_up_for_too_long_is_found() -> None:
@@ -157,24 +99,6 @@ def test_a_goal_that_is_killed_too_early_is_found() -> None:
     assert known.found() == ["turn"]
 
 
-def test_another_than_the_newest_waiting_goal_that_is_replaced_is_found() -> None:
-    for wrong, found in ((2, ["turn"]), (3, [])):
-        known = Known(concurrency=1, queue=2, when_full="replace")
-        known.run(1)
-        others = {number: known.accept(number) for number in (2, 3, 4)}
-        known.places.interrupted(others[wrong], f"replaced by {known.goal_id(4)}")
-        assert known.found() == found
-
-
-def test_a_reason_that_is_not_that_of_the_interruption_is_found() -> None:
-    known = Known(concurrency=1, queue=2)
-    first, second, third = known.run(1), known.accept(2), known.accept(3)
-    known.end(first, reason="took longer than 5 s")
-    known.end(second, reason="server stopped")
-    known.end(third, CANCELED, "for a reason")
-    assert known.found() == ["turn"] * 3
-
-
 def test_a_rejection_without_need_or_with_other_numbers_is_found() -> None:
     known = Known(concurrency=1, total=3, queue=1)
     known.run(1)
@@ -192,13 +116,3 @@ def test_a_rejection_without_need_or_with_other_numbers_is_found() -> None:
     assert known.found() == ["place"] * 2
     reject("busy: an earlier goal 9 was killed, and has not ended yet")
     assert known.found() == ["place"] * 3
-
-
-def test_a_goal_that_takes_over_what_it_must_not_is_found() -> None:
-    for is_interrupted, found in ((False, []), (True, ["turn"])):
-        known = Known(concurrency=1, when_full="preempt", handover=9.0)
-        first, second = known.run(1), known.accept(2)
-        if is_interrupted:
-            first.interrupted_at = known.now
-        known.places.taken_over(first, second)
-        assert known.found() == found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import secrets
@@ -97,11 +96,6 @@ def test_the_last_client_that_said_hello_is_not_kept_after_it_has_left() -> None
 
 
 # The same again
-
-
-def test_a_seed_is_the_same_run_each_time() -> None:
-    for seed in range(5):
-        assert simulate(scenario_of(seed)).trace == simulate(scenario_of(seed)).trace
 
 
 def test_a_seed_is_the_same_run_in_every_process() -> None:
@@ -220,13 +214,6 @@ def test_an_attack_leaves_an_honest_client_and_the_server_as_they_were(
     server = ServerPlan(follows=10, requests=30, goals=60, asks_for_tokens=True)
     honest = ClientPlan("client-0", Weather(), deeds=deeds)
     check(simulate(Scenario(0, "calm", server, (honest,), hostile=(plan,))))
-
-
-def test_the_log_is_left_as_it_was() -> None:
-    logger = logging.getLogger("fibaction")
-    before = logger.level, logger.propagate, list(logger.handlers)
-    simulate(scenario_of(0))
-    assert (logger.level, logger.propagate, list(logger.handlers)) == before
 
 
 # The command

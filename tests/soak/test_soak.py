@@ -84,8 +84,3 @@ def test_the_kept_report_is_of_ten_minutes_and_found_no_growth(name: str) -> Non
 def test_the_page_is_made_of_the_reports() -> None:
     page = figures.PAGE.read_text(encoding="utf-8")
     assert figures.with_parts(page, REPORTS) == page
-
-
-def test_a_page_without_the_marks_is_an_error() -> None:
-    with pytest.raises(ValueError, match="no part for 'soak'"):
-        figures.with_parts("# Shown to hold\n", REPORTS)

@@ -16,7 +16,7 @@ from fibaction_transports.nats.broker.broker import (
     PutFailure,
 )
 from fibaction_transports.nats.names import FleetNames
-from tests.support.memory_broker import MARKER_TIME, MemoryBroker, MemoryBrokers, Write
+from tests.support.memory_broker import MemoryBroker, MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
@@ -112,18 +112,6 @@ async def test_a_watch_begins_anew_after_a_restart_and_after_an_absence() -> Non
             member.is_away = False
             second = [BrokerRecord(GOAL, b"second", 2)]
             assert [await watch.next(), await watch.next()] == [second, None]
-
-
-async def test_a_marker_is_forgotten_in_the_end() -> None:
-    async with MemoryBrokers() as shared:
-        member = shared.member()
-        put(member, b"short", ttl=0.1)
-        await sleep(0.9)
-        assert await member.get(NAMES.goals, GOAL) == BrokerRecord(GOAL, b"short", 1)
-        await sleep(0.2)  # times to live are whole seconds
-        assert await member.get(NAMES.goals, GOAL) == BrokerRecord(GOAL, b"", 2)
-        await sleep(MARKER_TIME)
-        assert await member.get(NAMES.goals, GOAL) is None
 
 
 async def test_messages_pass_by_members_that_are_away() -> None:

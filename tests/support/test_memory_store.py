@@ -111,27 +111,6 @@ async def test_only_what_a_method_is_about_is_kept(answers: Answers) -> None:
         assert (kept.checkpoint, kept.is_running) == (b"said", False)
 
 
-async def test_a_goal_that_is_changed_later_is_kept_as_it_was_written(answers: Answers) -> None:
-    store, one = MemoryStore(), goal()
-    async with opened(store) as (journal, _):
-        journal.accept(one, answers.to("accept"))
-        one.goal = b"changed"
-        await turns()
-        assert [kept.goal for kept in store.goals.values()] == [b"goal"]
-
-
-async def test_writes_can_be_held(answers: Answers) -> None:
-    store = MemoryStore()
-    async with opened(store) as (journal, _):
-        store.hold()
-        journal.accept(goal(), answers.to("accept"))
-        await turns()
-        assert (answers.got, store.goals) == ([], {})
-        store.release()
-        await turns()
-        assert answers.names == ["accept"]
-
-
 @in_virtual_time()
 async def test_writes_can_take_time_and_stay_in_order(answers: Answers) -> None:
     store = MemoryStore()
@@ -209,16 +188,6 @@ async def test_what_is_kept_is_told(answers: Answers) -> None:
         await turns()
     async with opened(store):
         assert kept == ["accept 1", "end 1", "claim 1"]
-
-
-async def test_a_store_is_open_once_for_an_action() -> None:
-    store = MemoryStore()
-    async with opened(store):
-        with pytest.raises(StoreError, match="in use"):
-            async with opened(store):
-                pass
-    async with opened(store):
-        pass
 
 
 async def test_old_outcomes_are_forgotten(answers: Answers) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support import node, walks
 from tests.support.pages import Block
-from tests.support.walks import Step, file_of, steps_of, terminal_of, walk
+from tests.support.walks import file_of, steps_of, terminal_of, walk
 from tests.test_docs import PAGES, ROOT
 
 WALKS = [path for path in PAGES if "<!-- terminal: " in path.read_text(encoding="utf-8")]
@@ -32,10 +32,6 @@ def test_a_reader_who_types_what_the_page_says_sees_what_it_shows(
     assert not wrong, "\n".join(wrong)
 
 
-def test_there_are_pages_to_follow() -> None:
-    assert ROOT / "docs" / "first_action.md" in WALKS
-
-
 def console(code: str, terminal: str = "one") -> str:
     return f"<!-- terminal: {terminal} -->\n```console\n{code}```\n\n"
 
@@ -44,14 +40,6 @@ def test_output_that_the_page_does_not_show_is_found(tmp_path: Path) -> None:
     (wrong,) = walk(console("$ echo 1; echo 2\n1\n"), tmp_path)
 
     assert wrong == "line 2: `echo 1; echo 2` prints\n1\n2\nand the page says\n1\n"
-
-
-def test_output_that_does_not_come_is_found(tmp_path: Path) -> None:
-    assert len(walk(console("$ true\n1\n"), tmp_path)) == 1
-
-
-def test_errors_are_output_too(tmp_path: Path) -> None:
-    assert walk(console("$ echo wrong >&2\nwrong\n"), tmp_path) == []
 
 
 def test_a_race_of_asyncio_is_not_output_of_the_page(tmp_path: Path) -> None:
@@ -97,14 +85,6 @@ def test_a_program_that_runs_on_ends_with_control_c(tmp_path: Path) -> None:
     assert walk(page + console("^C\ncaught\n$ echo alive\nalive\n"), tmp_path) == []
 
 
-def test_a_program_that_still_runs_is_told_to_end(tmp_path: Path) -> None:
-    program = "trap 'echo told > ended; exit' TERM; echo ready; while :; do sleep 0.01; done"
-    page = f'<!-- terminal: one, runs on -->\n```console\n$ bash -c "{program}"\nready\n```\n'
-
-    assert walk(page, tmp_path) == []
-    assert (tmp_path / "ended").read_text(encoding="utf-8") == "told\n"
-
-
 def test_a_program_that_does_not_end_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,14 +124,6 @@ def test_what_needs_ros_is_done_where_ros_is_and_all_else_elsewhere(tmp_path: Pa
 def test_a_block_of_commands_does_not_begin_with_output() -> None:
     with pytest.raises(ValueError, match="no command prints '1'"):
         steps_of("1\n$ true\n")
-
-
-def test_a_step_is_a_command_with_its_lines() -> None:
-    assert steps_of("$ a\n1\n2\n^C\n$ b\n") == [
-        Step("a", ["1", "2"]),
-        Step("^C", []),
-        Step("b", []),
-    ]
 
 
 @pytest.mark.parametrize("mark", ["terminal: a b", "terminals: a", "file:"])

@@ -100,74 +100,57 @@ def run(project: Path, *arguments: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("processes", [[], ["-n", "2"]])
-def test_modules_that_are_covered_pass(project: Path, processes: list[str]) -> None:
-    status, said = run(project, *processes, "tests")
-    assert COVERED in said
-    assert status == 0
+CACHED = {
+    "fibaction/sign.py": SIGN.replace("def sign", "from functools import cache\n@cache\ndef sign"),
+    "tests/test_first.py": WHOLE_FIRST.replace("3", "2"),
+}
 
 
-def test_what_another_modules_test_file_reaches_does_not_count(project: Path) -> None:
-    (project / "tests/test_sign.py").write_text(HALF_SIGN)
-    status, said = run(project, "tests")
-    assert "fibaction/sign.py: 5, 4->5\n" in said
-    assert "first.py" not in said
-    assert status == 1
-
-
-def test_a_branch_that_is_never_taken_is_missing(project: Path) -> None:
-    (project / "tests/test_first.py").write_text(HALF_FIRST)
-    status, said = run(project, "tests")
-    assert "fibaction/first.py: 6->exit\n" in said
-    assert status == 1
-
-
-def test_what_runs_while_another_test_file_is_collected_does_not_count(project: Path) -> None:
-    (project / "tests/test_first.py").write_text(f"{WHOLE_FIRST}\nfirst_sign([-1])\n")
-    (project / "tests/test_sign.py").write_text(HALF_SIGN)
-    status, said = run(project, "tests")
-    assert "fibaction/sign.py: 5, 4->5\n" in said
-    assert status == 1
-
-
-def test_what_another_test_file_has_cached_is_forgotten(project: Path) -> None:
-    cached = SIGN.replace("def sign", "from functools import cache\n@cache\ndef sign")
-    (project / "fibaction/sign.py").write_text(cached)
-    (project / "tests/test_first.py").write_text(WHOLE_FIRST.replace("3", "2"))
-    status, said = run(project, "tests")
-    assert COVERED in said
-    assert status == 0
-
-
-def test_what_a_test_file_reaches_while_it_is_collected_counts(project: Path) -> None:
-    (project / "tests/test_sign.py").write_text(f"{HALF_SIGN}\nsign(-1)\n")
-    status, said = run(project, "tests")
-    assert COVERED in said
-    assert status == 0
-
-
-def test_a_module_without_a_test_file_is_named(project: Path) -> None:
-    (project / "tests/test_first.py").unlink()
-    status, said = run(project, "tests")
-    assert "fibaction/first.py: there is no tests/test_first.py\n" in said
-    assert status == 1
-
-
-def test_a_test_file_without_a_test_covers_nothing(project: Path) -> None:
-    (project / "tests/test_sign.py").write_text("")
-    status, said = run(project, "tests")
-    assert "fibaction/sign.py: 4, 5, 6\n" in said
-    assert status == 1
-
-
-@pytest.mark.parametrize("processes", [[], ["-n", "2"]])
-def test_the_tests_of_a_unit_cover_its_modules_together(
-    project: Path, processes: list[str]
+@pytest.mark.parametrize("processes", [[], ["-n", "2"]], ids=["here", "workers"])
+@pytest.mark.parametrize(
+    ("changed", "missing"),
+    [
+        ({}, ""),
+        (CACHED, ""),
+        ({"tests/test_sign.py": f"{HALF_SIGN}\nsign(-1)\n"}, ""),
+        ({"tests/test_sign.py": HALF_SIGN}, "fibaction/sign.py: 5, 4->5\n"),
+        (
+            {
+                "tests/test_first.py": f"{WHOLE_FIRST}\nfirst_sign([-1])\n",
+                "tests/test_sign.py": HALF_SIGN,
+            },
+            "fibaction/sign.py: 5, 4->5\n",
+        ),
+        ({"tests/test_sign.py": ""}, "fibaction/sign.py: 4, 5, 6\n"),
+        ({"tests/test_first.py": HALF_FIRST}, "fibaction/first.py: 6->exit\n"),
+        ({"tests/test_first.py": None}, "fibaction/first.py: there is no tests/test_first.py\n"),
+        ({"tests/wire/test_minus.py": None}, "fibaction/wire/sign.py: 5, 4->5\n"),
+        ({"tests/contract/test_all.py": ""}, "fibaction/wire/codec.py: 4, 5, 6\n"),
+    ],
+    ids=[
+        "all covered",
+        "what another test file has cached is forgotten",
+        "its own collection counts",
+        "a test file of another module does not count",
+        "the collection of another test file does not count",
+        "a test file without a test covers nothing",
+        "a branch that is never taken",
+        "no test file",
+        "the tests of a unit count together",
+        "the contract counts alone",
+    ],
+)
+def test_a_line_or_branch_that_its_own_tests_do_not_reach_is_named(
+    project: Path, processes: list[str], changed: dict[str, str | None], missing: str
 ) -> None:
-    (project / "tests/wire/test_minus.py").unlink()
+    for name, text in changed.items():
+        if text is None:
+            (project / name).unlink()
+        else:
+            (project / name).write_text(text)
     status, said = run(project, *processes, "tests")
-    assert "fibaction/wire/sign.py: 5, 4->5\n" in said
-    assert status == 1
+    assert (missing or COVERED) in said
+    assert status == bool(missing)
 
 
 def test_a_unit_is_looked_at_when_all_its_tests_are_run(project: Path) -> None:
@@ -176,20 +159,6 @@ def test_a_unit_is_looked_at_when_all_its_tests_are_run(project: Path) -> None:
     for missing in whole:
         assert COVERED in run(project, *(one for one in whole if one != missing))[1]
     assert COVERED not in run(project, *whole)[1]
-
-
-def test_a_module_that_the_contract_alone_covers_passes(project: Path) -> None:
-    (project / "tests/contract/test_all.py").write_text("")
-    status, said = run(project, "tests")
-    assert "fibaction/wire/codec.py: 4, 5, 6\n" in said
-    assert status == 1
-
-
-def test_only_modules_whose_test_files_are_run_are_looked_at(project: Path) -> None:
-    (project / "tests/test_first.py").write_text(HALF_FIRST)
-    status, said = run(project, "tests/test_sign.py", "tests/contract")
-    assert COVERED in said
-    assert status == 0
 
 
 def test_a_failing_test_is_all_that_is_told(project: Path) -> None:

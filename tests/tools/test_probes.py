@@ -145,15 +145,6 @@ def test_code_is_made_once_for_each_text_of_a_module(
     assert probes.take() == from_kept
 
 
-def test_no_code_is_kept_where_python_keeps_none(
-    path: Path, probes: Probes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    probes.prepare([str(path)])
-    importlib.import_module(path.stem)
-    assert list(path.parent.iterdir()) == [path]
-
-
 @pytest.mark.parametrize("values", [[], [0], [1], [2], [3], [4], [9], [0, 1, 2, 3, 4, 9]])
 def test_lines_and_branches_are_those_that_a_tracer_sees(
     path: Path, probes: Probes, values: list[int]

@@ -38,23 +38,6 @@ def test_the_picture_is_made_of_the_report(name: str) -> None:
     assert (suite.FOLDER / f"{name}.svg").read_text(encoding="utf-8") == picture(REPORTS[name])
 
 
-@every_report
-def test_a_report_names_machine_versions_command_and_date(name: str) -> None:
-    report = REPORTS[name]
-
-    assert report["comparison"] == name
-    assert set(report["machine"]) == {
-        "processor",
-        "cores",
-        "memory_gigabytes",
-        "system",
-        "load_at_start",
-    }
-    assert {"python", "fibaction", "anyio", "msgspec"} <= set(report["versions"])
-    assert report["command"].startswith("make bench")
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d", report["date"])
-
-
 def test_all_reports_are_of_one_run() -> None:
     about = [
         {key: report[key] for key in ("date", "command", "machine", "versions", "left_out")}
@@ -91,14 +74,6 @@ def test_a_picture_is_well_formed_and_shows_every_way_with_a_number(name: str) -
     assert sum(bool(re.search(r"\d", text)) for text in texts) >= len(REPORTS[name]["ways"])
 
 
-def test_a_bar_is_as_long_as_its_value_says() -> None:
-    drawn = bars("t", "s", [Panel("p", [Bar("a", 4, "4", True), Bar("b", 1, "1", False)])])
-
-    one, other = (float(width) for width in re.findall(r'<rect x="236".* width="([\d.]+)"', drawn))
-
-    assert one == pytest.approx(4 * other, abs=0.3)
-
-
 def test_a_bar_that_is_far_longer_than_all_others_is_cut() -> None:
     long = [Bar("a", 100, "100", False), Bar("b", 2, "2", True), Bar("c", 1, "1", True)]
 
@@ -108,19 +83,6 @@ def test_a_bar_that_is_far_longer_than_all_others_is_cut() -> None:
     assert first < 2 * second
     assert second == pytest.approx(2 * third, abs=0.2)  # they are drawn to tenths
     assert drawn.count('fill="#ffffff"/>') == 1
-
-
-def test_a_page_without_the_marks_is_refused() -> None:
-    with pytest.raises(ValueError, match="no part for"):
-        pages.with_tables("# Comparisons\n", REPORTS)
-
-
-def test_the_page_says_who_was_left_out() -> None:
-    report = copy.deepcopy(REPORTS["goals"])
-    report["left_out"] = {"NATS": "there is no nats-server"}
-    del report["ways"]["inproc"]
-
-    assert "\nLeft out is NATS: there is no nats-server." in pages.machine(report)
 
 
 def test_goals_of_a_batch_that_were_lost_are_shown_in_place_of_a_rate() -> None:

@@ -54,11 +54,3 @@ async def test_a_peer_that_does_not_bear_so_many_is_left_out_and_the_others_are_
     assert without == {"grpc": "it failed with 10,000 active goals"}
     assert set(growth["ways"]) == {"inproc", "tcp"}
     assert set(memory["ways"]) == {"inproc", "tcp_server", "tcp_client"}
-
-
-async def test_that_fibaction_itself_does_not_bear_them_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    bearing(monkeypatch, tcp=1000)
-    with pytest.raises(RuntimeError, match="too many"):
-        await growing.growth({}, 1)

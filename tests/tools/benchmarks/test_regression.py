@@ -17,22 +17,10 @@ from tests.tools.benchmarks.regression import (
     change_since,
     compare,
     regressions,
-    slower,
-    text_of,
 )
 
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git has the commits")
 CHANGE = Change("aaaaaaa", "ccccccc", ["ccccccc Wait", "bbbbbbb Speak"])
-
-
-def test_the_median_of_all_rounds_counts() -> None:
-    ratios = {
-        "tcp goals": [0.5, 0.84, 0.9],
-        "tcp feedback": [0.1, 0.85, 2.0],
-        "inproc goals": [1.0],
-    }
-
-    assert slower(ratios, 0.15) == {"tcp goals": 0.84}
 
 
 class Scripted:
@@ -49,28 +37,11 @@ class Scripted:
 
 
 @pytest.mark.asyncio
-async def test_what_is_fast_is_measured_once() -> None:
-    measure = Scripted({"a": 0.9, "b": 1.1})
-
-    assert await regressions(measure, ["a", "b"], 0.15) == {}
-    assert measure.asked == [["a", "b"]]
-
-
-@pytest.mark.asyncio
 async def test_what_is_slow_is_measured_again_alone_and_counts_if_it_is_slow_then() -> None:
     measure = Scripted({"a": 0.7, "b": 0.8, "c": 1.0}, {"a": 0.75, "b": 0.99})
 
     assert await regressions(measure, ["a", "b", "c"], 0.15) == {"a": 0.75}
     assert measure.asked == [["a", "b", "c"], ["a", "b"]]
-
-
-def test_the_commits_of_the_range_are_named() -> None:
-    assert text_of({"tcp goals": 0.75}, CHANGE).splitlines() == [
-        "tcp goals: 0.75 of the speed before",
-        "between aaaaaaa and ccccccc:",
-        "ccccccc Wait",
-        "bbbbbbb Speak",
-    ]
 
 
 def commit(root: Path, subject: str, day: str) -> None:
@@ -98,21 +69,6 @@ def test_the_range_begins_with_the_newest_commit_that_is_a_day_old(repository: P
     assert [each.partition(" ")[2] for each in change.subjects] == ["Wait", "Speak"]
     assert change.head == change.subjects[0].partition(" ")[0]
     assert change_since(change.base, repository) == change
-
-
-@needs_git
-def test_nothing_has_landed_since_the_head_itself(repository: Path) -> None:
-    assert change_since("HEAD", repository) is None
-    assert change_since("", repository) is None
-
-
-@needs_git
-def test_a_young_repository_has_no_commit_to_compare_with(tmp_path: Path) -> None:
-    subprocess.run(["git", "init", "--quiet", str(tmp_path)], check=True)
-    commit(tmp_path, "Begin", "2099-01-01T00:00:00Z")
-
-    with pytest.raises(ValueError, match="no commit is a day old"):
-        change_since("", tmp_path)
 
 
 @needs_git

@@ -35,34 +35,6 @@ def taking(seconds: float, share: float = 1.0) -> Scripted:
     return Scripted(lambda _, times: [times * share, times * seconds])
 
 
-async def test_slow_and_quick_ways_work_about_as_long() -> None:
-    quick, slow = taking(1e-4), taking(1e-2)
-
-    times = [
-        (await rounds.calibrated(cast("Program", one), "goals", 1.0))[0] for one in (quick, slow)
-    ]
-
-    assert times == [10_000, 100]
-
-
-async def test_the_ways_work_in_turn_in_each_round() -> None:
-    order: list[str] = []
-
-    def noting(name: str) -> Scripted:
-        def answer(_: str, times: int) -> list[float]:
-            order.append(name)
-            return [times, times * 0.01]
-
-        return Scripted(answer)
-
-    running = {name: noting(name).as_pair() for name in ("tcp", "grpc", "sockets")}
-
-    await rounds.rates(running, "goals", 1.0)
-
-    last = order[-3 * rounds.ROUNDS :]
-    assert last == ["tcp", "grpc", "sockets"] * rounds.ROUNDS
-
-
 async def test_a_rate_is_of_single_goals_also_when_they_come_in_batches() -> None:
     found = await rounds.rates({"tcp": taking(0.1).as_pair()}, "batches", 1.0)
 
@@ -112,34 +84,7 @@ async def test_both_ways_over_ros_send_as_many_messages_at_once() -> None:
     assert ours.asked[-1] == rclpy.asked[-1] == ("feedback", 70)
 
 
-async def test_goals_without_an_acceptance_have_none_in_the_report() -> None:
-    def answer(do: str, times: int) -> Any:
-        return [times, 0.001 * times] if do == "goals" else [(None, 0.001)] * times
-
-    found = await rounds.goal_latencies({"grpc": Scripted(answer).as_pair()}, 0.1)
-
-    assert found["ways"]["grpc"]["accepted"] is None
-    assert found["ways"]["grpc"]["ended"]["p50"] == 1.0
-
-
-async def test_percentiles_are_of_all_samples() -> None:
-    found = rounds.percentiles([number / 1e3 for number in range(10_000, 0, -1)])
-
-    assert found == {"p50": 5000, "p90": 9000, "p99": 9900, "p99.9": 9990, "samples": 10_000}
-
-
 async def test_a_percentile_that_few_samples_lie_beyond_is_left_out() -> None:
     found = rounds.percentiles([0.001] * 999)
 
     assert (found["p90"], found["p99"], found["p99.9"]) == (1, None, None)
-
-
-async def test_a_way_that_loses_all_feedback_has_no_latency() -> None:
-    lost = Scripted(lambda _, times: [])
-    ours = Scripted(lambda _, times: [0.001] * times)
-
-    found = await rounds.feedback_latencies({"ros2": ours.as_pair(), "rclpy": lost.as_pair()}, 0.1)
-
-    assert found["ways"]["rclpy"]["seen"]["p50"] is None
-    assert found["ways"]["ros2"]["seen"]["p50"] == 1.0
-    assert found["ratios"] == []

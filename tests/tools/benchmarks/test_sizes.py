@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from tests.tools.benchmarks import size_page
 from tests.tools.benchmarks.pages import NOTHING
 from tests.tools.benchmarks.size_page import Direction, Report, Series
@@ -25,25 +23,6 @@ def test_the_tables_of_the_page_are_made_of_the_report() -> None:
 def test_the_picture_is_made_of_the_report() -> None:
     drawn = (size_page.FOLDER / "sizes.svg").read_text(encoding="utf-8")
     assert size_page.picture(REPORT) == drawn
-
-
-@pytest.mark.parametrize(
-    ("of", "size", "text"),
-    [
-        ("goals", 100_000, "100,000"),
-        ("bytes", 1, "1 B"),
-        ("bytes", 32_000, "32 kB"),
-        ("bytes", 64_000_000, "64 MB"),
-    ],
-)
-def test_a_size_is_shown_as_people_write_it(of: str, size: int, text: str) -> None:
-    assert size_page.size_text(of, size) == text
-
-
-def test_one_of_something_is_not_many() -> None:
-    assert size_page.label("connections", 1) == "1 connection"
-    assert size_page.label("connections", 10) == "10 connections"
-    assert size_page.label("bytes", 1) == "1 B"
 
 
 def test_a_figure_that_says_nothing_is_a_dash_and_no_bar() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import AsyncExitStack
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from tests.tools.benchmarks.ways import (
     left_out,
     left_out_here,
     started,
-    versions,
 )
 
 BROKEN = Way("broken peer", IN_ONE, "nothing_of_that_name", is_ours=False, has_server=False)
@@ -33,13 +31,6 @@ def test_a_library_that_is_not_installed_is_named() -> None:
     }
 
 
-def test_nats_needs_a_server() -> None:
-    assert left_out_here(lambda _: True, None) == {
-        "nats": "there is no nats-server; Debian and Ubuntu have it in a package"
-    }
-    assert left_out_here(lambda _: True, "nats-server") == {}
-
-
 def test_without_an_environment_for_ros_all_of_its_ways_are_left_out(tmp_path: Path) -> None:
     reasons = left_out(tmp_path / "python")
 
@@ -50,18 +41,6 @@ def test_without_an_environment_for_ros_all_of_its_ways_are_left_out(tmp_path: P
         "rclpy_events",
     }
     assert "make ros" in reasons["rclpy"]
-
-
-def test_an_environment_without_ros_is_left_out_with_what_python_says(tmp_path: Path) -> None:
-    python = tmp_path / "python"
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n', encoding="utf-8")
-    python.chmod(0o755)
-
-    assert "No module named 'rclpy'" in left_out(python)["rclpy"]
-
-
-def test_the_versions_of_what_is_left_out_are_not_asked_for() -> None:
-    assert set(versions(EVERYTHING)) == {"fibaction", "anyio", "msgspec"}
 
 
 @pytest.mark.asyncio
@@ -78,13 +57,6 @@ async def test_a_way_does_all_that_is_measured(key: str) -> None:
         assert len(await pair.client.ask("goal_times", 2)) == 2
         assert all(0 < one < 60 for one in await pair.client.ask("feedback_times", 2))
         assert pair.client.resident > 10**6
-
-
-@pytest.mark.asyncio
-async def test_a_way_that_does_not_start_says_why() -> None:
-    with pytest.raises(RuntimeError, match="unknown contender 'nothing_of_that_name'"):
-        async with started(BROKEN):
-            pass
 
 
 @pytest.mark.asyncio

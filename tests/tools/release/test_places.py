@@ -65,9 +65,3 @@ def test_only_the_version_is_replaced() -> None:
 def test_a_place_that_is_gone_or_twice_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match=r"^pyproject.toml has [02] lines .*, and has to have one"):
         with_version("pyproject.toml", text, "0.2.0")
-
-
-@pytest.mark.parametrize("version", ["", "1.0", "v1.0.0", "1.0.0rc1", "01.0.0", "1.0.0\n"])
-def test_a_version_is_three_numbers(version: str) -> None:
-    with pytest.raises(ValueError, match="give three numbers, such as"):
-        series_of(version)

@@ -13,7 +13,7 @@ import yaml
 
 from tests.tools.release.__main__ import run
 from tests.tools.release.changelog import date_of
-from tests.tools.release.prepare import check_checkout, files, others, prepared
+from tests.tools.release.prepare import check_checkout, files, prepared
 from tests.tools.release.sentences import SENTENCES
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -115,12 +115,6 @@ def test_a_file_that_is_not_committed_would_be_published_so_there_must_be_none(
 
     assert wrong == "commit or remove first what is not committed: docs/draft.md"
     assert texts(scratch) == before
-
-
-def test_the_changes_of_a_release_itself_do_not_stop_a_second_run(scratch: Path) -> None:
-    assert run(scratch, "prepare", NEXT, DAY) == []
-    assert run(scratch, "prepare", NEXT, DAY) == []
-    assert others(["README.md", "docs/cli.md"]) == []
 
 
 def test_a_version_that_is_tagged_is_never_built_again(scratch: Path) -> None:
