@@ -17,8 +17,13 @@ from pathlib import Path
 
 from tests.support.ports import free_port
 
-PROGRAM = shutil.which("nats-server", path=str(Path(sys.executable).parent)) or shutil.which(
-    "nats-server"
+UNPACKED = Path(__file__).parents[2] / ".venv" / "nats" / "usr" / "sbin"
+"""The folder to which `make bench` unpacks it, if it is not installed."""
+PROGRAM = shutil.which(
+    "nats-server",
+    path=os.pathsep.join(
+        [str(Path(sys.executable).parent), os.environ.get("PATH", ""), "/usr/sbin", str(UNPACKED)]
+    ),
 )
 """The path of nats-server; None if it is not installed."""
 IS_LEFT_OUT = PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required"

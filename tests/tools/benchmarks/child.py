@@ -13,7 +13,6 @@ import json
 import sys
 from collections.abc import Awaitable, Callable
 from importlib import import_module
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -26,42 +25,23 @@ def say(value: object) -> None:
     print(json.dumps(value), flush=True)
 
 
-async def goals(contender: Contender, times: int) -> list[float]:
-    """Return the number that were done, and the seconds that they took, as all orders do."""
-    start = perf_counter()
-    await contender.goals(times)
-    return [times, perf_counter() - start]
+Work = Callable[[Contender, int], Awaitable[Any]]
+"""A piece of work that is done so many times."""
 
 
-async def batches(contender: Contender, times: int) -> list[float]:
-    start = perf_counter()
-    done = await contender.batches(times)
-    return [done / AT_ONCE, perf_counter() - start]
+def timed(work: Work) -> Work:
+    """Return work with the number that was done, if it says so, and the seconds that it took."""
+
+    async def do(contender: Contender, times: int) -> list[float]:
+        start = perf_counter()
+        done = await work(contender, times)
+        return [times if done is None else done, perf_counter() - start]
+
+    return do
 
 
-async def hundred(contender: Contender, times: int) -> list[float]:
-    start = perf_counter()
-    await contender.at_once(times, 100)
-    return [times, perf_counter() - start]
-
-
-async def five_hundred(contender: Contender, times: int) -> list[float]:
-    start = perf_counter()
-    await contender.at_once(times, 500)
-    return [times, perf_counter() - start]
-
-
-async def feedback(contender: Contender, times: int) -> list[float]:
-    start = perf_counter()
-    return [await contender.feedback(times), perf_counter() - start]
-
-
-async def goal_times(contender: Contender, times: int) -> list[tuple[float | None, float]]:
-    return [(one.accepted, one.ended) for one in await contender.goal_times(times)]
-
-
-async def feedback_times(contender: Contender, times: int) -> list[float]:
-    return await contender.feedback_times(times)
+async def batches(contender: Contender, times: int) -> float:
+    return await contender.batches(times) / AT_ONCE
 
 
 async def hold(contender: Contender, times: int) -> None:
@@ -70,18 +50,16 @@ async def hold(contender: Contender, times: int) -> None:
     await anyio.wait_all_tasks_blocked()
 
 
-ORDERS: dict[str, Callable[[Contender, int], Awaitable[Any]]] = {
-    one.__name__: one
-    for one in (
-        goals,
-        hundred,
-        five_hundred,
-        batches,
-        feedback,
-        goal_times,
-        feedback_times,
-        hold,
-    )
+ORDERS: dict[str, Work] = {
+    "goals": timed(lambda contender, times: contender.goals(times)),
+    "hundred": timed(lambda contender, times: contender.at_once(times, 100)),
+    "five_hundred": timed(lambda contender, times: contender.at_once(times, 500)),
+    "batches": timed(batches),
+    "feedback": timed(lambda contender, times: contender.feedback(times)),
+    "goal_times": lambda contender, times: contender.goal_times(times),
+    "feedback_times": lambda contender, times: contender.feedback_times(times),
+    "large": lambda contender, times: contender.large(times),
+    "hold": hold,
 }
 
 
@@ -91,25 +69,22 @@ LOOPS: dict[str, dict[str, Any]] = {
     "trio": {"backend": "trio"},
 }
 """The event loops, as settings of `anyio.run`."""
-MODULES = {path.stem.removeprefix("over_") for path in Path(__file__).parent.glob("over_*.py")}
-"""The names of the contenders that have a module of their own."""
 
 
 def ends_of(name: str) -> Any:
-    """Return what has the two ends of a contender.
+    """Return what has the two ends of a contender: a module, or an `Ends` of it after a dot.
 
     Raises:
         ValueError: There is none of that name.
     """
-    # The module of fibaction's own ways is not imported for a peer, whose memory is measured.
-    if name in MODULES:
-        return import_module(f"tests.tools.benchmarks.over_{name}")
-    from tests.tools.benchmarks.over_fibaction import ENDS
-
-    if name not in ENDS:
-        names = ", ".join(sorted(MODULES | ENDS.keys()))
-        raise ValueError(f"unknown contender {name!r}; the contenders are {names}")
-    return ENDS[name]
+    module, _, way = name.partition(".")
+    try:
+        found = import_module(f"tests.tools.benchmarks.over_{module}")
+    except ModuleNotFoundError as exc:
+        if exc.name != f"tests.tools.benchmarks.over_{module}":
+            raise
+        raise ValueError(f"unknown contender {name!r}") from None
+    return found.ENDS[way] if way else found
 
 
 async def server(module: Any) -> None:

@@ -1,17 +1,19 @@
 """`Contender`: one way to run goals.
 
-Each has a module of its own, `over_*`, with `serve`, whose block gets an address, and `connect`,
-which takes that address and whose block gets a `Contender`. The number of a goal says what its
-executor does; see below.
+Each has a module `over_*`, or an `Ends` in one, with `serve`, whose block gets an address, and
+`connect`, which takes that address and whose block gets a `Contender`. The number of a goal says
+what its executor does; see below.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager
 from time import monotonic_ns, perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from anyio import create_task_group
+from anyio import create_task_group, sleep, sleep_forever
 
 AT_ONCE = 500
 """The number of goals in a batch."""
@@ -24,6 +26,12 @@ PACED = 1_000_000_000
 comes after a pause, and has the time of its making."""
 PAUSE = 0.001
 """Seconds before a paced message, long enough for the last one to be read."""
+LARGE = 1_000_000
+"""The bytes of a large feedback message."""
+LARGE_PAUSE = 1 / 30
+"""Seconds between large feedback messages."""
+ACTION_NAME = "FIBACTION_BENCH_ACTION"
+"""The environment variable with the name of an action of ROS, which also has one `_large`."""
 
 
 class GoalTimes(NamedTuple):
@@ -36,31 +44,47 @@ class GoalTimes(NamedTuple):
 
 class Contender(ABC):
     @abstractmethod
+    async def goal(self) -> None:
+        """Run one goal without feedback."""
+
+    def numbers_of(self, goal: int) -> AsyncGenerator[list[int], None]:
+        """Run a goal of this number, and yield the numbers of each feedback message, decoded."""
+        raise NotImplementedError
+
     async def goals(self, times: int) -> None:
         """Run goals without feedback, one after another."""
+        for _ in range(times):
+            await self.goal()
 
-    @abstractmethod
     async def batches(self, times: int) -> int:
         """Run batches of goals without feedback, one batch after another; return the number of
         goals that were done.
         """
+        for _ in range(times):
+            async with create_task_group() as tasks:
+                for _ in range(AT_ONCE):
+                    tasks.start_soon(self.goal)
+        return times * AT_ONCE
 
     async def at_once(self, times: int, width: int) -> None:
         """Run goals without feedback, always so many at once."""
 
         async def some(first: int) -> None:
             for _ in range(first, times, width):
-                await self.goals(1)
+                await self.goal()
 
         async with create_task_group() as tasks:
             for first in range(width):
                 tasks.start_soon(some, first)
 
-    @abstractmethod
     async def feedback(self, times: int) -> int:
         """Run one goal with so many feedback messages, and read and decode them all; return the
         number that arrived.
         """
+        arrived = 0
+        async for _ in self.numbers_of(times):
+            arrived += 1
+        return arrived
 
     async def goal_times(self, times: int) -> list[GoalTimes]:
         """Run goals as `goals` does, and return the times of each."""
@@ -71,13 +95,42 @@ class Contender(ABC):
             taken.append(GoalTimes(None, perf_counter() - start))
         return taken
 
-    @abstractmethod
     async def feedback_times(self, times: int) -> list[float]:
         """Return the seconds from the making of each paced feedback message to its decoding."""
+        return [seconds_since(one) async for one in self.numbers_of(PACED + times)]
+
+    async def large(self, times: int) -> list[float]:
+        """Run a goal with so many large feedback messages; return the number that arrived whole,
+        the seconds, and those of the processor.
+        """
+        raise NotImplementedError
 
     async def hold(self, times: int) -> None:
         """Send so many more pending goals."""
         raise NotImplementedError
+
+
+class Ends(NamedTuple):
+    """The two ends of a way; the address of a server in the client's process is not needed."""
+
+    serve: Callable[[], AbstractAsyncContextManager[str]]
+    connect: Callable[[str], AbstractAsyncContextManager[Contender]]
+
+
+async def messages_of(goal: int, feedback: Callable[[list[int]], Any]) -> AsyncGenerator[Any, None]:
+    """Yield the feedback messages that the number of a goal asks for, made of their numbers; that
+    of a pending goal does not end.
+    """
+    if goal >= PACED:
+        for _ in range(goal - PACED):
+            await sleep(PAUSE)
+            yield feedback(stamped())
+        return
+    same = feedback([1, 2, 3])
+    for _ in range(goal):
+        yield same
+    if goal == PENDING:
+        await sleep_forever()
 
 
 def stamped() -> list[int]:

@@ -57,65 +57,45 @@ class Kind(NamedTuple):
 
     name: str
     make: Callable[[int], Any]
-    times: int
-    most: float
+    most: float = 300
     """The most that one may cost, as a multiple of a `Ping` in the same run."""
     most_for_each: float = 0.0
     """Multiples more for each goal of the action."""
+    times: int = 500
     makes_goals: bool = False
     """True if it is followed by `Received`, so that the connection follows no goal for ever."""
 
 
+def sends(name: str, make: Callable[[int], Any], *, ends: bool = True) -> Kind:
+    return Kind(f"`SendGoal`, {name}", make, 1000, makes_goals=ends)
+
+
+def of_all(name: str, make: Callable[[int], Any], most_for_each: float) -> Kind:
+    return Kind(name, make, most_for_each=most_for_each, times=10)
+
+
 KINDS = [
-    Kind("`Ping`", lambda id: Ping(), 2000, 30),
-    Kind("`Credit`, `Close`, `Received` of no request", lambda id: Credit(id, MOST), 2000, 30),
-    Kind("`ListActions`, of 12 actions", ListActions, 500, 300),
-    Kind("`AskPeers`, with 3 connections", lambda id: AskPeers(id, "deaf"), 500, 300),
-    Kind("`AwaitServer`", lambda id: AwaitServer(id, "deaf"), 500, 300),
+    Kind("`Ping`", lambda id: Ping(), 30, times=2000),
     Kind(
-        "`AwaitServer` of an action that is not served",
-        lambda id: AwaitServer(id, "x" * 60),
-        500,
-        300,
+        "`Credit`, `Close`, `Received` of no request", lambda id: Credit(id, MOST), 30, times=2000
     ),
-    Kind("`SendGoal`, which ends at once", lambda id: goal(id, SHORT), 500, 1000, 0, True),
-    Kind("`SendGoal`, with 20 feedback messages", lambda id: goal(id, LONG), 500, 1000, 0, True),
-    Kind("`SendGoal`, which does not end", lambda id: sending(id, "deaf", ONE), 500, 1000),
-    Kind("`SendGoal`, again the same", lambda id: goal(id, SHORT, SAME), 500, 1000, 0, True),
-    Kind("`SendGoal`, rejected", lambda id: sending(id, "fibonacci", b"\x01"), 500, 1000),
+    Kind("`ListActions`, of 12 actions", ListActions),
+    Kind("`AskPeers`, with 3 connections", lambda id: AskPeers(id, "deaf")),
+    Kind("`AwaitServer`", lambda id: AwaitServer(id, "deaf")),
+    Kind("`AwaitServer` of an action that is not served", lambda id: AwaitServer(id, "x" * 60)),
+    sends("which ends at once", lambda id: goal(id, SHORT)),
+    sends("with 20 feedback messages", lambda id: goal(id, LONG)),
+    sends("which does not end", lambda id: sending(id, "deaf", ONE), ends=False),
+    sends("again the same", lambda id: goal(id, SHORT, SAME)),
+    sends("rejected", lambda id: sending(id, "fibonacci", b"\x01"), ends=False),
     Kind(
         "`Follow` of a goal that does not exist",
         lambda id: Follow(id, "deaf", goal_id(), None, True, MOST),
-        500,
-        300,
     ),
-    Kind(
-        "`CancelGoals` of one goal",
-        lambda id: CancelGoals(id, "deaf", goal_id(), None),
-        500,
-        300,
-    ),
-    Kind(
-        "`CancelGoals` of all goals",
-        lambda id: CancelGoals(id, "deaf", None, None),
-        10,
-        300,
-        20,
-    ),
-    Kind(
-        "`WatchStatus`, and all goals read",
-        lambda id: WatchStatus(id, "deaf", MOST),
-        10,
-        300,
-        60,
-    ),
-    Kind(
-        "`AskPlaces`, and no goal waits",
-        lambda id: AskPlaces(id, "deaf", MOST),
-        10,
-        300,
-        20,
-    ),
+    Kind("`CancelGoals` of one goal", lambda id: CancelGoals(id, "deaf", goal_id(), None)),
+    of_all("`CancelGoals` of all goals", lambda id: CancelGoals(id, "deaf", None, None), 20),
+    of_all("`WatchStatus`, and all goals read", lambda id: WatchStatus(id, "deaf", MOST), 60),
+    of_all("`AskPlaces`, and no goal waits", lambda id: AskPlaces(id, "deaf", MOST), 20),
 ]
 """The kinds in the order of the table. The first `CancelGoals` of all changes each goal once."""
 

@@ -18,14 +18,12 @@ from typing import Any, NamedTuple
 
 import anyio
 
-from tests.ros2.stock.process import peer
-from tests.tools.benchmarks.program import ROOT
-from tests.tools.benchmarks.ros2_orders import LONG
+from tests.tools.benchmarks.contender import ACTION_NAME, AT_ONCE
+from tests.tools.benchmarks.program import ROOT, Program, program
 
 OURS, STOCK = "fibaction", "rclpy"
-MODULES = {OURS: f"{__package__}.dds_fibaction", STOCK: f"{__package__}.ros2_rclpy"}
+CONTENDERS = {OURS: "fibaction.dds", STOCK: "rclpy"}
 ROUNDS = 5
-AT_ONCE = 500
 MESSAGES = 10_000
 LARGE_MESSAGES = 60
 STARTS = 7
@@ -66,21 +64,25 @@ async def measure(scale: float) -> dict[str, Any]:
 
 
 @asynccontextmanager
-async def peers() -> AsyncGenerator[tuple[dict[Row, Any], dict[str, Any]], None]:
+async def peers() -> AsyncGenerator[tuple[dict[Row, Program], dict[str, Program]], None]:
     """Run all ends, in a ROS domain of their own, as tests do; clients, and servers by name."""
     from tests.ros2 import conftest  # noqa: F401  # here, because others run without ROS
 
     async with AsyncExitStack() as stack:
-        servers = {
-            name_of(row): await stack.enter_async_context(
-                peer(MODULES[row.server], "server", name_of(row))
+
+        async def started(end: str, by: str, name: str) -> Program:
+            child = ("-m", f"{__package__}.child", end, CONTENDERS[by], name)
+            running = await stack.enter_async_context(
+                program(sys.executable, *child, environment={ACTION_NAME: name})
             )
+            await running.line()
+            return running
+
+        servers = {
+            name_of(row): await started("server", row.server, name_of(row))
             for row in (Row(OURS, OURS), Row(STOCK, OURS), Row(STOCK, STOCK))
         }
-        clients = {
-            row: await stack.enter_async_context(peer(MODULES[row.client], "client", name_of(row)))
-            for row in ROWS
-        }
+        clients = {row: await started("client", row.client, name_of(row)) for row in ROWS}
         yield clients, servers
 
 
@@ -94,7 +96,7 @@ def name_of(row: Row) -> str:
 
 
 async def one_after_another(
-    clients: dict[Row, Any], servers: dict[str, Any], times: int
+    clients: dict[Row, Program], servers: dict[str, Program], times: int
 ) -> dict[str, float]:
     """Measure rates, and the processor time of both ends: on a machine with other work, only the
     latter is what it is on an idle one.
@@ -105,16 +107,16 @@ async def one_after_another(
         for row, client in clients.items():
             ends = client, servers[name_of(row)]
             before = [end.cpu_seconds for end in ends]
-            answer = await client.ask("goals", times=times)
+            _, seconds = await client.ask("goals", times)
             if number:
-                taken[row].append(sum(answer) if row.client == STOCK else answer)
+                taken[row].append(seconds)
                 at_client, at_server = (
                     end.cpu_seconds - cpu for end, cpu in zip(ends, before, strict=True)
                 )
                 used[row].append((at_client, at_server))
     report: dict[str, float] = {}
-    for row, seconds in taken.items():
-        report[f"{row}, per second"] = round(times / median(seconds))
+    for row, all_seconds in taken.items():
+        report[f"{row}, per second"] = round(times / median(all_seconds))
         for end, cpu in zip(("client", "server"), zip(*used[row], strict=True), strict=True):
             report[f"{row}, microseconds of the {end}"] = round(median(cpu) / times * 1e6)
     stock = taken[Row(STOCK, STOCK)]
@@ -126,21 +128,18 @@ async def one_after_another(
     return report
 
 
-async def at_once(clients: dict[Row, Any], rounds: int) -> dict[str, float]:
+async def at_once(clients: dict[Row, Program], rounds: int) -> dict[str, float]:
     report: dict[str, float] = {f"{Row(OURS, OURS)}, per second: aim": 3_000}
     for row in (Row(OURS, OURS), Row(OURS, STOCK)):
-        seconds = [await clients[row].ask("batch", times=AT_ONCE) for _ in range(rounds)]
-        report[f"{row}, per second"] = round(AT_ONCE / median(seconds))
+        found = [await clients[row].ask("batches") for _ in range(rounds)]
+        report[f"{row}, per second"] = round(AT_ONCE / median(seconds for _, seconds in found))
     return report
 
 
-async def feedback(clients: dict[Row, Any], messages: int) -> dict[str, float]:
+async def feedback(clients: dict[Row, Program], messages: int) -> dict[str, float]:
     report: dict[str, float] = {"messages": messages, "aim per second, with none lost": 10_000}
     for row in (Row(OURS, OURS), Row(OURS, STOCK), Row(STOCK, STOCK)):
-        more: dict[str, int] = {"order": LONG + messages, "times": 1}
-        if row.client == OURS:
-            more = {"times": messages}
-        found = [await clients[row].ask("feedback", **more) for _ in range(ROUNDS)]
+        found = [await clients[row].ask("feedback", messages) for _ in range(ROUNDS)]
         report[f"{row}, per second"] = round(median(arrived / taken for arrived, taken in found))
         report[f"{row}, share that arrived"] = round(
             sum(arrived for arrived, _ in found) / (messages * ROUNDS), 4
@@ -148,10 +147,10 @@ async def feedback(clients: dict[Row, Any], messages: int) -> dict[str, float]:
     return report
 
 
-async def large(clients: dict[Row, Any], messages: int) -> dict[str, float]:
+async def large(clients: dict[Row, Program], messages: int) -> dict[str, float]:
     report: dict[str, float] = {"messages": messages, "aim of a core": 0.15}
     for row in (Row(OURS, OURS), Row(OURS, STOCK)):
-        arrived, seconds, used = await clients[row].ask("large", times=messages)
+        arrived, seconds, used = await clients[row].ask("large", messages)
         report[f"{row}, arrived"] = arrived
         report[f"{row}, per second"] = round(arrived / seconds, 1)
         report[f"{row}, client's share of a core"] = round(used / seconds, 3)
@@ -160,12 +159,11 @@ async def large(clients: dict[Row, Any], messages: int) -> dict[str, float]:
 
 async def starts(times: int) -> dict[str, float]:
     """Measure whole programs that send one goal to the server of rclpy."""
-    ways = {OURS: "dds_once", STOCK: "ros2_rclpy"}
-    found: dict[str, list[tuple[float, float, float]]] = {one: [] for one in ways}
+    found: dict[str, list[tuple[float, float, float]]] = {one: [] for one in CONTENDERS}
     await anyio.sleep(SETTLING)
     for _ in range(times):
-        for one, module in ways.items():
-            found[one].append(await anyio.to_thread.run_sync(_start, module))
+        for one, starts in found.items():
+            starts.append(await anyio.to_thread.run_sync(_start, one))
     report: dict[str, float] = {"aim in seconds": 0.35, "aim in megabytes": 35}
     for one, pairs in found.items():
         seconds, used, size = map(median, zip(*pairs, strict=True))
@@ -175,11 +173,11 @@ async def starts(times: int) -> dict[str, float]:
     return report
 
 
-def _start(module: str) -> tuple[float, float, float]:
+def _start(one: str) -> tuple[float, float, float]:
     """Return the seconds to the first result, those of the processor in all, and the megabytes of
     memory at that result.
     """
-    command = [sys.executable, "-m", f"{__package__}.{module}", "once", name_of(Row(STOCK, STOCK))]
+    command = [sys.executable, "-m", f"{__package__}.once", one, name_of(Row(STOCK, STOCK))]
     environ = dict(os.environ)
     environ.pop("PYTHONDONTWRITEBYTECODE", None)  # modules are compiled by the first start only
     begun = time()

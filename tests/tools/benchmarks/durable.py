@@ -26,7 +26,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from statistics import median
 from time import perf_counter, process_time
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import anyio
 
@@ -83,14 +83,11 @@ async def rates(kind: str, folder: Path, rounds: int) -> None:
     """Print the goals in a second of each server, and their ratio to the one without a store."""
     async with AsyncExitStack() as stack:
         calls: dict[str, Call] = {}
-        for name in ("memory", "full", "normal"):
-            url = f"inproc://{name}" if kind == "inproc" else "tcp://127.0.0.1:0"
-            store = None
-            if name == "full":
-                store = SqliteStore(folder / f"{kind}-full.db", "full")
-            elif name == "normal":
-                store = SqliteStore(folder / f"{kind}-normal.db", "normal")
-            calls[name] = await stack.enter_async_context(served(url, store))
+        syncs: tuple[Literal["full", "normal"] | None, ...] = (None, "full", "normal")
+        for sync in syncs:
+            url = f"inproc://{sync}" if kind == "inproc" else "tcp://127.0.0.1:0"
+            store = sync and SqliteStore(folder / f"{kind}-{sync}.db", sync)
+            calls[sync or "memory"] = await stack.enter_async_context(served(url, store))
         for at_once, times in GOALS.items():
             found: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
             disk: list[float] = []

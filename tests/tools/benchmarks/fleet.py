@@ -29,8 +29,7 @@ import anyio
 from tests.fleet.servers import servers
 from tests.support.nats_server import PROGRAM
 from tests.tools.benchmarks import over_taskiq
-from tests.tools.benchmarks.over_fleet import FLEET
-from tests.tools.benchmarks.over_fleet_slow import CONCURRENCY, SECONDS
+from tests.tools.benchmarks.over_fibaction import CONCURRENCY, FLEET, SECONDS
 from tests.tools.benchmarks.program import Program, program
 from tests.tools.benchmarks.rounds import calibrated
 from tests.tools.benchmarks.ways import BETWEEN, WAYS, Pair, Way, started
@@ -79,17 +78,17 @@ def tell(what: str, found: list[dict[str, float]], one: str, other: str) -> None
 
 
 async def beside_bare_nats(count: int, rounds: int) -> None:
-    name = "one broker" if count == 1 else f"{count} brokers"
+    what = "one broker" if count == 1 else f"{count} brokers"
     with brokers(count) as environment:
         async with AsyncExitStack() as stack:
             sides = {
-                key: (await stack.enter_async_context(over(key, environment))).client
-                for key in ("fleet", "nats_bare")
+                key: (await stack.enter_async_context(over(name, environment))).client
+                for key, name in (("fleet", "fibaction.fleet"), ("nats_bare", "nats_bare"))
             }
             for order, at_once in ORDERS.items():
                 found = await in_turns(sides, order, rounds)
-                tell(f"{name}, {at_once:3} at once", found, "fleet", "nats_bare")
-            await _latencies(name, sides, rounds)
+                tell(f"{what}, {at_once:3} at once", found, "fleet", "nats_bare")
+            await _latencies(what, sides, rounds)
 
 
 async def _latencies(name: str, sides: Mapping[str, Program], rounds: int) -> None:
@@ -117,7 +116,10 @@ async def three(rounds: int) -> None:
 
 async def feedback(rounds: int) -> None:
     with brokers(1) as environment:
-        async with over("fleet", environment) as over_nats, started(WAYS["tcp"]) as over_tcp:
+        async with (
+            over("fibaction.fleet", environment) as over_nats,
+            started(WAYS["tcp"]) as over_tcp,
+        ):
             sides = {"nats://": over_nats.client, "tcp://": over_tcp.client}
             found = await in_turns(sides, "feedback", rounds)
             tell("feedback of one goal", found, "nats://", "tcp://")
@@ -125,14 +127,14 @@ async def feedback(rounds: int) -> None:
 
 async def workers(rounds: int) -> None:
     first = 0.0
-    worker = ("-m", "tests.tools.benchmarks.child", "server", "fleet_slow")
+    worker = ("-m", "tests.tools.benchmarks.child", "server", "fibaction.slow_fleet")
     for count in (1, 2, 4):
         with brokers(1) as environment:
             async with AsyncExitStack() as stack:
                 for _ in range(count - 1):
                     running = program(sys.executable, *worker, environment=environment)
                     await (await stack.enter_async_context(running)).line()
-                pair = await stack.enter_async_context(over("fleet_slow", environment))
+                pair = await stack.enter_async_context(over("fibaction.slow_fleet", environment))
                 found = await in_turns({"fleet": pair.client}, "hundred", rounds)
         rate = median(rates["fleet"] for rates in found)
         first = first or rate
@@ -145,7 +147,7 @@ async def workers(rounds: int) -> None:
 
 async def active(rounds: int) -> None:
     with brokers(1) as environment:
-        async with over("fleet", environment) as (server, client):
+        async with over("fibaction.fleet", environment) as (server, client):
             assert server is not None
             await client.ask("goals", 200)
             held, first = 0, 0.0
@@ -173,7 +175,7 @@ async def taskiq(rounds: int) -> None:
         over_taskiq.redis(Path(folder)) as url,
     ):
         both = {**environment, over_taskiq.REDIS: url}
-        async with over("fleet", both) as ours, over("taskiq", both) as theirs:
+        async with over("fibaction.fleet", both) as ours, over("taskiq", both) as theirs:
             sides = {"fleet": ours.client, "taskiq": theirs.client}
             for order, at_once in ORDERS.items():
                 found = await in_turns(sides, order, rounds)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Callable
 from typing import Any
 
-import anyio
 import msgspec
 
 from fibaction import Action, ActionClient, GoalHandle
-from tests.tools.benchmarks.contender import PACED, PAUSE, PENDING, stamped
+from tests.tools.benchmarks.contender import messages_of
 
 
 class Goal(msgspec.Struct):
@@ -39,16 +38,8 @@ def executor(
 
     async def execute(goal: GoalHandle[Any]) -> AsyncGenerator[Any, None]:
         wanted = wanted_of(goal.request)
-        if wanted >= PACED:
-            for _ in range(wanted - PACED):
-                await anyio.sleep(PAUSE)
-                yield feedback(stamped())
-        else:
-            same = feedback([1, 2, 3])
-            for _ in range(wanted):
-                yield same
-        if wanted == PENDING:
-            await anyio.sleep_forever()
+        async for message in messages_of(wanted, feedback):
+            yield message
         yield result(wanted)
 
     return execute

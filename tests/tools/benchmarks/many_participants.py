@@ -17,7 +17,8 @@ import anyio
 from fibaction import ActionServer, connect, serve
 from tests.support.fibonacci import Goal
 from tests.support.ros_domain import own_domain
-from tests.tools.benchmarks.dds_fibaction import action, execute, say
+from tests.tools.benchmarks.child import say
+from tests.tools.benchmarks.over_fibaction import action_of_ros, execute_of_ros
 from tests.tools.benchmarks.program import ROOT, program
 
 FOLDERS = ROOT / "examples/ros2"
@@ -33,7 +34,7 @@ async def serve_some(first: int, count: int) -> None:
     """Serve some actions, each at a node of its own, until the input ends."""
     async with AsyncExitStack() as stack:
         for number in range(first, first + count):
-            server = ActionServer(action(name_of(number)), execute)
+            server = ActionServer(action_of_ros(name_of(number)), execute_of_ros)
             await stack.enter_async_context(serve(server, f"dds://robot_{number}"))
         say("ready")
         await anyio.to_thread.run_sync(sys.stdin.readline, abandon_on_cancel=True)
@@ -54,7 +55,9 @@ async def drive(participants: int, processes: int) -> None:
             await other.line()
         tell(f"{each * processes} participants in {processes} processes are ready", begun)
         connection = await stack.enter_async_context(connect("dds://driver"))
-        clients = [connection.client(action(name_of(number))) for number in range(each * processes)]
+        clients = [
+            connection.client(action_of_ros(name_of(number))) for number in range(each * processes)
+        ]
         for client in clients:
             await client.wait_for_server()
         tell("the client has found all of them", begun)

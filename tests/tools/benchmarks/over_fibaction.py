@@ -1,36 +1,52 @@
-"""fibaction over each of its transports that is served in the same way, as users write it."""
+"""fibaction over each of its transports, as users write it.
+
+`FIBACTION_BENCH_FLEET` is the URL of a fleet over `nats://`, whose brokers must be running. Both
+ends of `ros2` run with the Python that has ROS 2, and no end of `dds` imports rclpy.
+"""
 
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import perf_counter
-from typing import Any, NamedTuple
+from time import perf_counter, process_time
+from typing import Any
 
-from anyio import create_task_group
+import anyio
+import msgspec
 
 import fibaction
-from fibaction import ActionClient, ActionServer, ClientGoal
+from fibaction import Action, ActionClient, ActionServer, ClientGoal, GoalHandle, Return, Schedule
+from fibaction.cli.verbs.serve import rare_collections
 from fibaction.wire.settings import Limits
+from tests.support import fibonacci
 from tests.support.certificates import HOST, pems
 from tests.tools.benchmarks.contender import (
-    AT_ONCE,
-    PACED,
+    ACTION_NAME,
+    LARGE,
+    LARGE_PAUSE,
     PENDING,
     Contender,
+    Ends,
     GoalTimes,
-    seconds_since,
 )
-from tests.tools.benchmarks.inprocess import ACTION, Goal, count
+from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result, count, executor
 
 KEPT: dict[str, Any] = {"result_timeout": math.inf, "max_results": 1_000_000}
 """The settings of a server that keeps all results for ever."""
 LIMITS = Limits(goals=20_000)
 """The limits for one client with more than 10,000 pending goals."""
+FLEET = "FIBACTION_BENCH_FLEET"
+MANY: dict[str, Any] = {"max_results": 1_000_000}
+"""The settings of a server that forgets outcomes by their time only, as its peers do."""
+CONCURRENCY = 5
+SECONDS = 0.1
+"""Seconds of a goal of a slow fleet, whose workers do at most 50 of them in a second."""
 
 
 @asynccontextmanager
@@ -69,22 +85,109 @@ async def connect_inproc(address: str, **settings: Any) -> AsyncGenerator[Conten
         yield contender
 
 
-class Ends(NamedTuple):
-    """The two ends of a way; the address of a server in the client's process is not needed."""
+@asynccontextmanager
+async def serve_fleet() -> AsyncGenerator[str, None]:
+    with rare_collections():
+        async with serve(os.environ[FLEET], **MANY):
+            yield os.environ[FLEET]
 
-    serve: Callable[[], AbstractAsyncContextManager[str]]
-    connect: Callable[[str], AbstractAsyncContextManager[Contender]]
+
+async def work(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    await anyio.sleep(SECONDS)
+    yield Result(goal.request.count)
+
+
+@asynccontextmanager
+async def serve_slow_fleet() -> AsyncGenerator[str, None]:
+    """Serve goals that take a while, few at once; all that wait are in one queue of the fleet."""
+    schedule = Schedule(concurrency=CONCURRENCY, queue=1000)
+    async with fibaction.serve(
+        ActionServer(ACTION, work, schedule=schedule, **MANY), os.environ[FLEET]
+    ):
+        yield os.environ[FLEET]
+
+
+class Text(msgspec.Struct):
+    text: str
+
+
+def action_of_ros(name: str) -> Action[fibonacci.Goal, fibonacci.Feedback, fibonacci.Result]:
+    return Action(
+        name,
+        goal=fibonacci.Goal,
+        feedback=fibonacci.Feedback,
+        result=fibonacci.Result,
+        type_name="arduinobot_msgs/action/Fibonacci",
+    )
+
+
+def large_action_of_ros(name: str) -> Action[Text, Text, Text]:
+    """Return an action with large feedback; its goal is the number of messages as text."""
+    echo = "fibaction_test_msgs/action/Echo"
+    return Action(f"{name}_large", goal=Text, feedback=Text, result=Text, type_name=echo)
+
+
+execute_of_ros = executor(
+    lambda goal: goal.order, fibonacci.Feedback, lambda wanted: fibonacci.Result([wanted])
+)
+
+
+async def execute_large(goal: GoalHandle[Text]) -> AsyncGenerator[Text | Return[Text], None]:
+    feedback = Text("x" * LARGE)
+    for _ in range(int(goal.request.text)):
+        await anyio.sleep(LARGE_PAUSE)
+        yield feedback
+    yield Return(Text("done"))
+
+
+@asynccontextmanager
+async def serve_ros2() -> AsyncGenerator[str, None]:
+    server = ActionServer(action_of_ros("benchmark_fibaction"), execute_of_ros)
+    async with fibaction.serve(server, "ros2://benchmark"):
+        yield "ros2://"
+
+
+@asynccontextmanager
+async def connect_ros2(address: str) -> AsyncGenerator[Contender, None]:
+    async with fibaction.connect(address, action_of_ros("benchmark_fibaction")) as client:
+        await client.wait_for_server()
+        yield OverFibaction(client, fibonacci.Goal, lambda feedback: feedback.partial_sequence)
+
+
+@asynccontextmanager
+async def serve_dds() -> AsyncGenerator[str, None]:
+    name = os.environ[ACTION_NAME]
+    servers = (
+        ActionServer(action_of_ros(name), execute_of_ros),
+        ActionServer(large_action_of_ros(name), execute_large),
+    )
+    async with fibaction.serve(servers, "dds://benchmark_server"):
+        yield name
+
+
+@asynccontextmanager
+async def connect_dds(address: str) -> AsyncGenerator[Contender, None]:
+    async with fibaction.connect("dds://benchmark_client") as connection:
+        small = connection.client(action_of_ros(address))
+        large = connection.client(large_action_of_ros(address))
+        await small.wait_for_server()
+        await large.wait_for_server()
+        yield OverDds(small, large)
 
 
 ENDS = {
     "ws": Ends(partial(serve, "ws://127.0.0.1:0"), connect),
     "tls": Ends(serve_tls, connect),
     "unix": Ends(serve_unix, connect),
-    "tcp_kept": Ends(partial(serve, **KEPT), connect),
+    "kept": Ends(partial(serve, **KEPT), connect),
     "inproc": Ends(serve, connect_inproc),
     "inproc_kept": Ends(serve, partial(connect_inproc, **KEPT)),
+    "fleet": Ends(serve_fleet, connect),
+    "slow_fleet": Ends(serve_slow_fleet, connect),
+    "ros2": Ends(serve_ros2, connect_ros2),
+    "dds": Ends(serve_dds, connect_dds),
 }
-"""The ways of this module, by their names."""
+"""The ways beside `tcp://`, by their names."""
 
 
 class OverFibaction(Contender):
@@ -92,31 +195,21 @@ class OverFibaction(Contender):
         self,
         client: ActionClient[Any, Any, Any],
         goal: Callable[[int], Any],
-        numbers_of: Callable[[Any], list[int]],
+        numbers: Callable[[Any], list[int]],
     ) -> None:
         self._client = client
         self._goal = goal
-        self._numbers_of = numbers_of
+        self._numbers = numbers
         self._pending: list[ClientGoal[Any, Any]] = []
 
-    async def goals(self, times: int) -> None:
-        for _ in range(times):
-            await self._client.call(self._goal(0))
+    async def goal(self) -> None:
+        await self._client.call(self._goal(0))
 
-    async def batches(self, times: int) -> int:
-        for _ in range(times):
-            async with create_task_group() as tasks:
-                for _ in range(AT_ONCE):
-                    tasks.start_soon(self._client.call, self._goal(0))
-        return times * AT_ONCE
-
-    async def feedback(self, times: int) -> int:
-        seen = 0
-        async with self._client.send_goal(self._goal(times)) as goal:
-            async for _ in goal.feedback:
-                seen += 1
-            await goal.result()
-        return seen
+    async def numbers_of(self, goal: int) -> AsyncGenerator[list[int], None]:
+        async with self._client.send_goal(self._goal(goal)) as sent:
+            async for feedback in sent.feedback:
+                yield self._numbers(feedback)
+            await sent.result()
 
     async def goal_times(self, times: int) -> list[GoalTimes]:
         taken: list[GoalTimes] = []
@@ -128,13 +221,23 @@ class OverFibaction(Contender):
             taken.append(GoalTimes(accepted, perf_counter() - start))
         return taken
 
-    async def feedback_times(self, times: int) -> list[float]:
-        taken: list[float] = []
-        async with self._client.send_goal(self._goal(PACED + times)) as goal:
-            taken += [seconds_since(self._numbers_of(one)) async for one in goal.feedback]
-            await goal.result()
-        return taken
-
     async def hold(self, times: int) -> None:
         for _ in range(times):
             self._pending.append(await self._client.send_goal(self._goal(PENDING)))
+
+
+class OverDds(OverFibaction):
+    def __init__(
+        self, client: ActionClient[Any, Any, Any], large: ActionClient[Text, Text, Text]
+    ) -> None:
+        super().__init__(client, fibonacci.Goal, lambda feedback: feedback.partial_sequence)
+        self._large = large
+
+    async def large(self, times: int) -> list[float]:
+        arrived, start, used = 0, perf_counter(), process_time()
+        async with self._large.send_goal(Text(str(times))) as goal:
+            async for feedback in goal.feedback:
+                arrived += len(feedback.text) == LARGE
+            await goal.result()
+        assert "rclpy" not in sys.modules
+        return [arrived, perf_counter() - start, process_time() - used]

@@ -9,18 +9,7 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
-import anyio
-from anyio import create_task_group
-
-from tests.tools.benchmarks.contender import (
-    AT_ONCE,
-    PACED,
-    PAUSE,
-    PENDING,
-    Contender,
-    seconds_since,
-    stamped,
-)
+from tests.tools.benchmarks.contender import AT_ONCE, PACED, PENDING, Contender, messages_of
 from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result
 
 SERVICE, METHOD = "Count", "send_goal"
@@ -34,16 +23,8 @@ async def serve() -> AsyncGenerator[str, None]:
 
     async def send_goal(request: bytes, _context: Any) -> AsyncGenerator[bytes, None]:
         wanted = ACTION.goal.decode(request).count
-        if wanted >= PACED:
-            for _ in range(wanted - PACED):
-                await anyio.sleep(PAUSE)
-                yield ACTION.feedback.encode(Feedback(stamped()))
-        else:
-            feedback = Feedback([1, 2, 3])
-            for _ in range(wanted):
-                yield ACTION.feedback.encode(feedback)
-        if wanted == PENDING:
-            await anyio.sleep_forever()
+        async for message in messages_of(wanted, Feedback):
+            yield ACTION.feedback.encode(message)
         yield ACTION.result.encode(Result(wanted))
 
     server = grpc.aio.server()
@@ -71,27 +52,19 @@ class OverGrpc(Contender):
         self._send_goal = channel.unary_stream(f"/{SERVICE}/{METHOD}")
         self._pending: list[Any] = []
 
-    async def goals(self, times: int) -> None:
-        for _ in range(times):
-            await self._call(0)
+    async def goal(self) -> None:
+        async for _ in self.numbers_of(0):
+            pass
 
-    async def batches(self, times: int) -> int:
-        for _ in range(times):
-            async with create_task_group() as tasks:
-                for _ in range(AT_ONCE):
-                    tasks.start_soon(self._call, 0)
-        return times * AT_ONCE
-
-    async def feedback(self, times: int) -> int:
-        await self._call(times)
-        return times
-
-    async def feedback_times(self, times: int) -> list[float]:
-        taken: list[float] = []
-        async for message in self._send_goal(ACTION.goal.encode(Goal(PACED + times))):
-            if len(taken) < times:  # the last one is the result
-                taken.append(seconds_since(ACTION.feedback.decode(message).numbers))
-        return taken
+    async def numbers_of(self, goal: int) -> AsyncGenerator[list[int], None]:
+        seen, last = 0, b""
+        async for message in self._send_goal(ACTION.goal.encode(Goal(goal))):
+            if last:
+                seen += 1
+                yield ACTION.feedback.decode(last).numbers
+            last = message
+        count = goal - PACED if goal >= PACED else goal
+        assert (ACTION.result.decode(last), seen) == (Result(goal), count), "feedback was lost"
 
     async def hold(self, times: int) -> None:
         # While more than 1,000 wait for a handler, gRPC's core rejects some, and from 3,000 on
@@ -102,13 +75,4 @@ class OverGrpc(Contender):
                 for _ in range(min(AT_ONCE, times - begun))
             ]
             # A call that was sent after them is answered, so the server has them all.
-            await self._call(0)
-
-    async def _call(self, count: int) -> None:
-        seen, last = 0, b""
-        async for message in self._send_goal(ACTION.goal.encode(Goal(count))):
-            if last:
-                ACTION.feedback.decode(last)
-                seen += 1
-            last = message
-        assert ACTION.result.decode(last) == Result(seen) == Result(count), "feedback was lost"
+            await self.goal()

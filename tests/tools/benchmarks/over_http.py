@@ -13,7 +13,7 @@ import msgspec
 from anyio import create_task_group
 
 from tests.tools.benchmarks import over_fibaction
-from tests.tools.benchmarks.contender import AT_ONCE, PACED, Contender, GoalTimes, seconds_since
+from tests.tools.benchmarks.contender import AT_ONCE, Contender, GoalTimes
 from tests.tools.benchmarks.inprocess import Feedback
 from tests.transports.web.http_client import HttpClient, client_of
 
@@ -47,6 +47,9 @@ class OverHttp(Contender):
     def __init__(self, address: str) -> None:
         self._address = address
 
+    async def goal(self) -> None:
+        await self.goals(1)
+
     async def goals(self, times: int) -> None:
         async with client_of(self._address) as client:
             for _ in range(times):
@@ -59,9 +62,6 @@ class OverHttp(Contender):
                 tasks.start_soon(self.goals, each)
         return each * CONNECTIONS
 
-    async def feedback(self, times: int) -> int:
-        return len([one async for one in self._feedback_of(times)])
-
     async def goal_times(self, times: int) -> list[GoalTimes]:
         taken: list[GoalTimes] = []
         async with client_of(self._address) as client:
@@ -71,18 +71,14 @@ class OverHttp(Contender):
                 taken.append(GoalTimes(None, perf_counter() - start))
         return taken
 
-    async def feedback_times(self, times: int) -> list[float]:
-        found = self._feedback_of(PACED + times)
-        return [seconds_since(one.numbers) async for one in found]
-
-    async def _feedback_of(self, count: int) -> AsyncGenerator[Feedback, None]:
-        """Send a goal with a stream of its events, and yield its feedback."""
+    async def numbers_of(self, goal: int) -> AsyncGenerator[list[int], None]:
+        """Send a goal with a stream of its events."""
         async with client_of(self._address) as client:
-            status, _ = await client.ask("POST", GOALS, {"count": count}, accept=EVENTS)
+            status, _ = await client.ask("POST", GOALS, {"count": goal}, accept=EVENTS)
             assert status == 201, status
             left = b""
             while piece := await client.piece():
                 *events, left = (left + piece).split(b"\n\n")
                 for event in events:
                     if event.find(b"event: feedback") >= 0:
-                        yield decoded(event.partition(b"\ndata: ")[2])
+                        yield decoded(event.partition(b"\ndata: ")[2]).numbers

@@ -7,17 +7,19 @@ while, and sends the result. Nothing is recovered here: this is the least that i
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
+from anyio.streams.memory import MemoryObjectSendStream
 
 from fibaction.cli.verbs.serve import rare_collections
-from tests.tools.benchmarks.contender import AT_ONCE, PACED, Contender, seconds_since, stamped
+from tests.tools.benchmarks.contender import Contender, messages_of
 from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result
-from tests.tools.benchmarks.over_fleet import FLEET
+from tests.tools.benchmarks.over_fibaction import FLEET
 from tests.tools.benchmarks.over_nats import PATIENCE
 
 STREAM = "BARE"
@@ -62,12 +64,8 @@ async def serve() -> AsyncGenerator[str, None]:
         kept = await stream.publish(subject, RECORD + payload, headers={EXPECTED: "0"})
         await request.respond(b"accepted")
         down = f"bare.down.{request.headers['client']}.{goal_id}"
-        same = Feedback([1, 2, 3])
-        for _ in range(wanted - PACED if wanted >= PACED else wanted):
-            if wanted >= PACED:
-                await anyio.sleep(0.001)
-                same = Feedback(stamped())
-            await client.publish(down, FEEDBACK + ACTION.feedback.encode(same))
+        async for message in messages_of(wanted, Feedback):
+            await client.publish(down, FEEDBACK + ACTION.feedback.encode(message))
         result = ACTION.result.encode(Result(wanted))
         await stream.publish(subject, RECORD + result, headers={EXPECTED: str(kept.seq), TTL: KEPT})
         await client.publish(down, RESULT + result)
@@ -100,20 +98,11 @@ async def connect(address: str) -> AsyncGenerator[Contender, None]:
         await client.close()
 
 
-class _Waiting:
-    """A goal whose result has yet to come."""
-
-    def __init__(self) -> None:
-        self.feedback: list[Feedback] = []
-        self.seconds: list[float] = []
-        self.ended = anyio.Event()
-
-
 class OverBareNats(Contender):
     def __init__(self, client: Any) -> None:
         self._client = client
         self._name = os.urandom(8).hex()
-        self._waiting: dict[str, _Waiting] = {}
+        self._answers: dict[str, MemoryObjectSendStream[bytes]] = {}
 
     async def open(self) -> None:
         await self._client.subscribe(
@@ -125,38 +114,23 @@ class OverBareNats(Contender):
         await self._client.flush()
 
     async def _hear(self, message: Any) -> None:
-        waiting = self._waiting[message.subject.rpartition(".")[2]]
-        if message.data[:1] == RESULT:
-            ACTION.result.decode(message.data[1:])
-            waiting.ended.set()
-        else:
-            feedback = ACTION.feedback.decode(message.data[1:])
-            waiting.feedback.append(feedback)
-            waiting.seconds.append(seconds_since(feedback.numbers))
+        self._answers[message.subject.rpartition(".")[2]].send_nowait(message.data)
 
-    async def _call(self, count: int) -> _Waiting:
+    async def goal(self) -> None:
+        async for _ in self.numbers_of(0):
+            pass
+
+    async def numbers_of(self, goal: int) -> AsyncGenerator[list[int], None]:
         goal_id = os.urandom(16).hex()
-        waiting = self._waiting[goal_id] = _Waiting()
+        self._answers[goal_id], answers = anyio.create_memory_object_stream[bytes](math.inf)
         await self._client.request(
             "bare.offer",
-            goal_id.encode() + ACTION.goal.encode(Goal(count)),
+            goal_id.encode() + ACTION.goal.encode(Goal(goal)),
             timeout=PATIENCE,
             headers={"client": self._name},
         )
-        await waiting.ended.wait()
-        del self._waiting[goal_id]
-        return waiting
-
-    async def goals(self, times: int) -> None:
-        for _ in range(times):
-            await self._call(0)
-
-    async def batches(self, times: int) -> int:
-        await self.at_once(times * AT_ONCE, AT_ONCE)
-        return times * AT_ONCE
-
-    async def feedback(self, times: int) -> int:
-        return len((await self._call(times)).feedback)
-
-    async def feedback_times(self, times: int) -> list[float]:
-        return (await self._call(PACED + times)).seconds
+        with self._answers[goal_id], answers:
+            while (answer := await answers.receive())[:1] == FEEDBACK:
+                yield ACTION.feedback.decode(answer[1:]).numbers
+            ACTION.result.decode(answer[1:])
+        del self._answers[goal_id]

@@ -5,30 +5,41 @@ The client blocks while it waits, as programs of rclpy do: nothing else runs in 
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from threading import Thread
 from time import perf_counter
 from typing import Any
 
 import rclpy
 from arduinobot_msgs.action import Fibonacci
+from fibaction_test_msgs.action import Echo
 from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
 from tests.tools.benchmarks.contender import (
+    ACTION_NAME,
     AT_ONCE,
+    LARGE,
+    LARGE_PAUSE,
     PACED,
     PAUSE,
     Contender,
+    Ends,
     GoalTimes,
     seconds_since,
     stamped,
 )
 
-NAME = "benchmark_rclpy"
+NAME = os.environ.get(ACTION_NAME, "benchmark_rclpy")
+DEEP = QoSProfile(depth=3000)
+SERVICES = {f"{name}_service_qos_profile": DEEP for name in ("goal", "result", "cancel")}
 SUCCEEDED = 4
 PATIENCE = 10.0
 """Seconds of one turn of an executor; goals of a batch not answered by then count as lost."""
@@ -38,6 +49,8 @@ class Server(Node):  # type: ignore[misc]  # rclpy has no types here
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         super().__init__("benchmark_server")
         self._server = ActionServer(self, Fibonacci, name, self.execute, **settings)
+        if ACTION_NAME in os.environ:
+            self._large = ActionServer(self, Echo, f"{name}_large", self.execute_large)
 
     async def execute(self, handle: Any) -> Any:
         wanted = handle.request.order
@@ -49,6 +62,14 @@ class Server(Node):  # type: ignore[misc]  # rclpy has no types here
                 handle.publish_feedback(feedback)
         handle.succeed()
         return Fibonacci.Result(sequence=[wanted])
+
+    def execute_large(self, handle: Any) -> Any:
+        feedback = Echo.Feedback(text="x" * LARGE)
+        for _ in range(int(handle.request.text)):
+            time.sleep(LARGE_PAUSE)  # noqa: TID251  # as users of rclpy do it
+            handle.publish_feedback(feedback)
+        handle.succeed()
+        return Echo.Result(text="done")
 
     async def _publish_paced(self, handle: Any, times: int) -> None:
         published = 0
@@ -101,6 +122,27 @@ async def connect(
         rclpy.try_shutdown()
 
 
+def events_executor() -> Executor:
+    from rclpy.experimental import EventsExecutor  # here, because the others need no new rclpy
+
+    return EventsExecutor()
+
+
+def deep(name: str, executor: Callable[[], Executor]) -> Ends:
+    """Return ends with queues for a whole batch instead of the default of ten."""
+    return Ends(
+        partial(serve, name, executor, feedback_pub_qos_profile=DEEP, **SERVICES),
+        partial(connect, executor=executor, feedback_sub_qos_profile=DEEP, **SERVICES),
+    )
+
+
+ENDS = {
+    "deep": deep("benchmark_rclpy_deep", SingleThreadedExecutor),
+    "events": deep("benchmark_rclpy_events", events_executor),
+}
+"""The ways with other settings; the second has rclpy's newest executor at both ends."""
+
+
 class OverRclpy(Contender):
     def __init__(
         self, name: str, executor: Callable[[], Executor], settings: Mapping[str, Any]
@@ -112,9 +154,8 @@ class OverRclpy(Contender):
         self._executor.add_node(node)
         self._client.wait_for_server()
 
-    async def goals(self, times: int) -> None:
-        for _ in range(times):
-            self._call(0)
+    async def goal(self) -> None:
+        self._call(0)
 
     async def batches(self, times: int) -> int:
         return sum(self._batch() for _ in range(times))

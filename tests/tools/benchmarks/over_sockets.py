@@ -18,14 +18,7 @@ from fibaction.wire import messages
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import MAX_FRAME, FrameReader, header
 from fibaction.words.goals import GoalID
-from tests.tools.benchmarks.contender import (
-    AT_ONCE,
-    PACED,
-    PAUSE,
-    Contender,
-    seconds_since,
-    stamped,
-)
+from tests.tools.benchmarks.contender import AT_ONCE, PACED, Contender, messages_of
 from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result
 
 CHUNK = 2**16
@@ -85,9 +78,10 @@ async def send_feedback(stream: SocketStream) -> None:
         async for wanted in stream:
             times = int.from_bytes(wanted, "big")
             if times >= PACED:
-                for number in range(1, times - PACED + 1):
-                    await anyio.sleep(PAUSE)
-                    await stream.send(feedback_frame(number, Feedback(stamped())))
+                number = 0
+                async for feedback in messages_of(times, Feedback):
+                    number += 1
+                    await stream.send(feedback_frame(number, feedback))
             else:
                 await send_as_quickly_as_can_be(stream, times)
 
@@ -132,6 +126,9 @@ class OverSockets(Contender):
         for stream in (goals, feedback):
             without_delay(stream)
 
+    async def goal(self) -> None:
+        await self._exchange(1, 1)
+
     async def goals(self, times: int) -> None:
         await self._exchange(times, 1)
 
@@ -139,24 +136,16 @@ class OverSockets(Contender):
         await self._exchange(times, AT_ONCE)
         return times * AT_ONCE
 
-    async def feedback(self, times: int) -> int:
+    async def numbers_of(self, goal: int) -> AsyncGenerator[list[int], None]:
         reader = FrameReader(MAX_FRAME)
-        await self._feedback.send(times.to_bytes(NUMBER, "big"))
-        seen = 0
-        while seen < times:
+        await self._feedback.send(goal.to_bytes(NUMBER, "big"))
+        left = goal - PACED if goal >= PACED else goal
+        while left:
             for frame in reader.feed(await self._feedback.receive(CHUNK)):
-                decoded(frame)
-                seen += 1
-        return seen
-
-    async def feedback_times(self, times: int) -> list[float]:
-        reader = FrameReader(MAX_FRAME)
-        await self._feedback.send((PACED + times).to_bytes(NUMBER, "big"))
-        taken: list[float] = []
-        while len(taken) < times:
-            frames = reader.feed(await self._feedback.receive(CHUNK))
-            taken += [seconds_since(decoded(frame).numbers) for frame in frames]
-        return taken
+                left -= 1
+                message = decode_from_server(frame)
+                assert isinstance(message, messages.Feedback)
+                yield ACTION.feedback.decode(message.payload).numbers
 
     async def _exchange(self, times: int, size: int) -> None:
         reader = FrameReader(MAX_FRAME)
@@ -166,12 +155,6 @@ class OverSockets(Contender):
             seen = 0
             while seen < 2 * size:
                 seen += len(reader.feed(await self._goals.receive(CHUNK)))
-
-
-def decoded(frame: bytes) -> Feedback:
-    message = decode_from_server(frame)
-    assert isinstance(message, messages.Feedback)
-    return ACTION.feedback.decode(message.payload)
 
 
 def without_delay(stream: SocketStream) -> None:

@@ -19,7 +19,7 @@ from fibaction.wire import messages
 from fibaction.wire.codec import decode_from_client, decode_from_server
 from fibaction.wire.frames import MAX_FRAME, FrameReader
 from tests.tools.benchmarks import over_sockets
-from tests.tools.benchmarks.contender import AT_ONCE, Contender
+from tests.tools.benchmarks.contender import Contender
 from tests.tools.benchmarks.inprocess import ACTION, Goal, Result
 from tests.tools.benchmarks.over_sockets import (
     CALL,
@@ -96,26 +96,15 @@ class OverTaskSockets(OverSockets):
         self.writer = Writer(goals)
         self._ids = itertools.count(CALL)
         self._ended: dict[int, anyio.Event] = {}
-        self._results: dict[int, Result] = {}
 
-    async def goals(self, times: int) -> None:
-        for _ in range(times):
-            await self._run_goal()
+    goals, batches = Contender.goals, Contender.batches
 
-    async def batches(self, times: int) -> int:
-        for _ in range(times):
-            async with anyio.create_task_group() as tasks:
-                for _ in range(AT_ONCE):
-                    tasks.start_soon(self._run_goal)
-        return times * AT_ONCE
-
-    async def _run_goal(self) -> Result:
+    async def goal(self) -> None:
         call_id = next(self._ids)
         goal = ACTION.goal.encode(Goal(0))
         self.writer.add(framed(messages.SendGoal(call_id, ACTION.name, GOAL_ID, goal, credit=0)))
         self._ended[call_id] = ended = anyio.Event()
         await ended.wait()
-        return self._results.pop(call_id)
 
     async def read(self) -> None:
         """Read the messages of the server, and wake the goals that have ended."""
@@ -125,5 +114,5 @@ class OverTaskSockets(OverSockets):
                 message = decode_from_server(frame)
                 if isinstance(message, messages.Ended):
                     assert message.result is not None
-                    self._results[message.id] = ACTION.result.decode(message.result)
+                    ACTION.result.decode(message.result)
                     self._ended.pop(message.id).set()

@@ -21,7 +21,7 @@ import anyio
 
 from fibaction.cli.verbs.serve import rare_collections
 from tests.support.ports import free_port
-from tests.tools.benchmarks.contender import AT_ONCE, Contender
+from tests.tools.benchmarks.contender import Contender
 
 REDIS = "FIBACTION_BENCH_REDIS"
 UNPACKED = Path(__file__).parents[3] / ".venv" / "redis" / "usr"
@@ -115,18 +115,7 @@ class OverTaskiq(Contender):
         await super().at_once(times, width)
         self._poll = POLL
 
-    async def goals(self, times: int) -> None:
-        for _ in range(times):
-            sent = await self._task.kiq(0)
-            result = await sent.wait_result(check_interval=self._poll, timeout=60)
-            assert result.return_value == 0
-
-    async def batches(self, times: int) -> int:
-        await self.at_once(times * AT_ONCE, AT_ONCE)
-        return times * AT_ONCE
-
-    async def feedback(self, times: int) -> int:
-        raise NotImplementedError
-
-    async def feedback_times(self, times: int) -> list[float]:
-        raise NotImplementedError
+    async def goal(self) -> None:
+        sent = await self._task.kiq(0)
+        result = await sent.wait_result(check_interval=self._poll, timeout=60)
+        assert result.return_value == 0

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 
 import anyio
 
-from tests.tools.benchmarks.contender import AT_ONCE, PAUSE, Contender, seconds_since, stamped
+from tests.tools.benchmarks.contender import Contender, messages_of
 from tests.tools.benchmarks.inprocess import Feedback
 
 WINDOW = 64
@@ -20,47 +20,23 @@ async def connect(address: str) -> AsyncGenerator[Contender, None]:
 
 
 class OverTasks(Contender):
+    async def goal(self) -> None:
+        """Do nothing: a batch has a task for each."""
+
     async def goals(self, times: int) -> None:
         for _ in range(times):
-            await self._tasks(1)
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(self.goal)
 
-    async def batches(self, times: int) -> int:
-        for _ in range(times):
-            await self._tasks(AT_ONCE)
-        return times * AT_ONCE
-
-    async def feedback(self, times: int) -> int:
-        send, receive = anyio.create_memory_object_stream[Feedback](WINDOW)
-
-        async def produce() -> None:
-            feedback = Feedback([1, 2, 3])
-            async with send:
-                for _ in range(times):
-                    await send.send(feedback)
-
-        async with anyio.create_task_group() as tasks, receive:
-            tasks.start_soon(produce)
-            seen = [None async for _ in receive]
-        return len(seen)
-
-    async def feedback_times(self, times: int) -> list[float]:
+    async def numbers_of(self, goal: int) -> AsyncGenerator[list[int], None]:
         send, receive = anyio.create_memory_object_stream[Feedback](WINDOW)
 
         async def produce() -> None:
             async with send:
-                for _ in range(times):
-                    await anyio.sleep(PAUSE)
-                    await send.send(Feedback(stamped()))
+                async for message in messages_of(goal, Feedback):
+                    await send.send(message)
 
         async with anyio.create_task_group() as tasks, receive:
             tasks.start_soon(produce)
-            taken = [seconds_since(feedback.numbers) async for feedback in receive]
-        return taken
-
-    async def _tasks(self, number: int) -> None:
-        async with anyio.create_task_group() as tasks:
-            for _ in range(number):
-                tasks.start_soon(self._nothing)
-
-    async def _nothing(self) -> None:
-        pass
+            async for feedback in receive:
+                yield feedback.numbers

@@ -14,7 +14,6 @@ import argparse
 import json
 import subprocess
 import sys
-from contextlib import AsyncExitStack
 from pathlib import Path
 from statistics import median, quantiles
 
@@ -22,8 +21,8 @@ import anyio
 
 from tests.support.page_parts import with_part
 from tests.tools.benchmarks.pages import PAGE
-from tests.tools.benchmarks.program import ROOT, Program, program
-from tests.tools.benchmarks.versions import ORDERS, WARM_UP, paths, round_of
+from tests.tools.benchmarks.program import ROOT
+from tests.tools.benchmarks.versions import Version, compare
 
 PART = ("pythons", "python -m tests.tools.benchmarks.pythons")
 """The part of the page with the table, and the command that makes it."""
@@ -32,9 +31,6 @@ ABOUT = (
     "import json, platform; from importlib.metadata import version;"
     "print(json.dumps([platform.python_version(), version('anyio'), version('msgspec')]))"
 )
-
-Ratios = dict[str, dict[str, list[float]]]
-"""For each order, and each other version, the ratios of its rate to the first version's."""
 
 
 def found(folder: Path) -> dict[str, Path]:
@@ -63,29 +59,7 @@ def _minor(python: Path) -> str:
     return python.parents[1].name.partition(".")[2]
 
 
-async def compare(pythons: dict[str, Path], rounds: int) -> Ratios:
-    """Run all versions in turns, and return their ratios to the first of them, of all rounds."""
-    child = str(Path(__file__).with_name("version_child.py"))
-    first, *others = pythons
-    ratios: Ratios = {order: {version: [] for version in others} for order in ORDERS}
-    async with AsyncExitStack() as stack:
-        running: dict[str, Program] = {}
-        for version, python in pythons.items():
-            running[version] = await stack.enter_async_context(
-                program(python, "-P", child, environment={"PYTHONPATH": paths(ROOT)})
-            )
-            await running[version].line()
-        for number in range(rounds + WARM_UP):
-            for order in ORDERS:
-                seconds = dict.fromkeys(pythons, 0.0)
-                for version in (*pythons, *reversed(pythons)):  # none gains by its place
-                    seconds[version] += await round_of(running[version], order)
-                for version in others if number >= WARM_UP else ():
-                    ratios[order][version].append(seconds[first] / seconds[version])
-    return ratios
-
-
-def table(ratios: Ratios, first: str) -> str:
+def table(ratios: dict[str, dict[str, list[float]]], first: str) -> str:
     """Return the ratios as a table for the page."""
     others = list(next(iter(ratios.values())))
     heads = [f"| Rate, to that with {first} (more than 1: faster)", *others]
@@ -110,7 +84,8 @@ def main() -> None:
     if len(pythons) == 1:
         print("no other Python is compared: `make test-pythons` makes their environments")
         return
-    made = table(anyio.run(compare, pythons, arguments.rounds), next(iter(pythons)))
+    versions = {name: Version(python=python) for name, python in pythons.items()}
+    made = table(anyio.run(compare, versions, arguments.rounds), next(iter(pythons)))
     print(made)
     if arguments.write:
         page = PAGE.read_text(encoding="utf-8")

@@ -106,11 +106,8 @@ async def compare(change: Change, most: float) -> dict[str, float]:
     with checkout(change.base) as folder:
 
         async def measure(orders: Sequence[str]) -> Ratios:
-            ratios: dict[str, list[float]] = {order: [] for order in orders}
-            for _ in range(STARTS):
-                found = await versions.compare(folder, ROUNDS, list(orders))
-                for order, one in found.items():
-                    ratios[order] += one
+            found = await versions.beside(folder, ROUNDS, STARTS, orders)
+            ratios = {order: [one for start in of for one in start] for order, of in found.items()}
             for order, all_of_it in ratios.items():
                 print(f"{order:16} {median(all_of_it):.3f}", flush=True)
             return ratios

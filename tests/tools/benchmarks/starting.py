@@ -26,48 +26,30 @@ class Start(NamedTuple):
     """The way that must be available for it."""
 
 
-def _of(code: str) -> tuple[str | Path, ...]:
-    return (sys.executable, "-c", code)
+def _here(label: str, code: str, *, ours: bool = False, needs: str = "") -> Start:
+    return Start(label, IN_FIBACTION, (sys.executable, "-c", code), ours, needs)
 
 
-def _of_ros(code: str) -> tuple[str | Path, ...]:
-    return (ROS_PYTHON, "-c", code)
+def _ros(label: str, code: str, *, ours: bool = False, needs: str = "rclpy") -> Start:
+    return Start(label, IN_ROS, (ROS_PYTHON, "-c", code), ours, needs)
 
 
+HELP = (Path(sys.executable).with_name("fibaction"), "--help")
+SERVER = "from fibaction import Action, ActionServer, GoalHandle, serve"
+OVER_ROS = "import fibaction_transports.ros2"
 STARTS = {
-    "nothing": Start("python -c pass", IN_FIBACTION, _of("pass")),
-    "asyncio": Start("import asyncio", IN_FIBACTION, _of("import asyncio")),
-    "needed": Start("import anyio, msgspec", IN_FIBACTION, _of("import anyio, msgspec")),
-    "fibaction": Start("import fibaction", IN_FIBACTION, _of("import fibaction"), True),
-    "client": Start(
-        "all that a client needs",
-        IN_FIBACTION,
-        _of("from fibaction import Action, connect"),
-        True,
-    ),
-    "server": Start(
-        "all that a server needs",
-        IN_FIBACTION,
-        _of("from fibaction import Action, ActionServer, GoalHandle, serve"),
-        True,
-    ),
-    "help": Start(
-        "fibaction --help",
-        IN_FIBACTION,
-        (Path(sys.executable).with_name("fibaction"), "--help"),
-        True,
-    ),
-    "grpc": Start("import grpc.aio", IN_FIBACTION, _of("import grpc.aio"), needs="grpc"),
-    "nats": Start("import nats", IN_FIBACTION, _of("import nats"), needs="nats"),
-    "ros_nothing": Start("python -c pass", IN_ROS, _of_ros("pass"), needs="rclpy"),
-    "ros_fibaction": Start(
-        "import of the ros2 transport",
-        IN_ROS,
-        _of_ros("import fibaction_transports.ros2"),
-        True,
-        needs="ros2",
-    ),
-    "rclpy": Start("import rclpy.action", IN_ROS, _of_ros("import rclpy.action"), needs="rclpy"),
+    "nothing": _here("python -c pass", "pass"),
+    "asyncio": _here("import asyncio", "import asyncio"),
+    "needed": _here("import anyio, msgspec", "import anyio, msgspec"),
+    "fibaction": _here("import fibaction", "import fibaction", ours=True),
+    "client": _here("all that a client needs", "from fibaction import Action, connect", ours=True),
+    "server": _here("all that a server needs", SERVER, ours=True),
+    "help": Start("fibaction --help", IN_FIBACTION, HELP, True),
+    "grpc": _here("import grpc.aio", "import grpc.aio", needs="grpc"),
+    "nats": _here("import nats", "import nats", needs="nats"),
+    "ros_nothing": _ros("python -c pass", "pass"),
+    "ros_fibaction": _ros("import of the ros2 transport", OVER_ROS, ours=True, needs="ros2"),
+    "rclpy": _ros("import rclpy.action", "import rclpy.action"),
 }
 
 

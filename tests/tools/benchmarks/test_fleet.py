@@ -15,7 +15,7 @@ needs_nats = pytest.mark.skipif(
 
 @needs_nats
 @pytest.mark.asyncio
-@pytest.mark.parametrize("name", ["fleet", "nats_bare"])
+@pytest.mark.parametrize("name", ["fibaction.fleet", "nats_bare"])
 async def test_a_side_does_all_that_is_measured(name: str) -> None:
     with fleet.brokers(1) as environment:
         async with fleet.over(name, environment) as (server, client):
@@ -32,7 +32,7 @@ async def test_a_side_does_all_that_is_measured(name: str) -> None:
 @pytest.mark.asyncio
 async def test_a_worker_that_runs_few_at_once_does_all_goals_that_wait() -> None:
     with fleet.brokers(1) as environment:
-        async with fleet.over("fleet_slow", environment) as (_, client):
+        async with fleet.over("fibaction.slow_fleet", environment) as (_, client):
             done, seconds = await client.ask("hundred", 12)
 
     assert done == 12

@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 import platform
-import sys
-from pathlib import Path
-
-import anyio
-import pytest
 
 from tests.support.page_parts import part_of
 from tests.tools.benchmarks import pythons
 from tests.tools.benchmarks.pages import PAGE
-from tests.tools.benchmarks.pythons import compare, table
+from tests.tools.benchmarks.pythons import table
 from tests.tools.benchmarks.versions import ORDERS
 
 HERE = platform.python_version()
-
-
-def test_the_versions_work_in_turns_and_have_ratios_to_the_first(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(pythons, "WARM_UP", 0)
-    monkeypatch.setattr("tests.tools.benchmarks.versions.WORK", dict.fromkeys(pythons.NAMES, 1))
-    here = Path(sys.executable)
-    ratios = anyio.run(compare, {"3.0": here, "3.1": here}, 2)
-    assert set(ratios) == set(ORDERS)
-    for of_versions in ratios.values():
-        assert len(of_versions["3.1"]) == 2
-        assert min(of_versions["3.1"]) > 0
 
 
 def test_a_cell_has_the_median_and_where_half_of_the_ratios_are() -> None:

@@ -13,8 +13,11 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Mapping, Sequence
+from contextlib import AsyncExitStack
 from pathlib import Path
 from statistics import quantiles
+from typing import NamedTuple
 
 import anyio
 
@@ -27,47 +30,58 @@ WARM_UP = 5
 """First rounds of a process, which are not counted."""
 
 
-def paths(root: Path) -> str:
-    """Return the `PYTHONPATH` of a version."""
-    return os.pathsep.join(map(str, (root, root / "transports")))
+class Version(NamedTuple):
+    """A version of fibaction, and the Python that runs it."""
+
+    root: Path = ROOT
+    python: Path = Path(sys.executable)
 
 
-async def round_of(version: Program, order: str) -> float:
-    """Return the seconds that a version takes for one round of an order."""
-    seconds: float = await version.ask(order, WORK[order.split()[1]])
-    return seconds
-
-
-async def compare(other: Path, rounds: int, orders: list[str]) -> dict[str, list[float]]:
-    """Start both versions, and return for each order the ratios of this one's rate to the other's,
-    of all rounds.
+async def compare(
+    versions: Mapping[str, Version], rounds: int, orders: Sequence[str] = ORDERS
+) -> dict[str, dict[str, list[float]]]:
+    """Run all versions in turns, and return for each order, and each version but the first, the
+    ratios of its rate to that of the first, of all rounds.
     """
     child = str(Path(__file__).with_name("version_child.py"))
-    ratios: dict[str, list[float]] = {order: [] for order in orders}
-    async with (
-        program(sys.executable, "-P", child, environment={"PYTHONPATH": paths(ROOT)}) as new,
-        program(sys.executable, "-P", child, environment={"PYTHONPATH": paths(other)}) as old,
-    ):
-        for version, root in ((new, ROOT), (old, other)):
-            found = Path(await version.line())
+    first, *others = versions
+    ratios: dict[str, dict[str, list[float]]] = {
+        order: {name: [] for name in others} for order in orders
+    }
+    async with AsyncExitStack() as stack:
+        running: dict[str, Program] = {}
+        for name, (root, python) in versions.items():
+            paths = os.pathsep.join(map(str, (root, root / "transports")))
+            running[name] = await stack.enter_async_context(
+                program(python, "-P", child, environment={"PYTHONPATH": paths})
+            )
+            found = Path(await running[name].line())
             assert found.is_relative_to(root), f"it imports {found}"
         for number in range(rounds + WARM_UP):
             for order in orders:
-                # Both orders of the two, so that neither gains by being the second.
-                seconds = {new: 0.0, old: 0.0}
-                for version in (new, old, old, new):
-                    seconds[version] += await round_of(version, order)
-                if number >= WARM_UP:
-                    ratios[order].append(seconds[old] / seconds[new])
+                seconds = dict.fromkeys(versions, 0.0)
+                for name in (*versions, *reversed([*versions])):  # none gains by its place
+                    seconds[name] += await running[name].ask(order, WORK[order.split()[1]])
+                for name in others if number >= WARM_UP else ():
+                    ratios[order][name].append(seconds[first] / seconds[name])
+    return ratios
+
+
+async def beside(
+    other: Path, rounds: int, starts: int, orders: Sequence[str]
+) -> dict[str, list[list[float]]]:
+    """Return for each order the ratios of this version's rate to another's, of each start."""
+    ratios: dict[str, list[list[float]]] = {order: [] for order in orders}
+    for _ in range(starts):
+        found = await compare({"other": Version(other), "this": Version()}, rounds, orders)
+        for order, of_versions in found.items():
+            ratios[order].append(of_versions["this"])
     return ratios
 
 
 async def run(other: Path, rounds: int, starts: int, orders: list[str]) -> None:
     """Print the ratios of all starts together, and the median of each start."""
-    ratios: dict[str, list[list[float]]] = {order: [] for order in orders}
-    for _ in range(starts):
-        for order, found in (await compare(other, rounds, orders)).items():
-            ratios[order].append(found)
+    ratios = await beside(other, rounds, starts, orders)
     print("Rate of this version to the other's (more than 1: faster)")
     for order, of_starts in ratios.items():
         low, middle, high = quantiles([one for found in of_starts for one in found], n=4)

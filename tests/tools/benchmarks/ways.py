@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from tests.tools.benchmarks.over_nats import nats_server
+from tests.support.nats_server import PROGRAM
 from tests.tools.benchmarks.program import ROOT, Program, program
 
 IN_ONE, BETWEEN, ROS = (
@@ -30,7 +30,7 @@ class Way(NamedTuple):
     label: str
     group: str
     module: str
-    """The name of its module, without `over_`, or of a way in `over_fibaction`."""
+    """The name of its module, without `over_`, and of its `Ends` there, if it has several."""
     is_ours: bool = True
     has_server: bool = True
     """True if the server has a process of its own."""
@@ -39,28 +39,28 @@ class Way(NamedTuple):
 
 
 WAYS = {
-    "inproc": Way("fibaction, inproc", IN_ONE, "inproc", has_server=False),
+    "inproc": Way("fibaction, inproc", IN_ONE, "fibaction.inproc", has_server=False),
     "tasks": Way("anyio tasks and streams", IN_ONE, "tasks", is_ours=False, has_server=False),
     "tcp": Way("fibaction, tcp", BETWEEN, "fibaction"),
     "tcp_uvloop": Way("fibaction, tcp, uvloop", BETWEEN, "fibaction", loop="uvloop"),
     "tcp_trio": Way("fibaction, tcp, trio", BETWEEN, "fibaction", loop="trio"),
-    "tls": Way("fibaction, tls", BETWEEN, "tls"),
-    "unix": Way("fibaction, unix", BETWEEN, "unix"),
-    "ws": Way("fibaction, ws", BETWEEN, "ws"),
+    "tls": Way("fibaction, tls", BETWEEN, "fibaction.tls"),
+    "unix": Way("fibaction, unix", BETWEEN, "fibaction.unix"),
+    "ws": Way("fibaction, ws", BETWEEN, "fibaction.ws"),
     "http": Way("fibaction, http: REST", BETWEEN, "http"),
     "grpc": Way("grpc.aio", BETWEEN, "grpc", is_ours=False),
     "nats": Way("NATS", BETWEEN, "nats", is_ours=False),
     "sockets": Way("bare anyio sockets", BETWEEN, "sockets", is_ours=False),
     "task_sockets": Way("bare sockets, a task a goal", BETWEEN, "task_sockets", is_ours=False),
-    "ros2": Way("fibaction, ros2", ROS, "ros2"),
+    "ros2": Way("fibaction, ros2", ROS, "fibaction.ros2"),
     "rclpy": Way("rclpy", ROS, "rclpy", is_ours=False),
-    "rclpy_deep": Way("rclpy, queues of 3,000", ROS, "rclpy_deep", is_ours=False),
-    "rclpy_events": Way("rclpy, EventsExecutor", ROS, "rclpy_events", is_ours=False),
+    "rclpy_deep": Way("rclpy, queues of 3,000", ROS, "rclpy.deep", is_ours=False),
+    "rclpy_events": Way("rclpy, EventsExecutor", ROS, "rclpy.events", is_ours=False),
 }
 
 KEPT = {
-    "inproc": Way("fibaction, inproc", IN_ONE, "inproc_kept", has_server=False),
-    "tcp": Way("fibaction, tcp", BETWEEN, "tcp_kept"),
+    "inproc": Way("fibaction, inproc", IN_ONE, "fibaction.inproc_kept", has_server=False),
+    "tcp": Way("fibaction, tcp", BETWEEN, "fibaction.kept"),
 }
 """The ways with servers that keep every result."""
 
@@ -74,7 +74,7 @@ class Pair(NamedTuple):
 
 def left_out(ros_python: Path = ROS_PYTHON) -> dict[str, str]:
     """Return the unavailable ways, each with the reason as a sentence."""
-    reasons = left_out_here(lambda name: find_spec(name) is not None, nats_server())
+    reasons = left_out_here(lambda name: find_spec(name) is not None, PROGRAM)
     if why := no_ros(ros_python):
         reasons |= {key: why for key, way in WAYS.items() if way.group == ROS}
     return reasons
@@ -115,9 +115,8 @@ def versions(without: Mapping[str, str]) -> dict[str, str]:
     if "grpc" not in without:
         found["grpcio"] = version("grpcio")
     if "nats" not in without:
-        program = nats_server()
-        assert program is not None
-        told = subprocess.run([program, "--version"], capture_output=True, text=True, check=True)
+        assert PROGRAM is not None
+        told = subprocess.run([PROGRAM, "--version"], capture_output=True, text=True, check=True)
         found["nats-py"] = version("nats-py")
         found["nats-server"] = told.stdout.split()[-1].removeprefix("v")
     if "rclpy" not in without:
