@@ -52,20 +52,20 @@ LOADED = [anyio.pytest_plugin, hypothesis.stateful, pytest_asyncio, trio]
 ROOT = Path(__file__).resolve().parents[2]
 EXPLAINED = Path(__file__).with_suffix(".toml")
 MODULES = {
-    "words/statuses": "words/test_statuses.py",
-    "server/registry/goal_record": "server/test_registry.py",
-    "server/registry/kept_results": "server/test_registry.py",
-    "server/registry/cancellation": "server/test_registry.py",
-    "server/registry/registry": "server/test_registry.py",
-    "server/scheduling/scheduler": "server/test_scheduler.py",
-    "server/scheduling/scheduled_goals": "server/test_scheduler.py",
-    "server/execution/turns": "server/test_turns.py",
-    "stores/journal_rows": "stores/test_journal_rows.py",
-    "stores/sqlite_store": "stores/test_sqlite_store.py",
-    "wire/messages/fields": "wire/test_messages.py",
-    "wire/messages/from_client": "wire/test_messages.py",
-    "wire/messages/from_server": "wire/test_messages.py",
-    "wire/codec": "wire/test_messages.py",
+    "words/statuses": ["words/test_statuses.py"],
+    "server/registry/goal_record": ["server/test_registry.py", "server/test_life.py"],
+    "server/registry/kept_results": ["server/test_kept_results.py", "server/test_registry.py"],
+    "server/registry/cancellation": ["server/test_registry.py"],
+    "server/registry/registry": ["server/test_registry.py"],
+    "server/scheduling/scheduler": ["server/test_scheduler.py"],
+    "server/scheduling/scheduled_goals": ["server/test_scheduler.py"],
+    "server/execution/turns": ["server/test_turns.py"],
+    "stores/journal_rows": ["stores/test_journal_rows.py"],
+    "stores/sqlite_store": ["stores/test_sqlite_store.py"],
+    "wire/messages/fields": ["wire/test_messages.py"],
+    "wire/messages/from_client": ["wire/test_messages.py"],
+    "wire/messages/from_server": ["wire/test_messages.py"],
+    "wire/codec": ["wire/test_messages.py"],
 }
 """The modules that are tested by default, and the tests that must notice a fault in each: the rules
 that all other modules depend on, the order in which goals run, and what is kept of them."""
@@ -247,8 +247,8 @@ def source_of(name: str) -> Path:
     return ROOT / "fibaction" / f"{name}.py"
 
 
-def tests_of(name: str) -> Path:
-    return ROOT / "tests" / MODULES[name]
+def tests_of(name: str) -> list[Path]:
+    return [ROOT / "tests" / path for path in MODULES[name]]
 
 
 def run_tests(name: str, code: str) -> tuple[int, str]:
@@ -282,7 +282,7 @@ def run_tests_here(name: str, code: str) -> int:
         [
             *("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=mutants"),
             *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of what was imported before
-            *(f"--timeout={SECONDS_PER_TEST}", str(tests_of(name))),
+            *(f"--timeout={SECONDS_PER_TEST}", *map(str, tests_of(name))),
         ]
     )
 
@@ -373,7 +373,7 @@ def module(name: str) -> str:
     """
     if name not in MODULES:
         raise argparse.ArgumentTypeError(f"{name} is not one of {', '.join(MODULES)}")
-    for path in (source_of(name), tests_of(name)):
+    for path in (source_of(name), *tests_of(name)):
         if not path.exists():
             raise argparse.ArgumentTypeError(f"there is no {path.relative_to(ROOT)}")
     return name
