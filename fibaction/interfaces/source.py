@@ -48,8 +48,13 @@ def module_source(actions: Sequence[ActionFile], about: Iterable[str]) -> str:
     found = {one.class_name: one for action in actions for one in action.messages()}
     messages = list(found.values())
     names = _Names(_names_in(messages))
-    classes = [line for message in messages for line in ("", "", *_class(message, names))]
-    taken = set(found)
+    shadowed = {name for message in messages for name in _shadowed(message)}
+    classes: list[str] = []
+    for message in messages:
+        classes += ["", "", *_class(message, names)]
+        if message.class_name in shadowed:
+            classes += ["", "", f"{message.class_name}_ = {message.class_name}"]
+    taken = {*found, *(f"{name}_" for name in shadowed)}
     made = [line for action in actions for line in ("", *_action(action, taken, names))]
     by_type = {action.type_name: action for action in actions if action.type_name}
     defined = [line for action in by_type.values() for line in _definition(action, names)]
@@ -124,6 +129,16 @@ def _names_in(messages: Iterable[InterfaceMessage]) -> Iterator[str]:
         yield from (constant.name for constant in message.definition.constants)
 
 
+def _shadowed(message: InterfaceMessage) -> set[str]:
+    """Return the nested classes that have the name of a field or a constant of the message.
+
+    In its class that name is the field's or the constant's; the class has a `_` behind it there.
+    """
+    definition = message.definition
+    own = {one.name for part in (definition.fields, definition.constants) for one in part}
+    return own & {nested.class_name for nested in message.nested.values()}
+
+
 def _class(message: InterfaceMessage, names: _Names) -> Iterator[str]:
     struct = names.use("Struct", "msgspec")
     yield f"class {message.class_name}({struct}, forbid_unknown_fields=True, kw_only=True):"
@@ -136,9 +151,11 @@ def _class(message: InterfaceMessage, names: _Names) -> Iterator[str]:
         yield f"    {constant.name}: {kind} = {_literal(constant.value)}"
     if message.definition.fields:
         yield ""
+    shadowed = _shadowed(message)
     for field in message.definition.fields:
         nested = message.nested.get(field.name)
         class_name = nested.class_name if nested else ""
+        class_name += "_" * (class_name in shadowed)
         kind, default = _annotation(field, class_name, names), _default(field, class_name, names)
         yield f"    {attribute(field.name)}: {kind} = {default}"
 

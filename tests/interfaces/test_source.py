@@ -102,6 +102,18 @@ def test_the_constant_and_a_class_never_share_a_name(tmp_path: Path) -> None:
     assert module.IMU_.goal.type().imu == module.IMU()
 
 
+@pytest.mark.parametrize("array", ["", "[]", "[2]"])
+def test_a_constant_with_the_name_of_a_message_does_not_hide_it(tmp_path: Path, array: str) -> None:
+    (tmp_path / "RPY.msg").write_text("float64 roll\n")
+    path = tmp_path / "RPY.action"
+    path.write_text(f"int32 RPY=1\nRPY{array} rpy\n---\n---\n")
+
+    module = run(source_of(path))
+
+    assert module.RPY_Goal.RPY == 1
+    assert_equal_actions(module.RPY__, load_action(path))
+
+
 def test_a_comment_with_an_indented_line_is_the_same_in_the_module(tmp_path: Path) -> None:
     path = tmp_path / "Weigh.action"
     path.write_text("# The weight:\n#     in grams\n#     of the whole\nint32 weight\n---\n---\n")

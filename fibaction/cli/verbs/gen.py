@@ -134,7 +134,7 @@ def _write_types_of_file(
         if is_typescript:
             text = typescript_source([load_action(file, **given).info])
         else:
-            text = action_source(file, **given)
+            text = _imported(action_source(file, **given))
         write(text, output)
     except OSError as exc:
         raise Failure(f"{exc.filename or file}: {exc.strerror}", ExitCode.USAGE) from exc
@@ -198,7 +198,7 @@ async def write_types_of_robot(url: str, names: Sequence[str], output: Path | No
     if not source:
         raise Failure(f"{without_settings(url)} serves no actions", ExitCode.UNREACHABLE)
     try:
-        write(source.source(), output)
+        write(_imported(source.source()), output)
     except OSError as exc:
         raise Failure(f"{exc.filename or output}: {exc.strerror}", ExitCode.USAGE) from exc
     return ExitCode.SUCCEEDED
@@ -214,6 +214,13 @@ async def _named(connection: Connection, names: Sequence[str]) -> list[ActionInf
     if missing := [name for name in names if shown(name) not in found]:
         raise no_action(missing[0], found.values())
     return [found[one] for one in dict.fromkeys(map(shown, names))] or list(found.values())
+
+
+def _imported(source: str) -> str:
+    """Return the source of a module, after a run of it, so that who imports it can rely on that."""
+    code = compile(source, "the generated module", "exec", dont_inherit=True)
+    exec(code, {"__name__": "generated"})
+    return source
 
 
 def write(text: str, output: Path | None) -> None:
