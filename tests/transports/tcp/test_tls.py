@@ -28,7 +28,7 @@ from fibaction import (
 )
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
-from fibaction_transports._socket_lines import tls as tls_module
+from fibaction_transports._socket_lines import on_anyio
 from fibaction_transports._socket_lines.client_tls import ClientTls
 from fibaction_transports._socket_lines.tls import TlsChannel, TlsListener
 from fibaction_transports._socket_lines.tls_frames import TlsEnd
@@ -156,7 +156,7 @@ async def test_a_server_with_a_context_of_its_own_refuses_a_client_without_a_wor
 async def test_who_is_refused_and_does_not_go_is_not_waited_for_long(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
-    monkeypatch.setattr(tls_module, "LAST_WORDS", 0.01)
+    monkeypatch.setattr(on_anyio, "LEAVE", 0.01)
     async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
         await peer.say(b"hello?")
         with anyio.fail_after(5), pytest.raises(anyio.BrokenResourceError):

@@ -14,13 +14,12 @@ from anyio.abc import ByteStream
 from fibaction.border.http_access import Refused, headers_in
 from fibaction.wire.channel import CHUNK
 from fibaction_transports._http.exchange import Message, Scope
+from fibaction_transports._socket_lines.on_anyio import BROKEN
 
 LONGEST_HEAD = 2**14
 """Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
 MOST_EARLY = 2**16
 """Bytes of later requests that are read while one is answered; more are left to the socket."""
-BROKEN = (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError, anyio.EndOfStream)
-"""The errors of a stream whose peer has gone."""
 
 
 def http_answer(status: int, text: str, *headers: tuple[str, str]) -> bytes:

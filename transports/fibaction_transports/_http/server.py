@@ -28,11 +28,11 @@ hypercorn (medians of seven servers each, in turns, with a client of raw bytes).
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterable, Iterator
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncGenerator, Generator, Iterable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import partial
 from socket import socket
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import anyio
 import h11
@@ -48,13 +48,12 @@ from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.wire.wire_server import too_many
 from fibaction_transports._http.application import HttpApplication
 from fibaction_transports._http.http_exchange import (
-    BROKEN,
     LONGEST_HEAD,
     HttpExchange,
     http_answer,
     is_upgrade,
 )
-from fibaction_transports._socket_lines.on_anyio import peer_of
+from fibaction_transports._socket_lines.on_anyio import BROKEN, leave, peer_of
 from fibaction_transports._socket_lines.sockets import SocketStream, accept_sockets
 from fibaction_transports._socket_lines.stream_transport import accepting
 from fibaction_transports._socket_lines.tls import TlsListener
@@ -63,6 +62,8 @@ UNREAD = 1.0
 """Seconds after which a client that does not take its answer makes room for another one."""
 SPEAKS_TLS = http_answer(400, "this server speaks TLS: use https://")
 """The answer of a server with TLS to a client that does not begin with TLS."""
+
+PlaceT = TypeVar("PlaceT")
 
 logger = clean_logger("fibaction.web")
 
@@ -103,8 +104,8 @@ class HttpServer:
         self._open = 0
         # With their addresses, in the order of their begin: those that wait for a request, their
         # first one or another, and those whose clients have an answer to take, since when.
-        self._new: dict[CancelScope, str] = {}
-        self._idle: dict[CancelScope, str] = {}
+        self.new: dict[CancelScope, str] = {}
+        self.idle: dict[CancelScope, str] = {}
         self._writing: dict[CancelScope, tuple[str, float]] = {}
 
     # The parts of a subclass
@@ -185,11 +186,11 @@ class HttpServer:
         """Yield the connections that have asked for nothing, then idle ones, then those whose
         clients do not read.
         """
-        for scope, address in self._new.items():
-            yield Candidate(address, partial(_end, self._new, scope))
+        for scope, address in self.new.items():
+            yield Candidate(address, partial(_end, self.new, scope))
         yield from self.silent()
-        for scope, address in self._idle.items():
-            yield Candidate(address, partial(_end, self._idle, scope))
+        for scope, address in self.idle.items():
+            yield Candidate(address, partial(_end, self.idle, scope))
         now = anyio.current_time()
         for scope, (address, since) in self._writing.items():
             if now - since > UNREAD:
@@ -204,25 +205,22 @@ class HttpServer:
         """
         if isinstance(stream, SocketStream) and not (data := stream.send_now(data)):
             return
-        with CancelScope() as scope:
-            self._writing[scope] = address, anyio.current_time()
-            try:
-                await stream.send(data)
-            finally:
-                self._writing.pop(scope, None)
+        with self.among(self._writing, (address, anyio.current_time())) as scope:
+            await stream.send(data)
         if scope.cancelled_caught:
             raise anyio.BrokenResourceError
 
-    def waits(self, scope: CancelScope, address: str, *, is_new: bool) -> None:
-        """Note that a connection waits for its first request or another one; its scope may be
-        canceled.
-        """
-        (self._new if is_new else self._idle)[scope] = address
-
-    def goes_on(self, scope: CancelScope) -> None:
-        """Note that a connection has a request, or has ended."""
-        self._new.pop(scope, None)
-        self._idle.pop(scope, None)
+    @contextmanager
+    def among(
+        self, scopes: dict[CancelScope, PlaceT], place: PlaceT
+    ) -> Generator[CancelScope, None, None]:
+        """Have the block among those that make room for others, by their cancelation."""
+        with CancelScope() as scope:
+            scopes[scope] = place
+            try:
+                yield scope
+            finally:
+                scopes.pop(scope, None)
 
 
 class CountedPlace:
@@ -308,13 +306,11 @@ class _Connection:
             Refused: The request has not arrived in time.
         """
         seconds = self._server.limits.handshake
-        with anyio.move_on_after(seconds) as scope:
-            self._server.waits(scope, self._place.address, is_new=not self._has_asked)
-            try:
-                while (event := self._http.next_event()) is h11.NEED_DATA:
-                    await self._receive()
-            finally:
-                self._server.goes_on(scope)
+        server = self._server
+        waiting = server.idle if self._has_asked else server.new
+        with anyio.move_on_after(seconds), server.among(waiting, self._place.address):
+            while (event := self._http.next_event()) is h11.NEED_DATA:
+                await self._receive()
             return event if isinstance(event, h11.Request) else None
         if self._received:
             raise Refused(408, f"the request has not arrived within {seconds:g} s")
@@ -324,13 +320,10 @@ class _Connection:
         """Wait with all other clients that ask before they have their answers; return False if this
         connection has to make room meanwhile.
         """
-        with CancelScope() as scope:
-            self._server.waits(scope, self._place.address, is_new=False)
-            try:
-                async with self._server.turn:
-                    return True
-            finally:
-                self._server.goes_on(scope)
+        server = self._server
+        with server.among(server.idle, self._place.address):
+            async with server.turn:
+                return True
         return False
 
     async def _receive(self) -> None:
@@ -347,18 +340,3 @@ class _Connection:
         kind = {"kind": refused.status}
         logger.warning("%s: HTTP %d: %s", self._peer, refused.status, reason, extra=kind)
         await leave(self._stream, http_answer(refused.status, reason, *refused.headers))
-
-
-async def leave(stream: ByteStream, last: bytes = b"") -> None:
-    """Send the last bytes, end the stream, and give the peer a moment to read what was sent.
-
-    If what it has sent meanwhile were not read, closing would reset the connection, and the answer
-    could be lost on the way.
-    """
-    with anyio.move_on_after(LEAVE), suppress(*BROKEN):
-        if last:
-            await stream.send(last)
-        with suppress(NotImplementedError):  # TLS
-            await stream.send_eof()
-        while True:
-            await stream.receive(CHUNK)

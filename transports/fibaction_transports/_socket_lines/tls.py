@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ssl
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -21,10 +20,8 @@ from fibaction.wire.frames import framed
 from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, TransportError, text_of
-from fibaction_transports._socket_lines.on_anyio import peer_of
+from fibaction_transports._socket_lines.on_anyio import leave, peer_of
 
-LAST_WORDS = 1.0
-"""Seconds that a peer has to read why it was rejected."""
 SPEAKS_TLS = framed([encode(Goodbye("this server speaks TLS: use tls://", Why.PROTOCOL))])
 """The answer to a client that does not begin with TLS. OpenSSL has no alert for it."""
 
@@ -145,26 +142,9 @@ class TlsListener(TLSListener):
             logger.warning("%s: no TLS: %s", peer_of(stream), _why(exc))
             if isinstance(exc, ssl.SSLError) and isinstance(stream, ByteStream):
                 # A peer that does not begin with TLS may be a client with `tcp://` for `tls://`.
-                await _say_last(stream, speaks_tls if is_other_than_tls(exc) else b"")
+                await leave(stream, speaks_tls if is_other_than_tls(exc) else b"")
         finally:
             await anyio.aclose_forcefully(stream)
-
-
-async def _say_last(stream: ByteStream, last_words: bytes) -> None:
-    """Let a peer read why it was rejected: the alert that was sent, or `last_words`.
-
-    What it has sent meanwhile is read, too: otherwise closing would reset the connection, and the
-    answer could be lost on the way.
-    """
-    with (
-        anyio.move_on_after(LAST_WORDS),
-        suppress(OSError, anyio.EndOfStream, anyio.BrokenResourceError),
-    ):
-        if last_words:
-            await stream.send(last_words)
-        await stream.send_eof()
-        while True:
-            await stream.receive()
 
 
 def _why(exc: Exception) -> str:

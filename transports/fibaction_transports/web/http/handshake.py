@@ -14,7 +14,7 @@ from http import HTTPStatus
 import h11
 from wsproto.utilities import generate_accept_token, generate_nonce
 
-from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import excerpt
 from fibaction.wire.codec import decode_from_server
 from fibaction.wire.messages import Goodbye
@@ -106,11 +106,7 @@ class ServerHandshake:
         Raises:
             Refused: It asks for something else.
         """
-        headers: dict[str, str] = {}
-        for name, value in request.headers:
-            text = value.decode("latin-1")
-            key = name.decode("ascii")
-            headers[key] = f"{headers[key]}, {text}" if key in headers else text
+        headers = headers_in(request.headers)
         if request.method != b"GET":
             raise Refused(405, "WebSocket requests are GET requests", ("Allow", "GET"))
         self._rules.check(request.target.decode("ascii"), headers)

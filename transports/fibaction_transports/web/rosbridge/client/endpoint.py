@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import anyio
+import msgspec
 from anyio import current_time
 
 from fibaction.border.abc import Connection, Endpoint, GoalRequest, StatusStream
@@ -33,7 +34,6 @@ from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed
 from fibaction_transports.web.rosbridge.client.link_opener import LinkKeeper
-from fibaction_transports.web.rosbridge.client.operations import send_goal_message
 from fibaction_transports.web.rosbridge.server.rosapi import (
     CANCEL_SUFFIX,
     cancel_answer,
@@ -136,19 +136,22 @@ class RosbridgeEndpoint(Endpoint):
         if not self._type_name:
             self._type_name = await keeper.type_of(self._name)
         sent = OutgoingGoal(goal_id, goal, self._name, self._values, keeper.terms.window)
-        message = send_goal_message(
-            sent.request,
-            self._name,
-            self._type_name,
-            args,
-            cancel_on_disconnect=keeper.terms.cancel_on_disconnect,
-        )
+        members = {
+            "op": "send_action_goal",
+            "id": sent.request,
+            "action": self._name,
+            "action_type": self._type_name,
+            "args": msgspec.Raw(args.encode()),
+            "feedback": True,
+        }
+        if keeper.terms.cancel_on_disconnect:
+            members["cancel_on_disconnect"] = True
+        message = msgspec.json.encode(members)
         if len(message) > LARGEST_GOAL:
             raise InvalidMessage(
                 f"the goal has {len(message)} bytes as JSON, and rosbridge takes {LARGEST_GOAL}"
             )
-        keeper.note_sent(goal_id)
-        keeper.goals[goal_id] = sent
+        keeper.note_sent(goal_id, sent)
         await link.send_goal(sent, message)
         return sent
 
@@ -184,23 +187,20 @@ class RosbridgeEndpoint(Endpoint):
                 as well.
         """
         if goal_id is None:
-            return await self._cancel_all(stamp)
+            arguments = cancel_arguments(stamp)
+            return cancel_answer(await self._keeper.call(f"{self._name}{CANCEL_SUFFIX}", arguments))
         keeper = self._keeper
         if stamp is not None or not keeper.was_sent(goal_id):
             raise TransportError(
                 f"rosbridge cannot cancel goal {goal_id}: it cancels one goal of this connection,"
                 f" or goals of all clients by their time"
             )
-        sent, link = keeper.goals.get(goal_id), keeper.opened_link()
+        sent, link = keeper.goals.get(goal_id), keeper.opened
         if sent is None or link is None or not link.has(sent):
             return CancelAnswer(CancelCode.GOAL_TERMINATED)
         await link.cancel(sent)
         canceling = GoalInfo(goal_id, sent.goal.stamp, GoalStatus.CANCELING, sent.count)
         return CancelAnswer(CancelCode.NONE, (canceling,))
-
-    async def _cancel_all(self, stamp: int | None) -> CancelAnswer:
-        values = await self._keeper.call(f"{self._name}{CANCEL_SUFFIX}", cancel_arguments(stamp))
-        return cancel_answer(values)
 
     async def status(self) -> StatusStream:
         """Raise an error: rosbridge does not tell the goals of an action.

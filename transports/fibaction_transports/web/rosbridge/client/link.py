@@ -27,6 +27,7 @@ from itertools import count
 from typing import Any
 
 import anyio
+import msgspec
 from anyio import CancelScope, create_task_group
 
 from fibaction.border.abc import Notifier
@@ -50,8 +51,6 @@ from fibaction_transports.web.rosbridge.client.operations import (
     ServerOperation,
     ServiceResponse,
     StatusMessage,
-    call_message,
-    cancel_message,
     read_from_server,
 )
 from fibaction_transports.web.rosbridge.operations import ClientID, Fragment, Ignored, Wrong
@@ -141,7 +140,8 @@ class ServerLink:
         Raises:
             ActionError: The connection has ended.
         """
-        await self._send(cancel_message(goal.request, goal.action))
+        message = {"op": "cancel_action_goal", "id": goal.request, "action": goal.action}
+        await self._send(msgspec.json.encode(message))
 
     async def call(self, service: str, args: dict[str, Any], timeout: float) -> Any:
         """Call a service, and return the values of its answer.
@@ -155,7 +155,8 @@ class ServerLink:
         call = self._calls[request] = _ServiceCall()
         try:
             with anyio.move_on_after(timeout):
-                await self._send(call_message(request, service, args))
+                message = {"op": "call_service", "id": request, "service": service, "args": args}
+                await self._send(msgspec.json.encode(message))
                 await call.is_answered.wait()
         finally:
             del self._calls[request]

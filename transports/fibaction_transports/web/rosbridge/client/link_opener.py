@@ -109,7 +109,8 @@ class LinkKeeper:
         self._open_line = open_line
         self._tasks = tasks
         self._dialing = anyio.Lock()
-        self._link: ServerLink | None = None
+        self.opened: ServerLink | None = None
+        """The link that is open; None if none is."""
         self._types = DescribedTypes(self.call)
         self._closed: ActionError | None = None
 
@@ -169,8 +170,9 @@ class LinkKeeper:
         """Return whether a goal of that ID may have been sent."""
         return goal_id in self._sent
 
-    def note_sent(self, goal_id: GoalID) -> None:
+    def note_sent(self, goal_id: GoalID, goal: OutgoingGoal) -> None:
         """Remember that a goal may have been sent."""
+        self.goals[goal_id] = goal
         self._sent[goal_id] = None
         if len(self._sent) > MOST_SENT:
             del self._sent[next(iter(self._sent))]
@@ -179,10 +181,6 @@ class LinkKeeper:
         """Forget a goal that was not accepted."""
         self._sent.pop(goal_id, None)
         self.goals.pop(goal_id, None)
-
-    def opened_link(self) -> ServerLink | None:
-        """Return the link that is open; None if none is."""
-        return self._link
 
     async def link(self) -> ServerLink:
         """Return a link that is open, and open one if none is.
@@ -194,10 +192,10 @@ class LinkKeeper:
         async with self._dialing:
             if self._closed is not None:
                 raise copy_of(self._closed)
-            if self._link is None or self._link.error is not None:
-                self._link = await self._dial()
+            if self.opened is None or self.opened.error is not None:
+                self.opened = await self._dial()
                 self._types = DescribedTypes(self.call)
-            link = self._link
+            link = self.opened
         with anyio.move_on_after(HANDSHAKE):
             await link.opened()
             return link
@@ -219,8 +217,8 @@ class LinkKeeper:
     def close(self) -> None:
         """End everything that waits, and everything that is tried later."""
         self._closed = ConnectionLost(f"the connection to {self.url} was closed here")
-        if self._link is not None:
-            self._link.close(self._closed)
+        if self.opened is not None:
+            self.opened.close(self._closed)
 
 
 def _told(values: object, name: str, kind: type[AnswerT]) -> AnswerT:

@@ -81,7 +81,6 @@ ServerOperation: TypeAlias = (
 _reader = OperationReader(
     ActionFeedback, ActionResult, ServiceResponse, StatusMessage, ServerFragment, accepts_nan=True
 )
-_encode = msgspec.json.Encoder().encode
 
 
 def read_from_server(text: str) -> ServerOperation:
@@ -92,35 +91,3 @@ def read_from_server(text: str) -> ServerOperation:
     """
     found = _reader.read(text)
     return found.whole() if isinstance(found, ServerFragment) else cast("ServerOperation", found)
-
-
-def send_goal_message(
-    request: str,
-    action: str,
-    type_name: str,
-    args: str,
-    *,
-    cancel_on_disconnect: bool,
-) -> bytes:
-    """Return the message that sends a goal with feedback; its arguments are JSON text."""
-    members = {
-        "op": "send_action_goal",
-        "id": request,
-        "action": action,
-        "action_type": type_name,
-        "args": msgspec.Raw(args.encode()),
-        "feedback": True,
-    }
-    if cancel_on_disconnect:
-        members["cancel_on_disconnect"] = True
-    return _encode(members)
-
-
-def cancel_message(request: str, action: str) -> bytes:
-    """Return the message that cancels the goal that was sent with that ID."""
-    return _encode({"op": "cancel_action_goal", "id": request, "action": action})
-
-
-def call_message(request: str, service: str, args: dict[str, Any]) -> bytes:
-    """Return the message that calls a service."""
-    return _encode({"op": "call_service", "id": request, "service": service, "args": args})

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
-from fibaction.types.action import ActionInfo
 from fibaction.wire.codec import FromServer, encode
 from fibaction.wire.errors import sendable
 from fibaction.wire.messages import (
@@ -86,13 +85,19 @@ class PendingCalls:
     ) -> bytes:
         """Return the frame that cancels goals of any client."""
         request = next(self._requests)
-        self._calls[request] = replies, _canceled_in
+        self._calls[request] = (
+            replies,
+            lambda answer: cancel_response(cast("CancelAnswered", answer)),
+        )
         return encode(CancelGoals(request, action, goal_id, stamp))
 
     def call(self, replies: ServiceReplies, service: Service, args: Arguments) -> bytes:
         """Return the frame that asks for what a service needs."""
         request = next(self._requests)
-        self._calls[request] = replies, lambda answer: service(_infos_in(answer), args)
+        self._calls[request] = (
+            replies,
+            lambda answer: service(cast("Actions", answer).actions, args),
+        )
         return encode(ListActions(request))
 
     def take_replies(self) -> list[bytes]:
@@ -170,13 +175,3 @@ class PendingCalls:
     def bound_goals(self) -> list[tuple[str, GoalID]]:
         """Return the goals that end with their client, each with the name of its action."""
         return [(goal.action, goal.goal_id) for goal in self._goals.values() if goal.is_bound]
-
-
-def _infos_in(answer: FromServer) -> list[ActionInfo]:
-    assert isinstance(answer, Actions)
-    return answer.actions
-
-
-def _canceled_in(answer: FromServer) -> Values:
-    assert isinstance(answer, CancelAnswered)
-    return cancel_response(answer)

@@ -33,20 +33,35 @@ from fibaction_transports.web.rosbridge.types.goal_arguments import values_text
 _encode = msgspec.json.Encoder().encode
 
 
-def _named(op: str, client_id: ClientID, kind: str, name: str) -> dict[str, Any]:
-    members: dict[str, Any] = {"op": op, kind: name}
-    return members if client_id is None else {"op": op, "id": client_id, kind: name}
+class Replies:
+    """The messages that answer one operation of a client."""
+
+    def __init__(
+        self, op: str, client_id: ClientID, kind: str, name: str, fragment_size: FragmentSize
+    ) -> None:
+        """Answer with the ID and the name that the client has sent."""
+        self._id = client_id
+        self._fragment_size = fragment_size
+        self._members = _members(op, client_id, kind, name)
+
+    def _told(self, **members: Any) -> list[str]:
+        return self._fitting(_encode(self._members | members).decode())
+
+    def _fitting(self, text: str) -> list[str]:
+        return in_fragments(text, self._id, self._fragment_size)
 
 
-class GoalReplies:
+def _members(op: str, client_id: ClientID, kind: str, name: str) -> dict[str, Any]:
+    members = {"op": op, "id": client_id, kind: name}
+    return members if client_id is not None else {"op": op, kind: name}
+
+
+class GoalReplies(Replies):
     """The messages about one goal of a client."""
 
     def __init__(self, client_id: ClientID, action: str, fragment_size: FragmentSize) -> None:
-        """Answer with the ID, and the name of the action, that the client has sent."""
-        self._id = client_id
-        self._fragment_size = fragment_size
-        self._result = _named("action_result", client_id, "action", action)
-        feedback = _encode(_named("action_feedback", client_id, "action", action))
+        super().__init__("action_result", client_id, "action", action, fragment_size)
+        feedback = _encode(_members("action_feedback", client_id, "action", action))
         self._feedback = f'{feedback[:-1].decode()},"values":'
 
     def feedback(self, payload: bytes) -> list[str]:
@@ -65,25 +80,17 @@ class GoalReplies:
             return self.failed(str(exc), end.status)
         if values is None and end.status not in (GoalStatus.SUCCEEDED, GoalStatus.CANCELED):
             return self.failed(end.reason, end.status)
-        members = dict(self._result)
-        members |= {"values": msgspec.Raw(b"{}") if values is None else values}
-        members |= {"status": end.status, "result": True}
-        return self._told(members | ({"reason": end.reason} if end.reason else {}))
+        told: dict[str, Any] = {"values": msgspec.Raw(b"{}") if values is None else values}
+        told |= {"status": end.status, "result": True}
+        return self._told(**told | ({"reason": end.reason} if end.reason else {}))
 
     def rejected(self, reason: str, code: int) -> list[str]:
         """Return the end of a goal that was not accepted."""
-        members = {"values": reason, "status": GoalStatus.UNKNOWN, "result": False, "code": code}
-        return self._told(self._result | members)
+        return self._told(values=reason, status=GoalStatus.UNKNOWN, result=False, code=code)
 
     def failed(self, text: str, status: GoalStatus = GoalStatus.UNKNOWN) -> list[str]:
         """Return the end of a goal without a result; UNKNOWN if it was not accepted."""
-        return self._told({**self._result, "values": text, "status": status, "result": False})
-
-    def _told(self, members: dict[str, Any]) -> list[str]:
-        return self._fitting(_encode(members).decode())
-
-    def _fitting(self, text: str) -> list[str]:
-        return in_fragments(text, self._id, self._fragment_size)
+        return self._told(values=text, status=status, result=False)
 
 
 class SentGoal(msgspec.Struct):
@@ -102,26 +109,19 @@ class SentGoal(msgspec.Struct):
     """Feedback messages so far."""
 
 
-class ServiceReplies:
+class ServiceReplies(Replies):
     """The answer to one call of a service."""
 
     def __init__(self, client_id: ClientID, service: str, fragment_size: FragmentSize) -> None:
-        """Answer with the ID, and the name of the service, that the client has sent."""
-        self._id = client_id
-        self._fragment_size = fragment_size
-        self._members = _named("service_response", client_id, "service", service)
+        super().__init__("service_response", client_id, "service", service, fragment_size)
 
     def answered(self, values: dict[str, Any]) -> list[str]:
         """Return the answer."""
-        return self._told(values, result=True)
+        return self._told(values=values, result=True)
 
     def failed(self, text: str) -> list[str]:
         """Return an error in place of the answer."""
-        return self._told(text, result=False)
-
-    def _told(self, values: object, *, result: bool) -> list[str]:
-        text = _encode({**self._members, "values": values, "result": result}).decode()
-        return in_fragments(text, self._id, self._fragment_size)
+        return self._told(values=text, result=False)
 
 
 # Topics

@@ -57,24 +57,6 @@ def service_of(name: str) -> Service | None:
     return _SERVICES.get(name.removeprefix("/"))
 
 
-def _action_servers(infos: Sequence[ActionInfo], _args: Arguments) -> Values:
-    return {"action_servers": [ros_name(info.name) for info in infos]}
-
-
-def _action_type(infos: Sequence[ActionInfo], args: Arguments) -> Values:
-    types = {info.name: info.type_name for info in infos}
-    return {"type": types.get(known_name(_text(args, "action"), types), "")}
-
-
-def _interfaces(infos: Sequence[ActionInfo], _args: Arguments) -> Values:
-    return {"interfaces": sorted({info.type_name for info in infos if info.type_name})}
-
-
-def _services(infos: Sequence[ActionInfo], _args: Arguments) -> Values:
-    cancels = [f"{ros_name(info.name)}{CANCEL_SUFFIX}" for info in infos]
-    return {"services": [*cancels, *(f"/{name}" for name in _SERVICES)]}
-
-
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 """The type of the topic with the statuses of an action."""
 
@@ -95,32 +77,14 @@ def _topic_types(infos: Sequence[ActionInfo]) -> dict[str, str]:
     }
 
 
-def _topics(infos: Sequence[ActionInfo], _args: Arguments) -> Values:
-    types = _topic_types(infos)
-    return {"topics": list(types), "types": list(types.values())}
-
-
-def _topic_type(infos: Sequence[ActionInfo], args: Arguments) -> Values:
-    name = _text(args, "topic").removeprefix("/")
-    return {"type": _topic_types(infos).get(f"/{name}", "")}
-
-
-def _topics_for_type(infos: Sequence[ActionInfo], args: Arguments) -> Values:
-    wanted = _text(args, "type")
-    return {"topics": [topic for topic, kind in _topic_types(infos).items() if kind == wanted]}
-
-
-def _ros_version(_infos: Sequence[ActionInfo], _args: Arguments) -> Values:
-    # Without ROS there is no name of a release.
-    return {"version": 2, "distro": os.environ.get("ROS_DISTRO", "")}
-
-
 def _details(part: str) -> Service:
     """Return the service that describes the goals, the results or the feedback of a type."""
 
     def service(infos: Sequence[ActionInfo], args: Arguments) -> Values:
         name = _text(args, "type")
-        info = next((one for one in infos if name and name in _names_of(one.type_name)), None)
+        names = {info.type_name: info for info in reversed(infos) if info.type_name}
+        names |= {long.replace("/action/", "/"): info for long, info in names.items()}
+        info = names.get(name)
         if info is None:
             raise ServiceFailed(f"the action type {excerpt(name)!r} is not served here")
         package, _, kind = info.type_name.replace("/action/", "/").partition("/")
@@ -133,23 +97,49 @@ def _details(part: str) -> Service:
     return service
 
 
+def _action_type(infos: Sequence[ActionInfo], args: Arguments) -> Values:
+    types = {info.name: info.type_name for info in infos}
+    return {"type": types.get(known_name(_text(args, "action"), types), "")}
+
+
+def _services(infos: Sequence[ActionInfo], _: Arguments) -> Values:
+    cancels = [f"{ros_name(info.name)}{CANCEL_SUFFIX}" for info in infos]
+    return {"services": [*cancels, *(f"/{name}" for name in _SERVICES)]}
+
+
+def _topics(infos: Sequence[ActionInfo], _: Arguments) -> Values:
+    types = _topic_types(infos)
+    return {"topics": list(types), "types": list(types.values())}
+
+
+def _topics_for_type(infos: Sequence[ActionInfo], args: Arguments) -> Values:
+    wanted = _text(args, "type")
+    return {"topics": [topic for topic, kind in _topic_types(infos).items() if kind == wanted]}
+
+
 _SERVICES: Mapping[str, Service] = {
-    "rosapi/action_servers": _action_servers,
+    "rosapi/action_servers": lambda infos, _: {
+        "action_servers": [ros_name(info.name) for info in infos]
+    },
     "rosapi/action_type": _action_type,
     "rosapi/action_goal_details": _details("goal"),
     "rosapi/action_result_details": _details("result"),
     "rosapi/action_feedback_details": _details("feedback"),
-    "rosapi/interfaces": _interfaces,
+    "rosapi/interfaces": lambda infos, _: {
+        "interfaces": sorted({info.type_name for info in infos if info.type_name})
+    },
     "rosapi/services": _services,
     "rosapi/topics": _topics,
-    "rosapi/topic_type": _topic_type,
+    "rosapi/topic_type": lambda infos, args: {
+        "type": _topic_types(infos).get(f"/{_text(args, 'topic').removeprefix('/')}", "")
+    },
     "rosapi/topics_for_type": _topics_for_type,
-    "rosapi/get_ros_version": _ros_version,
+    # Without ROS there is no name of a release.
+    "rosapi/get_ros_version": lambda _infos, _args: {
+        "version": 2,
+        "distro": os.environ.get("ROS_DISTRO", ""),
+    },
 }
-
-
-def _names_of(type_name: str) -> tuple[str, str]:
-    return type_name, type_name.replace("/action/", "/")
 
 
 def _text(args: Arguments, name: str) -> str:
