@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import ExitStack, asynccontextmanager
 from statistics import median
 from time import perf_counter
@@ -123,7 +123,7 @@ async def attacked(
 ) -> AsyncGenerator[Attacker | None, None]:
     """Attack inside of the block: by a process, or by this one after a first wave."""
     if is_long:
-        command = [sys.executable, "-m", "tests.hostile.rtps.attacker", name, *_words(victim)]
+        command = [sys.executable, "-m", "tests.hostile.attacker", name, *_words(victim)]
         async with await anyio.open_process(
             command, cwd=ROOT, env=environment(), stderr=None
         ) as it:
@@ -141,14 +141,14 @@ async def attacked(
 
 
 def _words(victim: EchoIdentity) -> list[str]:
-    return [
-        str(victim.domain),
-        victim.prefix.hex(),
-        str(victim.address[1]),
-        victim.reader.hex(),
-        victim.writer.hex(),
-        victim.large.hex(),
-    ]
+    names = (victim.prefix, victim.reader, victim.writer, victim.large)
+    return [str(victim.domain), str(victim.address[1]), *(name.hex() for name in names)]
+
+
+def victim_in(words: Sequence[str]) -> EchoIdentity:
+    """Return the victim in the words of a command."""
+    prefix, *entities = map(bytes.fromhex, words[2:])
+    return EchoIdentity(int(words[0]), prefix, ("127.0.0.1", int(words[1])), *entities)
 
 
 async def figures_of(name: str, seconds: float = 0.0) -> Figures:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Generator
+from typing import Any
 
 import pytest
 
@@ -21,3 +22,14 @@ def collected() -> Generator[None, None, None]:
 def heard() -> Generator[Hearing, None, None]:
     with hearing() as found:
         yield found
+
+
+@pytest.fixture
+def log() -> Generator[Hearing, None, None]:
+    with hearing("fibaction.web") as found:
+        yield found
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param

@@ -115,3 +115,17 @@ async def fetch(url: str, method: str, path: str, data: Any = None, **headers: s
     async with client_of(url) as client:
         status, answered = await client.ask(method, path, data, **headers)
         return Answer(status, answered, await client.rest())
+
+
+async def said_to(url: str, *pieces: bytes) -> bytes:
+    """Everything that a server says until it closes."""
+    said = b""
+    async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+        for piece in pieces:
+            await stream.send(piece)
+        with anyio.fail_after(PATIENCE):
+            try:
+                while True:
+                    said += await stream.receive()
+            except (anyio.EndOfStream, anyio.BrokenResourceError):
+                return said

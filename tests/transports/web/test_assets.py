@@ -31,11 +31,6 @@ MOST_BYTES = 160_000
 MOST_BYTES_OF_API_PAGE = 24_000
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 @asynccontextmanager
 async def served(where: str = "http://127.0.0.1:0", **settings: Any) -> AsyncGenerator[str, None]:
     with anyio.fail_after(20):

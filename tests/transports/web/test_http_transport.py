@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ssl
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from typing import Any
 
@@ -21,7 +21,7 @@ from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Goal, Result
 from tests.transports.hearing import Hearing, hearing, port_of
 from tests.transports.tcp.servers import new_server, works
-from tests.transports.web.http_client import client_of, fetch
+from tests.transports.web.http_client import client_of, fetch, said_to
 from tests.transports.web.upgrade import UPGRADE, upgrade
 
 pytestmark = pytest.mark.anyio
@@ -32,36 +32,11 @@ MANY = b"GET /fibaction.js HTTP/1.1\r\nHost: [::1]\r\n\r\n" * 1500
 """Requests whose answers are more than a socket holds."""
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
-@pytest.fixture
-def log() -> Generator[Hearing, None, None]:
-    with hearing("fibaction.web") as found:
-        yield found
-
-
 @asynccontextmanager
 async def served(where: str = HTTP, **settings: Any) -> AsyncGenerator[str, None]:
     with anyio.fail_after(20):
         async with serve(new_server(), where, **settings) as (url,):
             yield url
-
-
-async def said_to(url: str, *pieces: bytes) -> bytes:
-    """Everything that a server says until it closes."""
-    said = b""
-    async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
-        for piece in pieces:
-            await stream.send(piece)
-        with anyio.fail_after(30):
-            try:
-                while True:
-                    said += await stream.receive()
-            except (anyio.EndOfStream, anyio.BrokenResourceError):
-                return said
 
 
 async def let_in(url: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import anyio
 import pytest
@@ -17,11 +16,6 @@ from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import fetch
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 async def test_metrics_are_at_the_address_of_the_server() -> None:

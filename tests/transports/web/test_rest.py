@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, ClassVar
@@ -37,7 +37,7 @@ from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.web.rest import event_stream
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.transports.hearing import Hearing, hearing
+from tests.transports.hearing import Hearing
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import Answer, client_of, fetch
 
@@ -53,17 +53,6 @@ WRONG_TIME = (
     " ago, or nanoseconds since 1970"
 )
 BEGIN = [("accepted", ""), ("status", "")]
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
-@pytest.fixture
-def log() -> Generator[Hearing, None, None]:
-    with hearing("fibaction.web") as found:
-        yield found
 
 
 class Held:

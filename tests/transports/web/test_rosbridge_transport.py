@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from fibaction import (
@@ -21,11 +19,6 @@ from tests.support.fibonacci import FIBONACCI, Goal, Result
 from tests.transports.web.rosbridge.robot import Robot
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 from unittest.mock import ANY
@@ -26,17 +26,6 @@ pytestmark = pytest.mark.anyio
 
 GOALS = "/actions/fibonacci/goals"
 HELLO = framed([encode(Hello(VERSION, 60))])
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
-@pytest.fixture
-def log() -> Generator[Hearing, None, None]:
-    with hearing("fibaction.web") as found:
-        yield found
 
 
 class Call:

@@ -29,6 +29,7 @@ from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI
 from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import new_server, works
+from tests.transports.web.http_client import said_to
 from tests.transports.web.upgrade import upgrade
 
 pytestmark = pytest.mark.anyio
@@ -36,27 +37,8 @@ pytestmark = pytest.mark.anyio
 WS = "ws://127.0.0.1:0"
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 def wss() -> str:
     return f"wss://127.0.0.1:0?cert={pems().cert}"
-
-
-async def answer_to(url: str, *pieces: bytes) -> bytes:
-    """Everything that a server says until it closes."""
-    said = b""
-    async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
-        for piece in pieces:
-            await stream.send(piece)
-        with anyio.fail_after(30):
-            try:
-                while True:
-                    said += await stream.receive()
-            except anyio.EndOfStream:
-                return said
 
 
 # Addresses
@@ -193,7 +175,7 @@ async def scene(heard: Hearing, **settings: Any) -> AsyncGenerator[str, None]:
 @pytest.mark.parametrize("data", [b"", b"G", upgrade()[:-1], upgrade()], ids=len)
 async def test_a_request_that_trickles_is_not_waited_for(data: bytes, heard: Hearing) -> None:
     async with scene(heard, limits=Limits(handshake=0.2)) as url:
-        said = await answer_to(url, data[:1], data[1:])
+        said = await said_to(url, data[:1], data[1:])
         if data != upgrade():
             assert said.startswith(b"HTTP/1.1 503 ")
         assert b"it has not said hello within 0.2 s" in said
