@@ -30,73 +30,77 @@ _STAMP = {
     "description": "Time of the acceptance: nanoseconds since 1970.",
 }
 _SCHEMA = {"type": "object", "description": "JSON Schema; empty for any value."}
+_TEXT = {"type": "string"}
+_NUMBER = {"type": "integer"}
+
+
+def _text(description: str) -> Json:
+    return _TEXT | {"description": description}
+
+
+def _object(description: str, required: Json, optional: Json | None = None) -> Json:
+    return {
+        "type": "object",
+        "description": description,
+        "properties": required | (optional or {}),
+        "required": list(required),
+    }
+
+
 _SHARED_SCHEMAS: Json = {
-    "Problem": {
-        "type": "object",
-        "description": "Problem details as in RFC 9457.",
-        "properties": {
-            "type": {"type": "string"},
-            "title": {"type": "string"},
-            "status": {"type": "integer"},
-            "detail": {"type": "string", "description": "The reason, for people."},
+    "Problem": _object(
+        "Problem details as in RFC 9457.",
+        {
+            "type": _TEXT,
+            "title": _TEXT,
+            "status": _NUMBER,
+            "detail": _text("The reason, for people."),
         },
-        "required": ["type", "title", "status", "detail"],
-    },
-    "Action": {
-        "type": "object",
-        "description": "An action, and the schemas of its messages.",
-        "properties": {
-            "name": {"type": "string"},
-            "type_name": {"type": "string", "description": "Its type of ROS 2; may be empty."},
+    ),
+    "Action": _object(
+        "An action, and the schemas of its messages.",
+        {
+            "name": _TEXT,
+            "type_name": _text("Its type of ROS 2; may be empty."),
             "goal": _SCHEMA,
             "feedback": _SCHEMA,
             "result": _SCHEMA,
         },
-        "required": ["name", "type_name", "goal", "feedback", "result"],
-    },
-    "Goal": {
-        "type": "object",
-        "description": "A goal, and how far it is.",
-        "properties": {
-            "goal_id": _ID,
-            "stamp": _STAMP,
-            "status": _STATUS,
-            "attempt": {"type": "integer"},
-            "began_at": {"type": "string", "description": "Time of the begin, as the stamp."},
-            "ended_at": {"type": "string", "description": "Time of the end, as the stamp."},
+    ),
+    "Goal": _object(
+        "A goal, and how far it is.",
+        {"goal_id": _ID, "stamp": _STAMP, "status": _STATUS},
+        {
+            "attempt": _NUMBER,
+            "began_at": _text("Time of the begin, as the stamp."),
+            "ended_at": _text("Time of the end, as the stamp."),
             "waited": {"type": "number", "description": "Seconds until the begin."},
             "ran": {"type": "number", "description": "Seconds from the begin to the end."},
-            "reason": {"type": "string", "description": "Why it was canceled or aborted."},
-            "parent": {"$ref": "#/components/schemas/Parent"},
-            "worker": {"type": "string", "description": "The worker of a fleet that has it."},
+            "reason": _text("Why it was canceled or aborted."),
+            "parent": {"$ref": SHARED + "Parent"},
+            "worker": _text("The worker of a fleet that has it."),
             "labels": {
                 "type": "object",
                 "description": "The labels that its client has given it.",
-                "additionalProperties": {"type": "string"},
+                "additionalProperties": _TEXT,
             },
         },
-        "required": ["goal_id", "stamp", "status"],
-    },
-    "Parent": {
-        "type": "object",
-        "description": "The goal whose executor has sent this one, and the step.",
-        "properties": {"goal_id": _ID, "step": {"type": "string"}},
-        "required": ["goal_id", "step"],
-    },
-    "Cancel": {
-        "type": "object",
-        "description": "The answer to a cancel.",
-        "properties": {
-            "code": {"type": "string"},
-            "goals_canceling": {"type": "array", "items": {"$ref": "#/components/schemas/Goal"}},
-            "reason": {"type": "string"},
+    ),
+    "Parent": _object(
+        "The goal whose executor has sent this one, and the step.", {"goal_id": _ID, "step": _TEXT}
+    ),
+    "Cancel": _object(
+        "The answer to a cancel.",
+        {
+            "code": _TEXT,
+            "goals_canceling": {"type": "array", "items": {"$ref": SHARED + "Goal"}},
+            "reason": _TEXT,
         },
-        "required": ["code", "goals_canceling", "reason"],
-    },
+    ),
 }
 _PROBLEM = {
     "description": "A problem.",
-    "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    "content": {"application/problem+json": {"schema": {"$ref": SHARED + "Problem"}}},
 }
 _GOAL_ID = {"name": "goal_id", "in": "path", "required": True, "schema": _ONE_ID}
 
@@ -187,13 +191,13 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
     """Return the description of an interface whose paths are below `root`."""
     infos = list(actions)
     listed = {"type": "array", "items": _ref("Action")}
-    all_actions = _operation(
-        "List the actions.",
-        "list_actions",
-        {"200": _answer("The actions.", listed)},
-        tag="actions",
-        description="All actions of this server, each with the JSON Schemas of its messages.",
-    )
+    all_actions = {
+        "summary": "List the actions.",
+        "description": "All actions of this server, each with the JSON Schemas of its messages.",
+        "operationId": "list_actions",
+        "tags": ["actions"],
+        "responses": {"200": _answer("The actions.", listed), "default": _PROBLEM},
+    }
     paths: Json = {"/actions": {"get": all_actions}}
     schemas = dict(_SHARED_SCHEMAS)
     schema_names, operations = Names(*schemas), Names("list_actions")
@@ -269,27 +273,28 @@ class _Described:
 
     def _goals(self) -> Json:
         goals = _answer("Goals.", {"type": "array", "items": _ref("Goal")}) | {"headers": _NEXT}
+        # Not the events as well: a generator would make them another type of each answer.
+        sent = {"201": _answer("The goal was accepted.", _ref(self._status))}
         return {
             "get": self._operation(
                 *("list", "List the goals.", {"200": goals}),
                 *(_LIMIT, _AFTER_PAGE, _PARENT, *_CHOICE),
             ),
-            "post": self._sending("send", "Send a goal.", {"201": self._sent()}, *_SENDING),
+            "post": self._sending("send", "Send a goal.", sent, *_SENDING),
             "delete": self._operation("cancel_all", "Cancel goals.", _CANCELED, _BEFORE),
         }
 
     def _one_goal(self) -> Json:
         found = {"200": _answer("The goal.", _ref(self._status))}
-        sent = {"200": self._sent("The goal was known."), "201": self._sent()}
+        sent = {
+            "200": _answer("The goal was known.", _ref(self._status)),
+            "201": _answer("The goal was accepted.", _ref(self._status)),
+        }
         return {
             "get": self._operation("status", "Get status and result.", found, _GOAL_ID, _WAIT),
             "put": self._sending("put", "Send a goal with an ID of your own.", sent, *_PUT),
             "delete": self._operation("cancel", "Cancel the goal.", _CANCELED, _GOAL_ID),
         }
-
-    def _sent(self, description: str = "The goal was accepted.") -> Json:
-        # Not the events as well: a generator would make them another type of each answer.
-        return _answer(description, _ref(self._status))
 
     def _sending(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
         content = {"application/json": {"schema": _ref(self._goal), **self._example}}
@@ -297,28 +302,15 @@ class _Described:
         return self._operation(verb, summary, answers, *parameters) | body
 
     def _operation(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
-        return _operation(
-            summary,
-            self._operations.unique(f"{verb}.{self._info.name}"),
-            answers,
-            *parameters,
-            tag=self._info.name,
-            description=_DESCRIPTIONS[verb],
-        )
-
-
-def _operation(
-    summary: str, operation: str, answers: Json, *parameters: Json, tag: str, description: str
-) -> Json:
-    described: Json = {
-        "summary": summary,
-        "description": description,
-        "operationId": operation,
-        "tags": [tag],
-    }
-    if parameters:
-        described["parameters"] = list(parameters)
-    return described | {"responses": answers | {"default": _PROBLEM}}
+        described: Json = {
+            "summary": summary,
+            "description": _DESCRIPTIONS[verb],
+            "operationId": self._operations.unique(f"{verb}.{self._info.name}"),
+            "tags": [self._info.name],
+        }
+        if parameters:
+            described["parameters"] = list(parameters)
+        return described | {"responses": answers | {"default": _PROBLEM}}
 
 
 def _ref(name: str) -> Json:

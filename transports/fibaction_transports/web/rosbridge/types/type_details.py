@@ -96,10 +96,8 @@ def _field(schema: JsonSchema, part: Any, name: str) -> tuple[str, int, Any]:
     if kind == "integer":
         limits = part.get("minimum"), part.get("maximum")
         return _INTEGERS.get(limits, "int64"), NOT_AN_ARRAY, None
-    if kind == "number":
-        return "float64", NOT_AN_ARRAY, None
-    if kind == "boolean":
-        return "boolean", NOT_AN_ARRAY, None
+    if kind in ("number", "boolean"):
+        return "float64" if kind == "number" else kind, NOT_AN_ARRAY, None
     if kind == "string":
         is_bytes = part.get("contentEncoding") == "base64"
         return ("uint8", ANY_LENGTH, None) if is_bytes else ("string", NOT_AN_ARRAY, None)
