@@ -26,86 +26,11 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 CLIENT = Path(str(files("fibaction_transports.web"))) / "javascript"
 CONSOLE = CLIENT.parent / "console"
-IN_NODE = [
-    f"{name}.js"
-    for name in (
-        "action_shape",
-        "chart",
-        "comparison",
-        "dom",
-        "feedback_parts",
-        "field_parts",
-        "goal_export",
-        "goal_filter",
-        "goal_record",
-        "goal_text",
-        "places",
-        "plane",
-        "plane_zoom",
-        "recording",
-        "schema",
-        "series",
-        "store",
-        "time_field",
-        "values",
-        "zoom",
-    )
-]
-"""The modules of the console that are tested without a browser."""
 MOST_BYTES = 6_650
 """README.md says 6 kB, of 1,024 bytes each; what it is rounded from includes all that keeps a page
 alive."""
 PATIENCE = 110.0
 PICK_UP = load_action(ROOT / "tests/action_files/robot_msgs/action/PickUp.action")
-TYPED = """\
-import { Connection, type ActionTypes, type AnyAction, type Goal } from "./fibaction.js";
-import type { Actions } from "./robot_types.js";
-
-const connection = new Connection<Actions>("ws://127.0.0.1:8080");
-const pick = await connection.sendGoal("pick_up", { thing: "cup" });
-for await (const { progress } of pick.feedback) console.log(progress.toFixed());
-const goal: Goal<Actions["fibonacci"]> = await connection.sendGoal("fibonacci", { order: 3 });
-console.log((await goal.outcome).result?.sequence[0]?.toFixed());
-const followed = await connection.attach("fibonacci", goal.id);
-console.log((await followed.outcome).result?.sequence[0]?.toFixed());
-const stop: () => void = connection.watch("pick_up", ({ stamp }) => console.log(stamp + 1n));
-await connection.cancel("pick_up");
-// @ts-expect-error: it is text
-await connection.sendGoal("pick_up", { thing: 1 });
-// @ts-expect-error: the order is missing
-await connection.sendGoal("fibonacci", {});
-// @ts-expect-error: there is no such feedback
-for await (const { progress } of followed.feedback) console.log(progress);
-// @ts-expect-error: it is of another action
-const other: Goal<Actions["fibonacci"]> = await connection.sendGoal("pick_up", { thing: "cup" });
-// @ts-expect-error: there is no such action
-await connection.sendGoal("pick", { thing: "cup" });
-// @ts-expect-error: there is no such action
-await connection.attach("pick", goal.id);
-// @ts-expect-error: there is no such action
-await connection.cancel("pick");
-// @ts-expect-error: there is no such action
-connection.watch("pick", stop);
-// @ts-expect-error: an action has a result, too
-new Connection<{ pick: { goal: number; feedback: number } }>("ws://127.0.0.1:8080");
-
-const untyped = new Connection("ws://127.0.0.1:8080");
-const any: Goal<AnyAction> = await untyped.sendGoal("pick", { thing: 1 });
-console.log((await any.outcome).result.anything);
-const named = await untyped.sendGoal<Actions["fibonacci"]>("fibonacci", { order: 3 });
-console.log((await named.outcome).result?.sequence[0]?.toFixed());
-// @ts-expect-error: the order is missing
-await untyped.sendGoal<Actions["fibonacci"]>("fibonacci", {});
-
-type Typed<All> = { [Name in keyof All]: ActionTypes };
-export function send<All extends Typed<All>, Name extends keyof All & string>(
-  by: Connection<All>, name: Name, goal: All[Name]["goal"],
-): Promise<Goal<All[Name]>> {
-  return by.sendGoal(name, goal);
-}
-console.log((await (await send(connection, "fibonacci", { order: 3 })).outcome).result?.sequence);
-"""
-
 needs_node = pytest.mark.skipif(IS_LEFT_OUT, reason=MISSING)
 
 
@@ -143,15 +68,10 @@ def cases() -> list[tuple[str, Any]]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with the client, a part of the console, their tests and their libraries."""
-    for name in ("fibaction.js", "fibaction.d.ts", "package.json"):
-        shutil.copy(CLIENT / name, tmp_path)
-    for name in IN_NODE:
-        shutil.copy(CONSOLE / name, tmp_path)
-    for test in HERE.glob("*.*ts"):
-        shutil.copy(test, tmp_path)
-    for test in HERE.glob("*.mjs"):
-        shutil.copy(test, tmp_path)
+    """A folder with the client, the modules of the console, their tests and their libraries."""
+    client = [CLIENT / name for name in ("fibaction.js", "fibaction.d.ts", "package.json")]
+    for file in (*client, *CONSOLE.glob("*.js"), *HERE.glob("*.*ts"), *HERE.glob("*.mjs")):
+        shutil.copy(file, tmp_path)
     (tmp_path / "node_modules").symlink_to(MODULES)
     return tmp_path
 
@@ -196,7 +116,7 @@ def test_the_types_describe_the_client(folder: Path) -> None:
 def test_a_program_is_checked_by_the_types_that_are_written_for_it(folder: Path) -> None:
     (folder / "tsconfig.json").write_text((HERE / "tsconfig.json").read_text())
     (folder / "robot_types.ts").write_text(typescript_source([PICK_UP.info, FIBONACCI.info]))
-    (folder / "program.ts").write_text(TYPED)
+    shutil.copy(HERE / "typed/program.ts", folder)
     run(folder, "node_modules/typescript/bin/tsc", "--noEmit", "-p", ".")
 
 

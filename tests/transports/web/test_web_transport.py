@@ -46,10 +46,6 @@ class Call:
         """Send a message to the application; `_` in its type is a dot."""
         self._to_app.send_nowait(message)
 
-    async def heard(self, kind: str) -> dict[str, Any]:
-        """Wait for the next message of that type."""
-        return await self.next(kind)
-
     async def next(self, *kinds: str) -> dict[str, Any]:
         """Wait for the next message of one of these types."""
         with anyio.fail_after(30):
@@ -104,7 +100,7 @@ async def served(web: WebTransport, server: Any = None) -> AsyncGenerator[str, N
 async def answer_of(app: WebTransport, call: Call) -> tuple[int, Any]:
     """The status and the JSON of an answer."""
     await call.run(app)
-    start = await call.heard("http.response.start")
+    start = await call.next("http.response.start")
     body = b"".join(message.get("body", b"") for message in call.said)
     return start["status"], json.loads(body) if body else None
 
@@ -214,7 +210,7 @@ async def test_streams_that_are_open_at_the_end_are_cut_and_no_others_begin(
             call = http("POST", GOALS, headers=headers)
             call.tell(type="http.request", body=b'{"order": 1}')
             tasks.start_soon(call.run, web)
-            await call.heard("http.response.body")
+            await call.next("http.response.body")
             tasks.start_soon(be_late)
         # The server of the action runs on, so the stream has no end.
         assert not held.canceled.is_set()
@@ -230,9 +226,9 @@ async def test_the_wire_protocol_is_spoken_with_its_subprotocol() -> None:
     async with served(web), anyio.create_task_group() as tasks:
         call = websocket("chat", "fibaction.1", client=("10.0.0.1", 7))
         tasks.start_soon(call.run, web)
-        assert (await call.heard("websocket.accept"))["subprotocol"] == "fibaction.1"
+        assert (await call.next("websocket.accept"))["subprotocol"] == "fibaction.1"
         call.tell(type="websocket.receive", bytes=HELLO)
-        (frame,) = FrameReader().feed((await call.heard("websocket.send"))["bytes"])
+        (frame,) = FrameReader().feed((await call.next("websocket.send"))["bytes"])
         assert isinstance(decode_from_server(frame), Welcome)
         call.tell(type="websocket.disconnect", code=1001)
     assert call.said == []
@@ -258,8 +254,8 @@ async def test_a_wrong_websocket_is_refused(
         call.scope |= more
         await call.run(web)
     if can_answer:
-        assert (await call.heard("websocket.http.response.start"))["status"] == status
-        assert (await call.heard("websocket.http.response.body"))["body"]
+        assert (await call.next("websocket.http.response.start"))["status"] == status
+        assert (await call.next("websocket.http.response.body"))["body"]
     else:
         assert call.said == [{"type": "websocket.close"}]
     assert len(log.warnings) == 1
@@ -291,7 +287,7 @@ async def test_a_wrong_message_ends_the_connection_with_a_code(
             call.tell(type="websocket.receive", bytes=HELLO)
             call.tell(type="websocket.receive", **message)
             await call.run(web)
-        assert (await call.heard("websocket.close"))["code"] == code
+        assert (await call.next("websocket.close"))["code"] == code
         (line,) = wire.warnings
         assert reason in line
 
@@ -302,6 +298,6 @@ async def test_a_websocket_that_breaks_while_writing_is_lost(error: Exception) -
     async with served(web), anyio.create_task_group() as tasks:
         call = websocket("fibaction.1")
         tasks.start_soon(call.run, web)
-        await call.heard("websocket.accept")
+        await call.next("websocket.accept")
         call.broken = error
         call.tell(type="websocket.receive", bytes=HELLO)

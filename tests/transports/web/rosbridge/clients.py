@@ -210,7 +210,7 @@ async def over_asgi(*endpoints: Endpoint, **settings: Any) -> AsyncGenerator[Ser
             call.scope["headers"].append((b"authorization", authorization.encode()))
         call.tell(type="websocket.connect")
         tasks.start_soon(call.run, web)
-        assert "subprotocol" not in await call.heard("websocket.accept")
+        assert "subprotocol" not in await call.next("websocket.accept")
         client = AsgiClient(call)
         yield client
         if not call.has_returned:

@@ -144,6 +144,7 @@ async def test_operations_that_are_not_served_are_ignored_and_logged_once(
         ({"op": "send_action_goal", "id": 2**63, "action": "/a"}, {"action": "/a"}),
         (goal(1, feedback="yes"), {"action": "/fibonacci", "id": "g1"}),
         (goal(1, fragment_size=0), {"action": "/fibonacci", "id": "g1"}),
+        (goal(1, meta={"traceparent": 1}), {"action": "/fibonacci", "id": "g1"}),
         (goal(float("nan")), {"action": "/fibonacci", "id": "g1"}),
         ({"op": "call_service", "service": [], "id": 3}, {"service": "", "id": 3}),
         ({"op": "call_service", "service": "/a", "args": 3}, {"service": "/a"}),

@@ -17,7 +17,6 @@ from fibaction.wire.messages import (
     Feedback,
     Hello,
     SendGoal,
-    Welcome,
 )
 from fibaction.wire.settings import WireSettings
 from fibaction.words.statuses import GoalStatus
@@ -62,15 +61,6 @@ async def test_a_goal_gets_more_credit_when_it_has_used_it_up(
         assert len(translator.texts_of(feedback)) == 1
         replies += sent(translator.calls.take_replies())
     assert replies == [Credit(request.id, 2)] * 2
-
-
-async def test_a_meta_that_is_not_text_is_the_error_of_its_goal(
-    translator: RosbridgeTranslator,
-) -> None:
-    assert await translator.frames_of(json.dumps(goal(1, meta={"traceparent": 1}))) == []
-    translator.texts_of(encode(Welcome(1, 1.0)))
-    (text,) = translator.take_texts()
-    assert "Expected `str`, got `int`" in text
 
 
 @pytest.mark.parametrize(
