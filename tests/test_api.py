@@ -194,6 +194,28 @@ async def test_settings_go_to_the_transport() -> None:
 SERVER = ActionServer(FIBONACCI, fibonacci)
 
 
+@pytest.mark.parametrize(
+    ("where", "given", "text"),
+    [
+        *(
+            (
+                "inproc://a",
+                given,
+                f"connect() takes an address and, optionally, an Action; {given!r} is not an",
+            )
+            for given in (SERVER, "fibonacci", Goal)
+        ),
+        ("inproc://a", fibonacci, "make one of it with @action('fibonacci')"),
+        (FIBONACCI, "inproc://a", f"not {FIBONACCI!r}"),
+    ],
+)
+async def test_what_is_no_action_or_no_address_is_told_in_one_sentence(
+    where: Any, given: Any, text: str
+) -> None:
+    with pytest.raises(TypeError, match=re.escape(text)):
+        connect(where, given)
+
+
 async def test_a_call_without_an_action_is_told_in_one_sentence() -> None:
     nothing: Any = None
     text = "call() takes an address, an Action and its goal; None is not an Action"
@@ -203,15 +225,6 @@ async def test_a_call_without_an_action_is_told_in_one_sentence() -> None:
         fibaction.blocking.call("tcp://127.0.0.1:1", nothing, 3)
 
 
-async def test_a_function_that_is_no_action_yet_is_told_with_what_makes_one() -> None:
-    function: Any = fibonacci
-    with pytest.raises(TypeError, match=r"make one of it with @action\('fibonacci'\)"):
-        connect("inproc://connection", function)
-    with pytest.raises(TypeError, match="make an action of a function with @action"):
-        async with serve(function, "inproc://a"):
-            raise AssertionError("the block must not run")
-
-
 async def test_a_connection_says_which_clients_have_what_it_has_not() -> None:
     async with connect("inproc://connection") as connection:
         unknown: Any = connection
@@ -219,21 +232,6 @@ async def test_a_connection_says_which_clients_have_what_it_has_not() -> None:
             unknown.call(3)
         with pytest.raises(AttributeError, match=r"a connection has no attribute 'nonsense'$"):
             unknown.nonsense()
-
-
-@pytest.mark.parametrize("given", [SERVER, "fibonacci", Goal])
-async def test_what_is_no_action_is_told_in_one_sentence(given: Any) -> None:
-    with pytest.raises(TypeError) as caught:
-        connect("inproc://connection", given)
-    assert str(caught.value) == (
-        f"connect() takes an address and, optionally, an Action; {given!r} is not an Action"
-    )
-
-
-async def test_what_is_no_address_is_told_in_one_sentence() -> None:
-    swapped: Any = (FIBONACCI, "inproc://connection")
-    with pytest.raises(TypeError, match=f"an address is a URL such as .* not {FIBONACCI!r}"):
-        connect(*swapped)
 
 
 OTHER = Action("other", goal=Goal, feedback=Feedback, result=Result)
@@ -332,8 +330,9 @@ async def test_settings_go_to_the_transports() -> None:
         ([SERVER, FIBONACCI], "inproc://a", repr(FIBONACCI)),
         (["inproc://b", SERVER], "inproc://a", "'inproc://b'"),
         (None, "inproc://a", "None"),
+        (fibonacci, "inproc://a", repr(fibonacci)),
     ],
-    ids=["swapped", "an action", "an action among servers", "a URL among servers", "nothing"],
+    ids=["swapped", "an action", "an action in a list", "a URL in a list", "nothing", "a function"],
 )
 async def test_what_is_no_server_is_told_in_one_sentence(
     given: Any, where: Any, shown: str
@@ -341,6 +340,8 @@ async def test_what_is_no_server_is_told_in_one_sentence(
     hint = ""
     if shown == repr(FIBONACCI):
         hint = ": write serve(ActionServer(FIBONACCI, executor), ...)"
+    elif given is fibonacci:
+        hint = ": make an action of a function with @action, or give it to an ActionServer"
     with pytest.raises(TypeError) as caught:
         async with serve(given, where):
             raise AssertionError("the block must not run")

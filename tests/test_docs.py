@@ -214,22 +214,30 @@ def test_every_shell_command_is_run_or_says_why_not(path: Path) -> None:
     assert not unmarked or name in SHELLS_ELSEWHERE
 
 
-def test_an_example_that_prints_something_else_is_found() -> None:
-    page = "```python\nprint(1)\n```\n\n```text\n2\n```\n"
-
-    assert run_page(page, "page") == ["page:1: it prints\n1\nand the page says\n2\n"]
-
-
-def test_an_example_whose_output_is_not_shown_is_found() -> None:
-    page = "```python\nprint(1)\n```\n\nThis prints:\n\n```text\n1\n```\n"
-
-    assert len(run_page(page, "page")) == 1
+PRINTS = "```python\nx = 1\n```\n\n```python\nprint(x)\n```\n"
+NEEDS_ROS = f"<!-- not run: {WITH_ROS} -->\n```python\nprint(1)\n```\n\n```text\n2\n```\n"
+WRONG = "```python\n1 / 0\n```\n"
 
 
-def test_the_blocks_of_a_page_share_their_names() -> None:
-    page = "```python\nx = 1\n```\n\n```python\nprint(x)\n```\n```text\n1\n```\n"
+@pytest.mark.parametrize(
+    ("page", "wrong"),
+    [
+        (f"{PRINTS}```text\n1\n```\n", []),
+        (f"{PRINTS}```text\n2\n```\n", ["page:5: it prints\n1\nand the page says\n2\n"]),
+        (f"{PRINTS}It prints:\n```text\n1\n```\n", ["page:5: it prints\n1\nand the page says\n"]),
+        (f"<!-- not run: it needs a robot -->\n{WRONG}", []),
+        (f"<!-- not run:  -->\n{WRONG}", ["page:2: no reason is given why it is not run"]),
+        (NEEDS_ROS, []),
+    ],
+)
+def test_a_page_that_shows_something_else_than_its_examples_is_found(
+    page: str, wrong: list[str]
+) -> None:
+    assert run_page(page, "page") == wrong
 
-    assert run_page(page, "page") == []
+
+def test_an_example_that_needs_ros_is_run_where_that_is() -> None:
+    assert len(run_page(NEEDS_ROS, "page", ros=True)) == 1
 
 
 def test_an_error_in_an_example_is_not_swallowed() -> None:
@@ -260,22 +268,6 @@ def test_the_transport_that_the_guide_for_authors_shows_works() -> None:
 def test_the_tests_that_a_page_shows_are_run() -> None:
     with pytest.raises(AssertionError):
         run_page("```python\nasync def test_it() -> None:\n    assert False\n```\n", "page")
-
-
-def test_an_example_is_left_out_only_with_a_reason() -> None:
-    block = "```python\n1 / 0\n```\n"
-
-    assert run_page(f"<!-- not run: it needs a robot -->\n{block}", "page") == []
-    assert run_page(f"<!-- not run:  -->\n{block}", "page") == [
-        "page:2: no reason is given why it is not run"
-    ]
-
-
-def test_an_example_that_needs_ros_is_left_out_unless_it_is_there() -> None:
-    page = f"<!-- not run: {WITH_ROS} -->\n```python\nprint(1)\n```\n\n```text\n2\n```\n"
-
-    assert run_page(page, "page") == []
-    assert run_page(page, "page", ros=True) == ["page:2: it prints\n1\nand the page says\n2\n"]
 
 
 # What is made from the code
@@ -320,11 +312,6 @@ def test_the_generated_parts_of_a_page_are_as_the_code_makes_them(name: str) -> 
     page = (DOCS / name).read_text(encoding="utf-8")
 
     assert build.with_parts(page, build.PARTS[name]) == page
-
-
-def test_a_page_without_the_marks_is_refused() -> None:
-    with pytest.raises(ValueError, match="states"):
-        build.with_parts("# Concepts\n", build.PARTS["concepts.md"])
 
 
 # The protocol

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import logging
+import math
 import re
 import shutil
 import signal
 import socket
 import subprocess
 import sys
-from collections.abc import AsyncGenerator, Iterator, Mapping
+from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -43,7 +43,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "fleet"))
 import durable_print
 import exclusive_arm
 import fibonacci_client
-import fibonacci_server
 import mission
 import picking
 import worker_pool
@@ -169,10 +168,6 @@ def test_the_shortest_example_shows_feedback_a_result_and_a_cancel(
         "Result(total=3)",
         "CANCELED",
     ]
-
-
-def test_the_shortest_example_is_short() -> None:
-    assert len((EXAMPLES / "inprocess.py").read_text(encoding="utf-8").splitlines()) <= 45
 
 
 def test_the_arm_picks_the_pen_that_lies_still(
@@ -307,55 +302,6 @@ async def test_a_cancel_of_a_mission_reaches_the_step_that_runs() -> None:
 # The arm
 
 
-@pytest.mark.anyio
-async def test_a_new_target_preempts_and_the_arm_starts_where_it_has_stopped() -> None:
-    async with exclusive_arm.make_server() as server:
-        client = ActionClient(server, exclusive_arm.MOVE_ARM)
-        async with client.send_goal(exclusive_arm.Goal([1.0, 0.0, 0.0])) as first:
-            async for feedback in first.feedback:
-                if feedback.joints[0] > 0.45:
-                    break
-            second = await client.send_goal(exclusive_arm.Goal([0.0, 0.0, 0.0]))
-            braking = [feedback async for feedback in first.feedback]
-            outcome = await first.outcome()
-            moving = [feedback.joints[0] async for feedback in second.feedback]
-            end = await second.result()
-    assert [feedback.phase for feedback in braking] == ["brakes", "brakes"]
-    assert outcome == End(
-        GoalStatus.ABORTED,
-        exclusive_arm.Result(braking[-1].joints),
-        f"preempted by {second.goal_id}",
-    )
-    assert moving[0] == pytest.approx(braking[-1].joints[0] - 0.1)
-    assert moving == sorted(moving, reverse=True)
-    assert end == exclusive_arm.Result([0.0, 0.0, 0.0])
-
-
-@pytest.mark.anyio
-async def test_a_cancel_stops_the_arm_as_gently() -> None:
-    arm = exclusive_arm.Arm()
-    goal = exclusive_arm.Goal([1.0, 0.0, 0.0])
-    trial = await run_executor(exclusive_arm.MOVE_ARM, arm.move, goal, cancel_after=3)
-    assert [feedback.phase for feedback in trial.feedback] == ["moves"] * 3 + ["brakes"] * 2
-    assert trial.outcome == End(GoalStatus.CANCELED, exclusive_arm.Result(arm.joints))
-    assert arm.joints == pytest.approx([0.37, 0.0, 0.0])
-
-
-@pytest.mark.parametrize(
-    ("joints", "reason"),
-    [
-        ([1.0, 2.0], "the arm has 3 joints, not 2"),
-        ([0.0, 0.0, -1.6], r"a joint cannot turn to -1\.60, only to \+-1\.57"),
-        ([0.0, float("nan"), 0.0], "a joint cannot turn to nan"),
-    ],
-)
-def test_a_target_out_of_reach_is_rejected_with_the_reason(
-    joints: list[float], reason: str
-) -> None:
-    with pytest.raises(GoalRejected, match=reason):
-        exclusive_arm.Arm().on_goal(exclusive_arm.Goal(joints))
-
-
 @pytest.mark.asyncio
 @pytest.mark.usefixtures("survives_signals")
 async def test_a_signal_while_the_arm_brakes_ends_both_goals() -> None:
@@ -385,14 +331,68 @@ async def test_a_signal_while_the_arm_brakes_ends_both_goals() -> None:
     assert outcomes[1].result is None
 
 
-# The farm
+# All of them
+
+
+@pytest.mark.parametrize(
+    ("on_goal", "goal", "reason"),
+    [
+        (exclusive_arm.Arm().on_goal, exclusive_arm.Goal([1.0, 2.0]), "has 3 joints, not 2"),
+        (
+            exclusive_arm.Arm().on_goal,
+            exclusive_arm.Goal([0.0, 0.0, -1.6]),
+            "cannot turn to -1.60, only to +-1.57",
+        ),
+        (exclusive_arm.Arm().on_goal, exclusive_arm.Goal([0.0, math.nan, 0.0]), "turn to nan"),
+        (worker_pool.on_goal, worker_pool.Goal("empty", 0), "a shot has 1 frame or more, not 0"),
+        (durable_print.on_goal, durable_print.Goal("../gear", 1), "'../gear' is not a name: "),
+        (durable_print.on_goal, durable_print.Goal("gear", 0), "has 1 to 100000 layers, not 0"),
+        (picking.on_goal, picking.Order(0), "an order has 1 item or more, not 0"),
+        (on_goal, Goal(-1), "order is -1, and the index of a number is 0 or more"),
+        (on_goal, Goal(47), "order is 47, and the numbers after index 46 do not fit int32"),
+    ],
+)
+def test_a_goal_out_of_range_is_rejected_with_the_reason(
+    on_goal: Callable[[Any], None], goal: object, reason: str
+) -> None:
+    with pytest.raises(GoalRejected, match=re.escape(reason)):
+        on_goal(goal)
 
 
 @pytest.mark.anyio
-async def test_a_shot_that_is_canceled_says_how_many_frames_there_are() -> None:
-    goal = worker_pool.Goal("test", 9)
-    trial = await run_executor(worker_pool.RENDER, worker_pool.render, goal, cancel_after=2)
-    assert trial.outcome == End(GoalStatus.CANCELED, worker_pool.Result(2))
+@pytest.mark.parametrize(
+    ("action", "executor", "goal", "part"),
+    [
+        (
+            exclusive_arm.MOVE_ARM,
+            exclusive_arm.Arm().move,
+            exclusive_arm.Goal([1.0, 0.0, 0.0]),
+            exclusive_arm.Result([pytest.approx(0.27), 0.0, 0.0]),  # type: ignore[list-item]  # it is equal to it
+        ),
+        (
+            worker_pool.RENDER,
+            worker_pool.render,
+            worker_pool.Goal("test", 9),
+            worker_pool.Result(2),
+        ),
+        (
+            picking.PICK,
+            picking.Robot("robot1", 0.01).pick,
+            picking.Order(9),
+            picking.Picked(2),
+        ),
+        (FIBONACCI, fibonacci, Goal(10), Result([0, 1, 1, 2])),
+    ],
+    ids=["arm", "farm", "fleet", "fibonacci"],
+)
+async def test_a_goal_that_is_canceled_ends_with_the_part_that_is_done(
+    action: Any, executor: Any, goal: object, part: object
+) -> None:
+    trial = await run_executor(action, executor, goal, cancel_after=2)
+    assert trial.outcome == End(GoalStatus.CANCELED, part)
+
+
+# The farm
 
 
 @pytest.mark.anyio
@@ -416,11 +416,6 @@ async def test_a_shot_that_cannot_be_done_in_time_is_not_begun(
             ):
                 await calling
     assert frames == feedback
-
-
-def test_a_shot_without_frames_is_rejected() -> None:
-    with pytest.raises(GoalRejected, match="a shot has 1 frame or more, not 0"):
-        worker_pool.on_goal(worker_pool.Goal("empty", 0))
 
 
 # The printer
@@ -498,22 +493,6 @@ def test_a_layer_that_is_printed_again_is_where_it_was(tmp_path: Path) -> None:
     assert text == "layer      1\nlayer      2\nlayer      3\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "layers", "reason"),
-    [
-        (
-            "../gear",
-            1,
-            r"'\.\./gear' is not a name: letters, digits and _, and a letter or _ first",
-        ),
-        ("gear", 0, "an object has 1 to 100000 layers, not 0"),
-    ],
-)
-def test_an_object_that_cannot_be_printed_is_rejected(name: str, layers: int, reason: str) -> None:
-    with pytest.raises(GoalRejected, match=reason):
-        durable_print.on_goal(durable_print.Goal(name, layers))
-
-
 # The fleet
 
 
@@ -553,19 +532,6 @@ def test_orders_of_robots_that_are_gone_go_on_with_others(tmp_path: Path) -> Non
     assert re.search(r"item +\d+ of 10 by robot[34], after robot2", after)
 
 
-@pytest.mark.anyio
-async def test_an_order_that_is_canceled_says_how_many_items_there_are() -> None:
-    robot = picking.Robot("robot1", 0.01)
-    trial = await run_executor(picking.PICK, robot.pick, picking.Order(9), cancel_after=2)
-    assert trial.feedback == [picking.Progress(1, "robot1"), picking.Progress(2, "robot1")]
-    assert trial.outcome == End(GoalStatus.CANCELED, picking.Picked(2))
-
-
-def test_an_order_without_items_is_rejected() -> None:
-    with pytest.raises(GoalRejected, match="an order has 1 item or more, not 0"):
-        picking.on_goal(picking.Order(0))
-
-
 # The Fibonacci action
 
 
@@ -594,34 +560,6 @@ async def test_an_order_is_the_index_of_the_last_number(order: int, sequence: li
     trial = await run_executor(FIBONACCI, lambda goal: fibonacci(goal, 0), Goal(order))
     assert trial.outcome == End(GoalStatus.SUCCEEDED, Result(sequence))
     assert [item.partial_sequence for item in trial.feedback] == feedback_of(order)
-
-
-def test_the_largest_order_is_the_last_that_fits_int32() -> None:
-    assert feedback_of(46)[-1][-1] == 1836311903 < 2**31 <= feedback_of(47)[-1][-1]
-
-
-@pytest.mark.parametrize(
-    ("order", "reason"),
-    [
-        (-1, "order is -1, and the index of a number is 0 or more"),
-        (47, "order is 47, and the numbers after index 46 do not fit int32"),
-    ],
-)
-def test_an_order_out_of_range_is_rejected_with_the_reason(order: int, reason: str) -> None:
-    with pytest.raises(GoalRejected) as caught:
-        on_goal(Goal(order))
-    assert caught.value.reason == reason
-
-
-@pytest.mark.asyncio
-async def test_a_goal_that_is_canceled_ends_with_the_numbers_so_far() -> None:
-    trial = await run_executor(FIBONACCI, lambda goal: fibonacci(goal, 0), Goal(10), cancel_after=3)
-    assert trial.outcome == End(GoalStatus.CANCELED, Result([0, 1, 1, 2, 3]))
-    assert trial.feedback == [
-        Feedback([0, 1, 1]),
-        Feedback([0, 1, 1, 2]),
-        Feedback([0, 1, 1, 2, 3]),
-    ]
 
 
 @pytest.mark.anyio
@@ -748,17 +686,6 @@ async def interrupted_client(server: ActionServer[Goal, Feedback, Result], signa
 
 @pytest.mark.asyncio
 @pytest.mark.usefixtures("survives_signals")
-async def test_ctrl_c_cancels_the_goal_and_the_partial_result_is_printed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with anyio.fail_after(30):
-        assert await interrupted_client(make_server(period=60), 1) == 3
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[2:] == ["cancel    accepted", "canceled", "result    0 1"]
-
-
-@pytest.mark.asyncio
-@pytest.mark.usefixtures("survives_signals")
 async def test_a_second_ctrl_c_does_not_wait_for_the_end_of_the_goal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -774,28 +701,6 @@ async def test_a_second_ctrl_c_does_not_wait_for_the_end_of_the_goal(
 
 
 # The server
-
-
-@pytest.mark.asyncio
-@pytest.mark.usefixtures("survives_signals")
-async def test_the_server_logs_each_goal_up_to_the_end_that_a_signal_gives_it(
-    caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
-) -> None:
-    url = "inproc://stopped"
-    caplog.set_level(logging.INFO, logger="fibonacci")
-    with anyio.fail_after(30):
-        async with connect(url, FIBONACCI) as client, anyio.create_task_group() as tasks:
-            tasks.start_soon(fibonacci_server.main, url, 60)
-            await client.wait_for_server()
-            goal = await client.send_goal(Goal(10))
-            await anyio.wait_all_tasks_blocked()
-            signal.raise_signal(SIGTERM)
-            outcome = await goal.outcome()
-    assert outcome == End(GoalStatus.ABORTED, Result([0, 1]), "server stopped")
-    assert [record.getMessage() for record in caplog.records if record.name == "fibonacci"] == [
-        f"goal {goal.goal_id} {status}" for status in ("ACCEPTED", "EXECUTING", "ABORTED")
-    ]
-    assert capsys.readouterr().out == f"serving fibonacci at {url}, Ctrl-C stops it\n"
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from tests.tools.promises import (
     left_out_over_ros,
     lists_of_tests,
     promises_of,
-    proofs_in,
 )
 
 OVER_ROS = (ROOT / "tests/support/ros_contract.py").read_text(encoding="utf-8")
@@ -39,10 +38,6 @@ def over_ros(test: str, *promises: str) -> Proof:
 
 def on_a_line(test: str, *promises: str) -> Proof:
     return Proof(test, "tests/transports/test_faults.py", promises)
-
-
-def of_the_core(test: str, *promises: str) -> Proof:
-    return Proof(test, "tests/words/test_statuses.py", promises)
 
 
 @pytest.fixture(scope="module")
@@ -211,10 +206,6 @@ def test_a_promise_that_is_said_to_hold_over_ros_and_is_not_shown_there_is_found
     assert list(faults([promise], [*shown, there], left_out)) == []
 
 
-def test_what_the_core_alone_shows_holds_over_ros_too() -> None:
-    assert list(faults([ONE], [of_the_core("test_it_ends", "GOAL-1")], {})) == []
-
-
 @pytest.mark.parametrize("ros", ["No: it cannot", "Does not arise: there are none"])
 @pytest.mark.parametrize("proof", [contract, over_ros])
 def test_a_promise_that_is_said_not_to_hold_over_ros_and_is_shown_there_is_found(
@@ -240,73 +231,3 @@ def test_a_test_that_is_left_out_over_ros_and_is_not_there_is_found() -> None:
 
 
 # How both are read
-
-
-MODULE = """
-@pytest.mark.promise("GOAL-1", "GOAL-2")
-@pytest.mark.parametrize("x", [1])
-async def test_one(x): ...
-
-def test_two(): ...
-
-@pytest.mark.anyio
-@pytest.mark.promise("GOAL-3")
-def test_three(): ...
-
-def helper(): ...
-"""
-
-
-def test_the_marks_of_a_module_are_read_without_running_it() -> None:
-    assert list(proofs_in(MODULE, "test_it.py")) == [
-        Proof("test_one", "test_it.py", ("GOAL-1", "GOAL-2")),
-        Proof("test_two", "test_it.py", ()),
-        Proof("test_three", "test_it.py", ("GOAL-3",)),
-    ]
-
-
-@pytest.mark.parametrize("names", ["NAME", "1", '*["GOAL-1"]', 'name="GOAL-1"'])
-def test_a_mark_whose_names_cannot_be_read_is_refused(names: str) -> None:
-    with pytest.raises(ValueError, match="names of promises only"):
-        list(proofs_in(f"@pytest.mark.promise({names})\ndef test_it(): ...", "test_it.py"))
-
-
-def test_what_is_left_out_over_ros_is_read_with_its_reasons() -> None:
-    source = 'A = "so"\nEXCLUSIONS: dict[str, str] = {"test_one": A, "test_two": "not so"}\n'
-
-    assert left_out_over_ros(source) == {"test_one": "A", "test_two": "'not so'"}
-    with pytest.raises(ValueError, match="no EXCLUSIONS"):
-        left_out_over_ros("A = 1")
-
-
-SECTIONS = """\
-## The goal
-
-| <nobr id="goal-1">GOAL-1</nobr> | It ends. | Yes |
-| <nobr id="goal-2">GOAL-2</nobr> | It ends once. | Yes: by a rule of ROS |
-
-## The end
-
-| <nobr id="stop-1">STOP-1</nobr> | It stops. | Yes |
-"""
-
-
-def test_each_group_of_promises_has_the_heading_of_its_section() -> None:
-    assert promises_of(SECTIONS)[:2] == [ONE, TWO]
-    assert headings_of(SECTIONS) == {"GOAL": "The goal", "STOP": "The end"}
-
-
-def test_a_list_has_each_promise_with_its_tests() -> None:
-    stop = Promise("STOP-1", "It stops.", "Yes", "stop-1")
-
-    assert lists_of_tests([ONE, TWO, stop], SHOWN) == {
-        "GOAL": (
-            "### GOAL-1\n\nIt ends.\n\n"
-            "- `test_it_ends` in tests/contract/test_it.py\n"
-            "- `test_it_ends_once` in tests/contract/test_it.py\n"
-            "\n"
-            "### GOAL-2\n\nIt ends once.\n\n"
-            "- `test_it_ends_once` in tests/contract/test_it.py\n"
-        ),
-        "STOP": "### STOP-1\n\nIt stops.\n\n",
-    }

@@ -7,7 +7,7 @@ the figures of today, with their places.
 
 from __future__ import annotations
 
-import ast
+from collections.abc import Callable
 
 import pytest
 
@@ -80,112 +80,98 @@ def test_no_modules_import_each_other_in_a_circle(product: list[Source]) -> None
 
 # Each rule finds what it is for
 
-
-def figures(found: structure.Findings) -> dict[str, int]:
-    return {name: finding.figure for name, finding in found.items()}
+BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
 
 
-def test_the_product_is_read(product: list[Source]) -> None:
-    there = {str(source.path) for source in product}
-    assert {"fibaction/__init__.py", "transports/fibaction_transports/__init__.py"} <= there
-
-
-def test_a_class_is_found_in_two_modules_and_inside_another_class() -> None:
-    one = Source.of("a/one.py", "class Goal: ...\nclass Other:\n    class _Part: ...\n")
-    two = Source.of("b/two.py", "if True:\n    class Goal: ...\nclass _Part: ...\n")
-    found = structure.repeated_classes([one, two])
-    assert found == {
-        "Goal": Finding(2, ["a/one.py:1", "b/two.py:2"]),
-        "_Part": Finding(2, ["a/one.py:3", "b/two.py:3"]),
-    }
-
-
-def test_a_constant_with_another_value_in_its_folder_is_found() -> None:
-    one = Source.of("a/one.py", "PAUSE = 1\n_MOST: int = 2\nSECOND = 10**9\nlower = 1\n")
-    two = Source.of("a/two.py", "PAUSE = 1\nMOST = 3\nSECOND = 1_000_000_000\nlower = 2\n")
-    other = Source.of("b/two.py", "PAUSE = 2\n_ONLY: int\nx.PAUSE = 3\n")
-    assert structure.ambiguous_constants([one, two, other]) == {
-        "MOST": Finding(2, ["a/one.py:2", "a/two.py:2"])
-    }
-
-
-def test_of_several_folders_the_one_with_most_values_of_a_constant_counts() -> None:
-    sources = [
-        *(Source.of(f"a/{value}.py", f"PAUSE = {value}\n") for value in (1, 2)),
-        *(Source.of(f"b/{value}.py", f"PAUSE = f({value})\n") for value in (1, 2, 3)),
-        *(Source.of(f"c/{value}.py", f"PAUSE = {value}\n") for value in (1, 2)),
-    ]
-    assert figures(structure.ambiguous_constants(sources)) == {"PAUSE": 3}
-
-
-def test_parameters_are_counted_without_self() -> None:
-    text = (
-        "class A:\n"
-        "    def few(self, a, /, b, c, d, *args, e, f, g, h, **kwargs): ...\n"
-        "    async def many(cls, a, /, b, c, d, *, e, f, g, h, i): ...\n"
-        "def few(a, b, c, d, e, f, g, h): ...\n"
-        "def outer():\n"
-        "    def many(a, b, c, d, e, f, g, h, i, j): ...\n"
-    )
-    assert figures(structure.wide_functions([Source.of("a.py", text)])) == {
-        "A.many": 9,
-        "outer.many": 10,
-    }
-
-
-def test_the_lines_of_a_function_are_counted_without_its_docstring() -> None:
-    body = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
-    text = f"def short():\n{body}\n\nasync def long():\n{body}    step()\n"
-    assert figures(structure.long_functions([Source.of("a.py", text)])) == {"long": 61}
-    bare = "def bare():\n" + "    step()\n" * 60
-    assert figures(structure.long_functions([Source.of("a.py", bare)])) == {"bare": 61}
-
-
-def test_a_long_module_is_found() -> None:
-    sources = [Source.of("a.py", "x = 1\n" * 500), Source.of("b.py", "x = 1\n" * 501)]
-    assert figures(structure.long_modules(sources)) == {"b.py": 501}
-    assert figures(structure.long_modules(sources, 499)) == {"a.py": 500, "b.py": 501}
-
-
-def test_a_crowded_folder_is_found() -> None:
-    full = [Source.of(f"a/{number}.py", "") for number in range(12)]
-    inner = [Source.of(f"a/b/{number}.py", "") for number in range(13)]
-    sources = [Source.of("a/__init__.py", ""), *full, *inner]
-    assert figures(structure.crowded_folders(sources)) == {"a/b": 13}
-
-
-def test_a_module_or_package_with_the_name_of_another_is_found() -> None:
-    paths = ["a/text.py", "a/_text.py", "a/goal.py", "a/goal/__init__.py", "a/b/text.py"]
-    sources = [Source.of(path, "") for path in [*paths, "a/__init__.py", "a/b/__init__.py"]]
-    assert structure.repeated_modules(sources) == {
-        "a/text": Finding(2, ["a/_text.py", "a/text.py"]),
-        "a/goal": Finding(2, ["a/goal", "a/goal.py"]),
-    }
-
-
-def test_a_callback_that_is_set_from_outside_is_found() -> None:
-    text = (
-        "self.on_end = end\nruns.on_left = leave\nself.part.on_left = leave\n"
-        "runs.limit = 3\nruns.on_left()\nlogs.find_active: object = find\n"
-    )
-    assert figures(structure.outside_wiring([Source.of("a.py", text)])) == {
-        "on_left": 2,
-        "find_active": 1,
-    }
-
-
-def test_a_circle_is_found_also_if_it_is_for_types_only() -> None:
-    one = Source.of("transports/a/one.py", "import b\nfrom a.b import two\n")
-    two = Source.of("transports/a/b/two.py", "if TYPE_CHECKING:\n    from a.three import X\n")
-    three = Source.of("transports/a/three.py", "def f():\n    import a.one\n")
-    face = Source.of("transports/a/__init__.py", "from a.three import X\n")
-    assert structure.circles([one, two, face]) == {}
-    assert figures(structure.circles([one, two, three])) == {"a.b.two": 3}
-
-
-def test_a_function_in_a_branch_has_the_name_of_its_class() -> None:
-    tree = ast.parse("class A:\n    if True:\n        def run(self): ...\n")
-    assert [name for name, _ in structure.functions(tree)] == ["A.run"]
+@pytest.mark.parametrize(
+    ("rule", "modules", "found"),
+    [
+        (
+            structure.repeated_classes,
+            {
+                "a/one.py": "class Goal: ...\nclass Other:\n    class _Part: ...\n",
+                "b/two.py": "if True:\n    class Goal: ...\nclass _Part: ...\n",
+            },
+            {"Goal": 2, "_Part": 2},
+        ),
+        (
+            structure.ambiguous_constants,
+            {
+                "a/one.py": "PAUSE = 1\n_MOST: int = 2\nSECOND = 10**9\nlower = 1\n",
+                "a/two.py": "PAUSE = 1\nMOST = 3\nSECOND = 1_000_000_000\nlower = 2\n",
+                "b/two.py": "PAUSE = 2\n_ONLY: int\nx.PAUSE = 3\n",
+            },
+            {"MOST": 2},
+        ),
+        (
+            structure.ambiguous_constants,
+            {f"{folder}/{value}.py": f"PAUSE = {value}\n" for folder in "ac" for value in "12"}
+            | {f"b/{value}.py": f"PAUSE = f({value})\n" for value in "123"},
+            {"PAUSE": 3},
+        ),
+        (
+            structure.wide_functions,
+            {
+                "a.py": "class A:\n"
+                "    def few(self, a, /, b, c, d, *args, e, f, g, h, **kwargs): ...\n"
+                "    async def many(cls, a, /, b, c, d, *, e, f, g, h, i): ...\n"
+                "def few(a, b, c, d, e, f, g, h): ...\n"
+                "def outer():\n"
+                "    def many(a, b, c, d, e, f, g, h, i, j): ...\n"
+            },
+            {"A.many": 9, "outer.many": 10},
+        ),
+        (
+            structure.long_functions,
+            {
+                "a.py": f"def short():\n{BODY}\n\nclass A:\n  if True:\n"
+                f"   async def long(self):\n{BODY}    step()\n"
+            },
+            {"A.long": 61},
+        ),
+        (
+            structure.long_modules,
+            {"a.py": "x = 1\n" * 500, "b.py": "x = 1\n" * 501},
+            {"b.py": 501},
+        ),
+        (
+            structure.crowded_folders,
+            {f"a/{number}.py": "" for number in range(12)}
+            | {f"a/b/{number}.py": "" for number in range(13)},
+            {"a/b": 13},
+        ),
+        (
+            structure.repeated_modules,
+            dict.fromkeys(["a/text.py", "a/_text.py", "a/goal.py", "a/goal/__init__.py"], "")
+            | dict.fromkeys(["a/b/text.py", "a/__init__.py", "a/b/__init__.py"], ""),
+            {"a/text": 2, "a/goal": 2},
+        ),
+        (
+            structure.outside_wiring,
+            {
+                "a.py": "self.on_end = end\nruns.on_left = leave\nself.part.on_left = leave\n"
+                "runs.limit = 3\nruns.on_left()\nlogs.find_active: object = find\n"
+            },
+            {"on_left": 2, "find_active": 1},
+        ),
+        (
+            structure.circles,
+            {
+                "transports/a/one.py": "import b\nfrom a.b import two\n",
+                "transports/a/b/two.py": "if TYPE_CHECKING:\n    from a.three import X\n",
+                "transports/a/three.py": "def f():\n    import a.one\n",
+            },
+            {"a.b.two": 3},
+        ),
+    ],
+)
+def test_a_rule_finds_what_it_is_for(
+    rule: Callable[[list[Source]], structure.Findings],
+    modules: dict[str, str],
+    found: dict[str, int],
+) -> None:
+    findings = rule([Source.of(path, text) for path, text in modules.items()])
+    assert {name: finding.figure for name, finding in findings.items()} == found
 
 
 def test_exceptions_can_only_become_fewer_and_smaller() -> None:
