@@ -24,6 +24,7 @@ from fibaction import (
     serve,
 )
 from tests.contract.conftest import Reach
+from tests.support.executors import Steps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.matching import End
 
@@ -174,40 +175,25 @@ async def test_a_slow_decision_delays_no_other_goal(reach: Reach) -> None:
     assert len(outcomes) == 1
 
 
-class Counting:
-    """An executor that counts how often it was run, and waits until it is let go."""
-
-    def __init__(self) -> None:
-        self.runs = 0
-        self.go = anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        self.runs += 1
-        yield Feedback([self.runs])
-        await self.go.wait()
-        yield Result([goal.request.order])
-
-
 @pytest.mark.promise("GOAL-1", "ACCEPT-6")
 async def test_the_same_goal_sent_again_gets_the_same_answer_and_runs_once(reach: Reach) -> None:
-    executor = Counting()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor)) as client:
         goal_id = GoalID.random()
-        first = await client.send_goal(Goal(7), goal_id=goal_id)
-        again = await client.send_goal(Goal(7), goal_id=goal_id)
+        first = await client.send_goal(Goal(2), goal_id=goal_id)
+        again = await client.send_goal(Goal(2), goal_id=goal_id)
         executor.go.set()
-        assert await first.result() == await again.result() == Result([7])
+        assert await first.result() == await again.result() == Result([2])
         assert first.stamp == again.stamp
-        assert [item async for item in again.feedback] == [Feedback([1])]
-        late = await client.send_goal(Goal(7), goal_id=goal_id)
-        assert await late.result() == Result([7])
-    assert executor.runs == 1
+        assert [item async for item in again.feedback] == [Feedback([1]), Feedback([2])]
+        late = await client.send_goal(Goal(2), goal_id=goal_id)
+        assert await late.result() == Result([2])
+    assert executor.runs.total() == 1
 
 
 @pytest.mark.promise("GOAL-1", "ACCEPT-6")
 async def test_the_same_goal_sent_again_while_it_is_decided_waits_for_that(reach: Reach) -> None:
-    executor = Counting()
-    executor.go.set()
+    executor = Steps(go=True)
     asked = 0
     decide = anyio.Event()
 
@@ -221,7 +207,7 @@ async def test_the_same_goal_sent_again_while_it_is_decided_waits_for_that(reach
         heard: list[tuple[list[Feedback], Result]] = []
 
         async def send() -> None:
-            sent = await client.send_goal(Goal(7), goal_id=goal_id)
+            sent = await client.send_goal(Goal(2), goal_id=goal_id)
             heard.append(([item async for item in sent.feedback], await sent.result()))
 
         async with anyio.create_task_group() as tasks:
@@ -229,8 +215,8 @@ async def test_the_same_goal_sent_again_while_it_is_decided_waits_for_that(reach
                 tasks.start_soon(send)
             await anyio.wait_all_tasks_blocked()
             decide.set()
-    assert heard == [([Feedback([1])], Result([7]))] * 3
-    assert (asked, executor.runs) == (1, 1)
+    assert heard == [([Feedback([1]), Feedback([2])], Result([2]))] * 3
+    assert (asked, executor.runs.total()) == (1, 1)
 
 
 @pytest.mark.promise("ACCEPT-6")
@@ -252,20 +238,19 @@ async def test_a_rejected_goal_sent_again_is_rejected_again_without_a_second_dec
 
 @pytest.mark.promise("ACCEPT-8", "RESULT-5")
 async def test_an_id_is_free_again_when_its_goal_is_forgotten(reach: Reach) -> None:
-    executor = Counting()
-    executor.go.set()
+    executor = Steps(go=True)
     async with reach(ActionServer(FIBONACCI, executor, result_timeout=0)) as client:
         goal_id = GoalID.random()
         for order in (7, 8):
             goal = await client.send_goal(Goal(order), goal_id=goal_id)
             assert await goal.result() == Result([order])
             assert (await client.endpoint.get_result(goal_id)).status is GoalStatus.UNKNOWN
-    assert executor.runs == 2
+    assert executor.runs.total() == 2
 
 
 @pytest.mark.promise("STATUS-6")
 async def test_a_rejected_goal_has_no_status_and_never_runs(reach: Reach) -> None:
-    executor = Counting()
+    executor = Steps()
 
     def on_goal(goal: Goal) -> None:
         raise GoalRejected("busy")
@@ -281,12 +266,12 @@ async def test_a_rejected_goal_has_no_status_and_never_runs(reach: Reach) -> Non
             with anyio.move_on_after(0.01) as patience:
                 await statuses.receive()
     assert patience.cancelled_caught
-    assert executor.runs == 0
+    assert executor.runs.total() == 0
 
 
 @pytest.mark.promise("ACCEPT-7")
 async def test_another_goal_under_an_id_in_use_is_rejected(reach: Reach) -> None:
-    executor = Counting()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor)) as client:
         goal_id = GoalID.random()
         first = await client.send_goal(Goal(7), goal_id=goal_id)
@@ -300,7 +285,7 @@ async def test_another_goal_under_an_id_in_use_is_rejected(reach: Reach) -> None
 
 @pytest.mark.promise("ACCEPT-12")
 async def test_an_id_of_zeros_names_no_goal_and_is_rejected(reach: Reach) -> None:
-    executor = Counting()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor)) as client:
         with pytest.raises(GoalRejected):
             await client.send_goal(Goal(7), goal_id=GoalID(bytes(16)))
@@ -309,14 +294,14 @@ async def test_an_id_of_zeros_names_no_goal_and_is_rejected(reach: Reach) -> Non
         goal = await client.send_goal(Goal(8), goal_id=goal_id)
         assert goal.goal_id == goal_id
         assert await goal.result() == Result([8])
-    assert executor.runs == 1
+    assert executor.runs.total() == 1
 
 
 @pytest.mark.promise("ACCEPT-10")
 async def test_a_client_that_gives_up_before_the_answer_leaves_no_goal_behind(
     reach: Reach,
 ) -> None:
-    executor = Counting()
+    executor = Steps()
     decide, asked = anyio.Event(), anyio.Event()
 
     async def on_goal(goal: Goal) -> None:

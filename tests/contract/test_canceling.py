@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
-from typing import cast
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -25,25 +24,12 @@ from fibaction import (
 from fibaction.border.abc import StatusStream
 from tests.contract import conftest
 from tests.contract.conftest import Reach
+from tests.support.executors import Items, Steps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.forms import Form
 from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
-
-Items = AsyncGenerator[Feedback | Result, None]
-
-
-class Held:
-    """An executor that says that it has begun, and then waits until it is canceled or let go."""
-
-    def __init__(self) -> None:
-        self.go = anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        yield Feedback([goal.request.order])
-        await self.go.wait()
-        yield Result([goal.request.order])
 
 
 class Undecided:
@@ -116,16 +102,6 @@ async def test_a_cancel_is_raised_at_a_yield(reach: Reach, form: Form) -> None:
     assert where[0] >= 3
 
 
-@pytest.mark.promise("CANCEL-2", "CANCEL-9")
-async def test_an_executor_that_says_nothing_of_it_is_canceled_all_the_same(
-    reach: Reach, form: Form
-) -> None:
-    async with reach(ActionServer(FIBONACCI, form(Held()))) as client:
-        goal = await client.send_goal(Goal(1))
-        await goal.cancel()
-        assert await goal.outcome() == End(GoalStatus.CANCELED)
-
-
 @pytest.mark.promise("CANCEL-6")
 async def test_clean_up_may_await_because_the_cancellation_arrives_once(
     reach: Reach, form: Form
@@ -154,28 +130,6 @@ async def test_clean_up_may_await_because_the_cancellation_arrives_once(
     assert outcome == End(GoalStatus.CANCELED, Result([0, 1, 2]))
 
 
-@pytest.mark.promise("CANCEL-6", "CANCEL-11")
-async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(
-    reach: Reach, form: Form
-) -> None:
-    async def stubborn(goal: GoalHandle[Goal]) -> Items:
-        try:
-            yield Feedback([1])
-            await anyio.sleep_forever()
-        except anyio.get_cancelled_exc_class():
-            pass
-        await anyio.lowlevel.checkpoint()
-        yield Feedback([2])
-        yield Result([3])
-
-    async with reach(ActionServer(FIBONACCI, form(stubborn))) as client:
-        async with client.send_goal(Goal(1)) as goal:
-            async for item in goal.feedback:
-                if item == Feedback([1]):
-                    assert (await goal.cancel()).accepted
-            assert await goal.outcome() == End(GoalStatus.SUCCEEDED, Result([3]))
-
-
 @pytest.mark.promise("CANCEL-12")
 async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach, form: Form) -> None:
     async def breaks(goal: GoalHandle[Goal]) -> Items:
@@ -194,41 +148,59 @@ async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach, for
             )
 
 
-@pytest.mark.promise("CANCEL-12")
-async def test_clean_up_may_abort_with_the_part_that_is_done(reach: Reach, form: Form) -> None:
-    async def gives_up(goal: GoalHandle[Goal]) -> Items:
-        try:
-            yield Feedback([1])
-            await anyio.sleep_forever()
-        except anyio.get_cancelled_exc_class():
-            raise GoalAborted("the brake failed", result=Result([1])) from None
-
-    async with reach(ActionServer(FIBONACCI, form(gives_up))) as client:
-        async with client.send_goal(Goal(1)) as goal:
-            async for _ in goal.feedback:
-                assert (await goal.cancel()).accepted
-            with pytest.raises(GoalAborted) as caught:
-                await goal.result()
-    assert caught.value.goal_id == goal.goal_id
-    assert caught.value.result == Result([1])
+async def waits(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    await anyio.sleep_forever()
 
 
-@pytest.mark.promise("CANCEL-7")
-async def test_a_cancel_inside_a_task_group_of_the_executor_is_a_cancel(
-    reach: Reach, form: Form
-) -> None:
-    async def delegates(goal: GoalHandle[Goal]) -> Items:
+async def delegates(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(anyio.sleep_forever)
+        tasks.start_soon(anyio.sleep_forever)
+    yield Result([])
+
+
+async def swallows_the_cancellation(goal: GoalHandle[Goal]) -> Items:
+    try:
         yield Feedback([1])
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(anyio.sleep_forever)
-            tasks.start_soon(anyio.sleep_forever)
-        yield Result([])
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class():
+        pass
+    await anyio.lowlevel.checkpoint()
+    yield Feedback([2])
+    yield Result([3])
 
-    async with reach(ActionServer(FIBONACCI, form(delegates))) as client:
+
+async def aborts_in_its_clean_up(goal: GoalHandle[Goal]) -> Items:
+    try:
+        yield Feedback([1])
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class():
+        raise GoalAborted("the brake failed", result=Result([1])) from None
+
+
+@pytest.mark.promise("CANCEL-2", "CANCEL-6", "CANCEL-7", "CANCEL-9", "CANCEL-11", "CANCEL-12")
+@pytest.mark.parametrize(
+    ("executor", "status", "result"),
+    [
+        (waits, GoalStatus.CANCELED, None),
+        (delegates, GoalStatus.CANCELED, None),
+        (swallows_the_cancellation, GoalStatus.SUCCEEDED, Result([3])),
+        (aborts_in_its_clean_up, GoalStatus.ABORTED, Result([1])),
+    ],
+    ids=["waits", "task group", "swallows", "aborts"],
+)
+async def test_what_an_executor_makes_of_its_cancellation_is_the_end(
+    reach: Reach, form: Form, executor: Any, status: GoalStatus, result: Result | None
+) -> None:
+    async with reach(ActionServer(FIBONACCI, form(executor))) as client:
         async with client.send_goal(Goal(1)) as goal:
-            async for _ in goal.feedback:
-                await goal.cancel()
-            assert (await goal.outcome()).status is GoalStatus.CANCELED
+            async for item in goal.feedback:
+                if item == Feedback([1]):
+                    assert (await goal.cancel()).accepted
+            outcome = await goal.outcome()
+    assert (outcome.status, outcome.result) == (status, result)
 
 
 @pytest.mark.promise("CANCEL-10")
@@ -273,7 +245,7 @@ async def test_a_cooperative_executor_is_not_interrupted_but_asked(
 async def test_a_goal_can_be_canceled_by_a_client_that_did_not_send_it(reach: Reach) -> None:
     with anyio.fail_after(conftest.PATIENCE):
         async with (
-            serve(ActionServer(FIBONACCI, Held()), reach.address()) as (url,),
+            serve(ActionServer(FIBONACCI, Steps()), reach.address()) as (url,),
             connect(url, FIBONACCI) as sender,
             connect(url, FIBONACCI) as other,
         ):
@@ -291,7 +263,7 @@ async def test_a_goal_that_is_still_decided_upon_is_canceled_by_its_id_once_it_i
     reach: Reach,
 ) -> None:
     on_goal = Undecided()
-    async with reach(ActionServer(FIBONACCI, Held(), on_goal=on_goal)) as client:
+    async with reach(ActionServer(FIBONACCI, Steps(), on_goal=on_goal)) as client:
         goal_id = GoalID.random()
         outcomes: list[Outcome[Result]] = []
         codes: list[CancelCode] = []
@@ -317,7 +289,7 @@ async def test_a_goal_that_is_still_decided_upon_is_canceled_by_its_id_once_it_i
 @pytest.mark.promise("CANCEL-3", "CANCEL-16")
 @pytest.mark.parametrize("asynchronous", [False, True], ids=["sync", "async"])
 async def test_a_rejected_cancel_leaves_the_goal_running(reach: Reach, asynchronous: bool) -> None:
-    executor = Held()
+    executor = Steps()
 
     def refuse(goal: GoalHandle[Goal]) -> None:
         raise CancelRejected(f"order {goal.request.order} is almost done")
@@ -360,7 +332,7 @@ async def test_a_cancel_callback_that_fails_rejects(
             raise answer
         return cast("None", answer)
 
-    executor = Held()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
         goal = await client.send_goal(Goal(9))
         refused = await goal.cancel()
@@ -376,7 +348,7 @@ async def test_a_cancel_callback_that_fails_leaves_its_traceback_in_the_log(
     def on_cancel(goal: GoalHandle[Goal]) -> None:
         raise KeyError("unlucky")
 
-    executor = Held()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
         goal = await client.send_goal(Goal(9))
         assert (await goal.cancel()).return_code is CancelCode.REJECTED
@@ -414,7 +386,7 @@ async def test_canceling_twice_is_as_good_as_once(reach: Reach) -> None:
 
 @pytest.mark.promise("ACCEPT-9", "CANCEL-14", "CANCEL-16")
 async def test_the_cancel_rules_of_ros_choose_by_id_by_time_and_all(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, Held())) as client:
+    async with reach(ActionServer(FIBONACCI, Steps())) as client:
         goals = [await client.send_goal(Goal(number)) for number in range(6)]
         stamps = [goal.stamp for goal in goals]
         assert stamps == sorted(set(stamps))
@@ -456,7 +428,7 @@ async def test_cancel_all_tells_the_truth_when_some_reject(reach: Reach) -> None
         if goal.request.order % 2:
             raise CancelRejected("odd goals stay")
 
-    executor = Held()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
         goals = [await client.send_goal(Goal(number)) for number in range(6)]
         answer = await client.cancel_goals()
@@ -478,7 +450,7 @@ async def test_one_slow_cancel_decision_keeps_no_other_goal_going(reach: Reach) 
         if goal.request.order == 0:
             await decide.wait()
 
-    async with reach(ActionServer(FIBONACCI, Held(), on_cancel=on_cancel)) as client:
+    async with reach(ActionServer(FIBONACCI, Steps(), on_cancel=on_cancel)) as client:
         goals = [await client.send_goal(Goal(number)) for number in range(3)]
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(client.cancel_goals)
@@ -494,7 +466,7 @@ async def test_a_goal_that_is_accepted_after_the_request_is_not_canceled_by_it(
     reach: Reach,
 ) -> None:
     on_cancel = Undecided()
-    executor = Held()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
         before = await client.send_goal(Goal(1))
         answers: list[CancelAnswer] = []
@@ -516,7 +488,7 @@ async def test_a_goal_that_is_accepted_after_the_request_is_not_canceled_by_it(
 @pytest.mark.promise("CANCEL-20")
 async def test_a_goal_that_ends_while_its_cancel_is_decided_has_ended(reach: Reach) -> None:
     on_cancel = Undecided()
-    executor = Held()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
         goal = await client.send_goal(Goal(4))
         codes: list[CancelCode] = []
@@ -535,7 +507,7 @@ async def test_a_goal_that_ends_while_its_cancel_is_decided_has_ended(reach: Rea
 
 @pytest.mark.promise("CANCEL-22")
 async def test_leaving_the_block_early_cancels_the_goal(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, Held())) as client:
+    async with reach(ActionServer(FIBONACCI, Steps())) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for _ in goal.feedback:
                 break
@@ -567,7 +539,7 @@ async def first_with(statuses: StatusStream, status: GoalStatus) -> None:
 async def test_the_callers_own_exception_arrives_as_itself(reach: Reach) -> None:
     error = KeyError("mine")
     with pytest.raises(KeyError) as caught:
-        async with reach(ActionServer(FIBONACCI, Held())) as client:
+        async with reach(ActionServer(FIBONACCI, Steps())) as client:
             async with client.send_goal(Goal(1)) as goal:
                 async for _ in goal.feedback:
                     raise error
@@ -581,7 +553,7 @@ async def test_leaving_the_block_of_a_goal_whose_cancel_is_rejected_is_logged(
     def refuse(goal: GoalHandle[Goal]) -> None:
         raise CancelRejected("too late")
 
-    executor = Held()
+    executor = Steps()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=refuse)) as client:
         async with client.send_goal(Goal(1)) as goal:
             pass

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from typing import Any
 
@@ -33,6 +32,7 @@ from fibaction import (
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
 from tests.contract.conftest import Reach
+from tests.support.executors import Steps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
@@ -43,34 +43,6 @@ AT_ONCE = Retry(delay=0)
 
 ACCEPTED = 1.5
 """Seconds of a timeout within which a goal is accepted, also over ROS 2 and on a busy machine."""
-
-
-class Steps:
-    """An executor that yields feedback up to its order, and then waits until it is let go."""
-
-    def __init__(self) -> None:
-        self.runs: Counter[GoalID] = Counter()
-        self.deadlines: list[float] = []
-        self.canceled = anyio.Event()
-        self.go_on = anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        self.runs[goal.goal_id] += 1
-        self.deadlines.append(goal.deadline - anyio.current_time())
-        try:
-            for number in range(1, goal.request.order + 1):
-                yield Feedback([number])
-            await self.go_on.wait()
-        except anyio.get_cancelled_exc_class():
-            self.canceled.set()
-            raise
-        yield Result([goal.request.order])
-
-
-def let_go() -> Steps:
-    steps = Steps()
-    steps.go_on.set()
-    return steps
 
 
 # Timeouts
@@ -152,7 +124,7 @@ async def test_a_timeout_tells_a_client_without_feedback_that_its_goal_still_wai
         with pytest.raises(GoalTimeout) as caught:
             await client.call(Goal(3), timeout=ACCEPTED)
         assert caught.value.status is GoalStatus.ACCEPTED
-        steps.go_on.set()
+        steps.go.set()
         await first.result()
 
 
@@ -198,7 +170,7 @@ async def test_a_goal_that_is_still_being_decided_times_out_and_does_not_run_on(
 @pytest.mark.promise("DEADLINE-2")
 @pytest.mark.turns
 async def test_an_outcome_in_time_counts_however_late_it_is_read(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, let_go())) as client:
+    async with reach(ActionServer(FIBONACCI, Steps(go=True))) as client:
         assert await client.call(Goal(2), timeout=30) == Result([2])
         sent_at = anyio.current_time()
         async with client.send_goal(Goal(2), timeout=ACCEPTED) as goal:
@@ -234,7 +206,7 @@ async def test_a_goal_that_no_task_waits_for_is_not_canceled(reach: Reach) -> No
 
 @pytest.mark.promise("DEADLINE-4")
 async def test_the_executor_sees_the_deadline(reach: Reach) -> None:
-    steps = let_go()
+    steps = Steps(go=True)
     async with reach(ActionServer(FIBONACCI, steps)) as client:
         await client.call(Goal(0), timeout=100)
         await client.call(Goal(0))
@@ -317,7 +289,7 @@ async def test_a_goal_that_was_not_accepted_is_sent_again_with_its_id(
     reach: Reach, error: ActionError, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO", "fibaction.client")
-    steps = let_go()
+    steps = Steps(go=True)
     async with reach(ActionServer(FIBONACCI, steps)) as client:
         troubled = Troubled(client.endpoint, error, error)
         assert await troubled.client.call(Goal(1), retry=AT_ONCE) == Result([1])
@@ -351,7 +323,7 @@ async def test_a_rejection_of_a_busy_server_is_not_its_last_word(reach: Reach) -
                 tasks.start_soon(call)
                 while len(troubled.sent) < 3:
                     await anyio.lowlevel.checkpoint()
-                steps.go_on.set()
+                steps.go.set()
             await first.result()
     assert results == [Result([1])]
     assert sorted(steps.runs.values()) == [1, 1]
@@ -359,7 +331,7 @@ async def test_a_rejection_of_a_busy_server_is_not_its_last_word(reach: Reach) -
 
 @pytest.mark.promise("RETRY-1")
 async def test_a_goal_whose_acceptance_was_lost_is_sent_again_and_runs_once(reach: Reach) -> None:
-    steps = let_go()
+    steps = Steps(go=True)
     async with reach(ActionServer(FIBONACCI, steps)) as client:
         troubled = Troubled(client.endpoint, *[ConnectionLost("the line broke")] * 2, after=True)
         assert await troubled.client.call(Goal(1), retry=AT_ONCE) == Result([1])
@@ -374,7 +346,7 @@ async def test_a_goal_whose_acceptance_was_lost_is_sent_again_and_runs_once(reac
     ids=lambda error: type(error).__name__,
 )
 async def test_a_decision_is_not_asked_for_again(reach: Reach, error: ActionError) -> None:
-    async with reach(ActionServer(FIBONACCI, let_go())) as client:
+    async with reach(ActionServer(FIBONACCI, Steps(go=True))) as client:
         troubled = Troubled(client.endpoint, error)
         with pytest.raises(type(error)) as caught:
             await troubled.client.call(Goal(1), retry=AT_ONCE)
@@ -400,7 +372,7 @@ async def test_a_goal_that_has_run_is_not_run_again(reach: Reach) -> None:
 
 @pytest.mark.promise("RETRY-1")
 async def test_the_last_error_is_raised_after_the_last_attempt(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, let_go())) as client:
+    async with reach(ActionServer(FIBONACCI, Steps(go=True))) as client:
         busy = [GoalRejected(f"busy: {n}", code=RejectionCode.BUSY) for n in range(9)]
         troubled = Troubled(client.endpoint, *busy)
         with pytest.raises(GoalRejected, match="busy: 3") as caught:
@@ -455,7 +427,7 @@ async def calls_a_goal_that_is_lost(client: Client, breaking: Breaking, steps: S
         seen.extend(feedback.partial_sequence)
         if seen[-1] == 3:
             breaking.break_all()
-            steps.go_on.set()
+            steps.go.set()
 
     assert await client.call(Goal(3), on_feedback=on_feedback, retry=AT_ONCE) == Result([3])
     assert seen == [1, 2, 3]
@@ -497,7 +469,7 @@ async def test_the_result_of_an_accepted_goal_is_waited_for_again(reach: Reach) 
                 await breaking.opened(streams)
                 breaking.break_all()
             await breaking.opened(3)
-            steps.go_on.set()
+            steps.go.set()
     assert results == [Result([0])]
     assert (len(breaking.sent), len(breaking.follows)) == (1, 2)
     assert list(steps.runs.values()) == [1]
@@ -525,7 +497,7 @@ async def test_an_accepted_goal_that_the_server_has_forgotten_is_not_run_again(
 
 @pytest.mark.promise("DEADLINE-1", "RETRY-1")
 async def test_the_timeout_is_for_all_attempts_together(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, let_go())) as client:
+    async with reach(ActionServer(FIBONACCI, Steps(go=True))) as client:
         busy = GoalRejected("no arm is free", code=RejectionCode.BUSY)
         troubled = Troubled(client.endpoint, busy)
         with pytest.raises(GoalTimeout) as caught:

@@ -303,8 +303,7 @@ async def test_a_goal_that_is_sent_while_the_server_stops_is_rejected(reach: Rea
     server = ActionServer(FIBONACCI, tidies_up)
     async with reach(server) as client, anyio.create_task_group() as tasks:
         goal = await client.send_goal(Goal(1))
-        async for _ in goal.feedback:
-            break
+        await anext(goal.feedback)
         tasks.start_soon(server.stop)
         await stopping.wait()
         with pytest.raises(GoalRejected, match="the server is stopping"):
@@ -333,8 +332,7 @@ async def test_an_executor_that_does_not_stop_in_time_is_killed(
     server = ActionServer(FIBONACCI, form(hangs), shutdown_timeout=0.01)
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
-        async for _ in goal.feedback:
-            break
+        await anext(goal.feedback)
         await server.stop()
         with anyio.fail_after(30):
             while not killed:
@@ -364,8 +362,7 @@ async def test_a_result_that_comes_after_the_time_to_stop_changes_nothing(
     server = ActionServer(FIBONACCI, form(too_late), shutdown_timeout=0.01)
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
-        async for _ in goal.feedback:
-            break
+        await anext(goal.feedback)
         await server.stop()
         with anyio.fail_after(30):
             await killed.wait()
@@ -445,8 +442,7 @@ async def test_a_success_that_comes_while_the_server_stops_is_a_success(
     server = ActionServer(FIBONACCI, form(finishes))
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1))
-        async for _ in goal.feedback:
-            break
+        await anext(goal.feedback)
         await server.stop()
         assert await goal.outcome() == End(GoalStatus.SUCCEEDED, Result([2]))
 
@@ -470,8 +466,7 @@ async def test_a_goal_that_is_canceling_when_the_server_stops_is_canceled(
     server = ActionServer(FIBONACCI, form(tidies_up))
     async with reach(server) as client, anyio.create_task_group() as tasks:
         goal = await client.send_goal(Goal(1))
-        async for _ in goal.feedback:
-            break
+        await anext(goal.feedback)
         assert (await goal.cancel()).accepted
         await tidying.wait()
         tasks.start_soon(server.stop)

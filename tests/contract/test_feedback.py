@@ -11,27 +11,13 @@ import pytest
 
 from fibaction import ActionServer, GoalFeedback, GoalHandle, GoalInfo, GoalStatus
 from tests.contract.conftest import Reach
+from tests.support.executors import Steps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.forms import Form
 
 pytestmark = pytest.mark.anyio
 
 Items = AsyncGenerator[Feedback | Result, None]
-
-
-class Counts:
-    """Yields 1, 2, 3 and so on, and remembers how far it came. It waits before its end."""
-
-    def __init__(self) -> None:
-        self.yielded = 0
-        self.finish = anyio.Event()
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
-        for number in range(1, goal.request.order + 1):
-            self.yielded = number
-            yield Feedback([number])
-        await self.finish.wait()
-        yield Result([goal.request.order])
 
 
 def numbers(feedback: list[Feedback]) -> list[int]:
@@ -42,8 +28,7 @@ def numbers(feedback: list[Feedback]) -> list[int]:
 async def test_all_feedback_arrives_in_order_however_slowly_it_is_read(
     reach: Reach, form: Form
 ) -> None:
-    executor = Counts()
-    executor.finish.set()
+    executor = Steps(go=True)
     server = ActionServer(FIBONACCI, form(executor), feedback_window=4, stall_timeout=math.inf)
     async with reach(server) as client, client.send_goal(Goal(100)) as goal:
         seen = []
@@ -61,8 +46,7 @@ async def test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read(
     reach: Reach,
     form: Form,
 ) -> None:
-    executor = Counts()
-    executor.finish.set()
+    executor = Steps(go=True)
     server = ActionServer(FIBONACCI, form(executor), feedback_window=4, stall_timeout=math.inf)
     async with reach(server) as client, client.send_goal(Goal(1000)) as goal:
         await anyio.wait_all_tasks_blocked()
@@ -76,11 +60,11 @@ async def test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read(
 async def test_a_client_that_stalls_loses_the_oldest_and_is_told_how_many(
     reach: Reach, form: Form
 ) -> None:
-    executor = Counts()
+    executor = Steps()
     server = ActionServer(FIBONACCI, form(executor), feedback_window=4, stall_timeout=0.01)
     async with reach(server) as client, client.send_goal(Goal(1000)) as goal:
         with await client.endpoint.status() as statuses:
-            executor.finish.set()
+            executor.go.set()
             while (info := await statuses.receive()) is not None:
                 if info.status.is_terminal:
                     break
@@ -122,8 +106,7 @@ async def test_a_client_that_has_caught_up_loses_nothing_again(reach: Reach) -> 
 async def test_awaiting_the_result_without_reading_does_not_hold_the_executor_up(
     reach: Reach,
 ) -> None:
-    executor = Counts()
-    executor.finish.set()
+    executor = Steps(go=True)
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
     async with reach(server) as client:
         goal = await client.send_goal(Goal(1000))
@@ -138,8 +121,7 @@ async def test_awaiting_the_result_without_reading_does_not_hold_the_executor_up
 
 @pytest.mark.promise("FEEDBACK-7")
 async def test_awaiting_the_result_beside_the_reader_loses_nothing(reach: Reach) -> None:
-    executor = Counts()
-    executor.finish.set()
+    executor = Steps(go=True)
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
     seen: list[Feedback] = []
 
@@ -160,21 +142,20 @@ async def test_awaiting_the_result_beside_the_reader_loses_nothing(reach: Reach)
 async def test_reading_on_after_the_result_was_awaited_in_vain_holds_the_executor_again(
     reach: Reach,
 ) -> None:
-    executor = Counts()
+    executor = Steps()
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
     async with reach(server) as client, client.send_goal(Goal(3)) as goal:
         with anyio.move_on_after(0.01) as patience:
             await goal.result()
         assert patience.cancelled_caught
-        executor.finish.set()
+        executor.go.set()
         assert numbers([item async for item in goal.feedback]) == [1, 2, 3]
         assert await goal.result() == Result([3])
 
 
 @pytest.mark.promise("FEEDBACK-8")
 async def test_a_goal_that_is_not_followed_any_more_is_not_held_up(reach: Reach) -> None:
-    executor = Counts()
-    executor.finish.set()
+    executor = Steps(go=True)
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
     async with reach(server) as client:
         goal_id = (await client.send_goal(Goal(1000))).goal_id
@@ -186,7 +167,7 @@ async def test_a_goal_that_is_not_followed_any_more_is_not_held_up(reach: Reach)
 async def test_latest_never_waits_and_a_slow_reader_sees_the_newest(
     reach: Reach, form: Form
 ) -> None:
-    executor = Counts()
+    executor = Steps()
     server = ActionServer(
         FIBONACCI, form(executor), feedback="latest", feedback_window=4, stall_timeout=math.inf
     )
@@ -195,7 +176,7 @@ async def test_latest_never_waits_and_a_slow_reader_sees_the_newest(
             while executor.yielded < 1000:
                 await anyio.lowlevel.checkpoint()
         await anyio.wait_all_tasks_blocked()
-        executor.finish.set()
+        executor.go.set()
         seen = numbers([item async for item in goal.feedback])
         assert await goal.result() == Result([1000])
     assert seen[-1] == 1000
@@ -241,8 +222,7 @@ async def test_an_observer_follows_from_now_on_and_does_not_slow_the_goal_down(
 
 @pytest.mark.promise("FEEDBACK-13")
 async def test_another_client_that_sends_a_running_goal_again_observes_it(reach: Reach) -> None:
-    executor = Counts()
-    executor.finish.set()
+    executor = Steps(go=True)
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
     async with reach.two_clients(server) as (mine, theirs):
         goal = await mine.send_goal(Goal(1000))
@@ -258,12 +238,12 @@ async def test_another_client_that_sends_a_running_goal_again_observes_it(reach:
 
 @pytest.mark.promise("FEEDBACK-14")
 async def test_an_observer_gets_the_goal_itself_while_it_is_active(reach: Reach) -> None:
-    executor = Counts()
+    executor = Steps()
     async with reach.two_clients(ActionServer(FIBONACCI, executor)) as (mine, theirs):
         goal = await mine.send_goal(Goal(3))
         with await theirs.endpoint.feedback(goal.goal_id) as stream:
             assert stream.goal == FIBONACCI.goal.encode(Goal(3))
-        executor.finish.set()
+        executor.go.set()
         assert await goal.result() == Result([3])
 
 
@@ -274,7 +254,7 @@ async def _read_all(goal: Any) -> None:
 
 @pytest.mark.promise("FEEDBACK-1", "FEEDBACK-11")
 async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
-    executor = Counts()
+    executor = Steps()
     server = ActionServer(FIBONACCI, executor, feedback_window=4)
     async with reach(server) as client, client.send_goal(Goal(10)) as goal:
         async for item in goal.feedback:
@@ -283,7 +263,7 @@ async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
         late = await client.attach(goal.goal_id, after=8)
         later = await client.attach(goal.goal_id, after=0)
         future = await client.attach(goal.goal_id, after=99)
-        executor.finish.set()
+        executor.go.set()
         assert numbers([item async for item in late.feedback]) == [9, 10]
         assert late.feedback_dropped == 0
         assert numbers([item async for item in later.feedback]) == [7, 8, 9, 10]
@@ -296,8 +276,7 @@ async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
 async def test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once(
     reach: Reach,
 ) -> None:
-    executor = Counts()
-    executor.finish.set()
+    executor = Steps(go=True)
     seen: list[object] = []
     async with reach(ActionServer(FIBONACCI, executor)) as client, client.events() as events:
         await client.call(Goal(3))
@@ -313,8 +292,7 @@ async def test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once
 
 @pytest.mark.promise("FEEDBACK-12")
 async def test_a_goal_whose_feedback_is_not_read_delays_no_other_goal(reach: Reach) -> None:
-    stuck, quick = Counts(), Counts()
-    quick.finish.set()
+    stuck, quick = Steps(), Steps(go=True)
     executors = {1: stuck, 2: quick}
 
     def choose(goal: GoalHandle[Goal]) -> Items:

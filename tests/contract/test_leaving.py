@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 
 import anyio
 import pytest
@@ -12,31 +12,15 @@ from fibaction import (
     ActionServer,
     ConnectionLost,
     GoalCanceled,
-    GoalHandle,
     GoalStatus,
 )
 from tests.contract.conftest import Reach
+from tests.support.executors import Steps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 
 Client = ActionClient[Goal, Feedback, Result]
-
-
-class Held:
-    """An executor that runs until it is interrupted, and notes the goal's status then."""
-
-    def __init__(self) -> None:
-        self.runs = anyio.Event()
-        self.ended_as: list[GoalStatus] = []
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        self.runs.set()
-        try:
-            await anyio.sleep_forever()
-        finally:
-            self.ended_as.append(goal.status)
-        yield Result([])
 
 
 async def calls(client: Client) -> None:
@@ -59,7 +43,7 @@ async def follows_in_a_block(client: Client) -> None:
 async def test_leaving_a_connection_cancels_the_goals_of_its_blocks_in_other_tasks(
     reach: Reach, use: Callable[[Client], Awaitable[None]], caplog: pytest.LogCaptureFixture
 ) -> None:
-    held = Held()
+    held = Steps()
     clients: list[Client] = []
     has_client = anyio.Event()
 
@@ -75,19 +59,19 @@ async def test_leaving_a_connection_cancels_the_goals_of_its_blocks_in_other_tas
             async with reach(ActionServer(FIBONACCI, held)) as client:
                 clients.append(client)
                 has_client.set()
-                await held.runs.wait()
+                await held.began.wait()
     assert held.ended_as == [GoalStatus.CANCELING]
     assert "could not be canceled" not in caplog.text
 
 
 @pytest.mark.promise("LOSS-2")
 async def test_what_is_followed_over_a_connection_ends_with_it(reach: Reach) -> None:
-    held = Held()
+    held = Steps()
     async with reach(ActionServer(FIBONACCI, held)) as client:
         goal = await client.send_goal(Goal(1))
         statuses = await client.endpoint.status()
         await statuses.listed()
-        await held.runs.wait()
+        await held.began.wait()
     for wait in (goal.outcome, statuses.receive, client.goals):
         with anyio.fail_after(30), pytest.raises(ConnectionLost, match="was closed here"):
             for _ in range(10):  # after what had arrived

@@ -7,7 +7,7 @@ record, which checks what they saw.
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 
 import anyio
 import anyio.lowlevel
@@ -46,30 +46,6 @@ class Deeds:
         self._plan = state.plan
         self._connection = connection
         self._client = connection.client(SIMULATED)
-        self._kinds: dict[str, Callable[[Deed], Awaitable[None]]] = {
-            "send": self._send,
-            "call": self._call,
-            "call quietly": self._call_quietly,
-            "leave": self._leave,
-            "cancel": self._cancel,
-            "slow": self._send,
-            "unread": self._unread,
-            "beside": self._beside,
-            "twice": self._twice,
-            "clash": self._clash,
-            "attach": self._attach,
-            "follow": self._follow,
-            "get result": self._get_result,
-            "cancel by id": self._cancel_goals,
-            "cancel by stamp": self._cancel_goals,
-            "cancel by both": self._cancel_goals,
-            "cancel all": self._cancel_goals,
-            "goals": self._goals,
-            "events": self._events,
-            "statuses": self._statuses,
-            "wait for server": self._wait_for_server,
-            "ask": self._ask,
-        }
 
     async def do(self, deed: Deed) -> None:
         """Do a deed.
@@ -77,7 +53,7 @@ class Deeds:
         Raises:
             ActionError: The deed failed.
         """
-        await self._kinds[deed.kind](deed)
+        await getattr(self, f"_{deed.kind.replace(' ', '_')}")(deed)
 
     # Seeing
 
@@ -150,6 +126,8 @@ class Deeds:
         view.attentive = not pause
         await self._read(goal, view, pause=pause)
         await self._see_outcome(goal, view)
+
+    _slow = _send
 
     async def _call(self, deed: Deed) -> None:
         mine = goal_names.get()
@@ -325,6 +303,8 @@ class Deeds:
         asked_at = self._record.now()
         answer = await self._client.cancel_goals(goal_id, before=stamp)
         self._record.cancel_answered(answer, goal_id, asked_at, stamp)
+
+    _cancel_by_id = _cancel_by_stamp = _cancel_by_both = _cancel_all = _cancel_goals
 
     # Statuses and events
 

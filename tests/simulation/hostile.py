@@ -1,14 +1,14 @@
 """The hostile clients of the simulation, which know the protocol, and use it against the server.
 
 A hostile client does the attacks of its plan, one after another, with the messages themselves and
-not with fibaction's client. Where the server has closed its connection, it opens another one. Its
-`wires` check what it is answered.
+not with fibaction's client. An attack is the method of its name. Where the server has closed its
+connection, it opens another one. Its `wires` check what it is answered.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable, Iterable
 from itertools import count
 
 import anyio
@@ -74,35 +74,6 @@ class Hostile:
         self.may_leave = anyio.Event()
         self.is_done = False
         self.has_left = False
-        self._attacks: dict[str, Callable[[Attack], Awaitable[None]]] = {
-            "send": self._send,
-            "send again": self._send_again,
-            "copy": self._copy,
-            "clash": self._clash,
-            "odd goals": self._odd_goals,
-            "follow": self._follow,
-            "own": self._own,
-            "watch": self._watch,
-            "cancel all": self._cancel_all,
-            "cancel others": self._cancel_others,
-            "ask": self._ask,
-            "forged texts": self._forged_texts,
-            "foreign ids": self._foreign_ids,
-            "close": self._close,
-            "credit": self._credit,
-            "same id": self._same_id,
-            "hello again": self._hello_again,
-            "hellos": self._hellos,
-            "no hello": self._no_hello,
-            "large hello": self._large_hello,
-            "no permission to speak": self._no_permission_to_speak,
-            "garbage": self._garbage,
-            "wrong message": self._wrong_message,
-            "half": self._half,
-            "too large": self._too_large,
-            "odd hello": self._odd_hello,
-            "stolen session": self._stolen_session,
-        }
 
     async def run(self) -> None:
         """Do all attacks, wait for their answers, and leave after `may_leave` is set."""
@@ -114,7 +85,7 @@ class Hostile:
                 self._record.tell(f"ATTACK {self.plan.name} {attack.kind} x{attack.count}")
                 with move_on_after(PATIENCE):
                     try:
-                        await self._attacks[attack.kind](attack)
+                        await getattr(self, f"_{attack.kind.replace(' ', '_')}")(attack)
                     except GONE as error:
                         self._record.tell(f"{self.plan.name} was ended: {type(error).__name__}")
             await self._settle()

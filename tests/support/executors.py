@@ -1,16 +1,45 @@
-"""Executors that fail, each in its own way, with the expected ends of their goals."""
+"""An executor that tests let go, and executors that fail, with the expected ends of their goals."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import AsyncGenerator, Callable
 from typing import cast
 
 import anyio
 
-from fibaction import GoalAborted, GoalCanceled, GoalHandle
+from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from tests.support.fibonacci import Feedback, Goal, Result
 
 Items = AsyncGenerator[Feedback | Result, None]
+
+
+class Steps:
+    """An executor that yields feedback up to its order, and then waits until it is let go."""
+
+    def __init__(self, *, go: bool = False) -> None:
+        self.runs: Counter[GoalID] = Counter()
+        self.deadlines: list[float] = []
+        self.yielded = 0
+        self.ended_as: list[GoalStatus] = []
+        self.began, self.canceled, self.go = anyio.Event(), anyio.Event(), anyio.Event()
+        if go:
+            self.go.set()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.runs[goal.goal_id] += 1
+        self.deadlines.append(goal.deadline - anyio.current_time())
+        self.began.set()
+        try:
+            for self.yielded in range(1, goal.request.order + 1):
+                yield Feedback([self.yielded])
+            await self.go.wait()
+        except anyio.get_cancelled_exc_class():
+            self.canceled.set()
+            raise
+        finally:
+            self.ended_as.append(goal.status)
+        yield Result([goal.request.order])
 
 
 async def ends_without_a_result(goal: GoalHandle[Goal]) -> Items:
