@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from fibaction_transports.web.rosbridge.fragments import in_fragments, size_of
 from fibaction_transports.web.rosbridge.operations import ClientID, Subscribe
@@ -127,8 +127,3 @@ class StatusOutlet(Outlet):
         self._has_news = False
         self._free_at = now + max(self._period, count * STATUS_PERIOD)
         return self._fitting(make(self.topic))
-
-
-def earliest(outlets: Iterable[FeedbackOutlet | StatusOutlet]) -> float:
-    """Return the time of the next message of any of them; infinite if there is none."""
-    return min((one.due for one in outlets), default=math.inf)

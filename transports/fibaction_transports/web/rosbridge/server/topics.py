@@ -57,11 +57,6 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
     known_name,
     topic_types,
 )
-from fibaction_transports.web.rosbridge.server.topic_outlets import (
-    FeedbackOutlet,
-    StatusOutlet,
-    earliest,
-)
 from fibaction_transports.web.rosbridge.server.watched_action import WatchedAction
 
 FIRST_REQUEST = 2**32
@@ -117,10 +112,7 @@ class Topics:
         if watched is None:
             watched = self._actions[action] = WatchedAction(action, self._ask, self._most_goals)
             watched.begin(is_served=action in self._endpoints)
-        if sent.topic.endswith(STATUS_SUFFIX):
-            watched.add_status(sent)
-        else:
-            watched.add_feedback(sent)
+        watched.add(sent, statuses=sent.topic.endswith(STATUS_SUFFIX))
         return self._taken()
 
     def _problem_of(self, sent: Subscribe) -> str:
@@ -148,11 +140,11 @@ class Topics:
                 self._forget(watched)
         return self._taken()
 
-    def _ask(self, watched: WatchedAction, make: Callable[[int], bytes]) -> int:
-        """Ask the session, with the frame that `make` makes for the number of the request."""
+    def _ask(self, watched: WatchedAction, make: Callable[[int], object]) -> int:
+        """Ask the session, with the message that `make` makes for the number of the request."""
         request = next(self._requests)
         self._open[request] = _Request(watched)
-        self._frames.append(make(request))
+        self._frames.append(encode(make(request)))
         return request
 
     def _forget(self, watched: WatchedAction) -> None:
@@ -239,13 +231,7 @@ class Topics:
 
     @property
     def _due(self) -> float:
-        outlets: list[FeedbackOutlet | StatusOutlet] = []
-        begin_at = math.inf
-        for watched in self._actions.values():
-            outlets += watched.feedback.values()
-            outlets += watched.status.values() if watched.is_listed else ()
-            begin_at = min(begin_at, watched.begin_at)
-        return min(earliest(outlets), begin_at)
+        return min((watched.due for watched in self._actions.values()), default=math.inf)
 
     @property
     def has_texts(self) -> bool:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from itertools import chain
 
-from fibaction.wire.codec import encode
 from fibaction.wire.messages import (
     AwaitServer,
     Follow,
@@ -21,14 +21,14 @@ from fibaction_transports.web.rosbridge.server.topic_outlets import FeedbackOutl
 MOST_ENDED = 100
 """Goals that have ended, and are in the list of statuses; the oldest of more are left out."""
 
-Open = Callable[["WatchedAction", Callable[[int], bytes]], int]
-"""Asks the session something, and returns the number of the request."""
+Ask = Callable[["WatchedAction", Callable[[int], object]], int]
+"""Asks the session with the message that is made for a number, and returns the number."""
 
 
 class WatchedAction:
     """The goals of one action, and the topics that tell about them."""
 
-    def __init__(self, action: str, ask: Open, most_goals: int) -> None:
+    def __init__(self, action: str, ask: Ask, most_goals: int) -> None:
         """Follow at most so many goals at once."""
         self.action = action
         self.feedback: dict[str, FeedbackOutlet] = {}
@@ -50,26 +50,30 @@ class WatchedAction:
     @property
     def subscriptions(self) -> int:
         """The number of the client's subscriptions."""
-        return sum(len(one.subscriptions) for one in self._outlets())
+        outlets = chain(self.feedback.values(), self.status.values())
+        return sum(len(one.subscriptions) for one in outlets)
 
     @property
     def is_listed(self) -> bool:
         """True if all known goals were told."""
         return self._unlisted == 0
 
-    def _outlets(self) -> chain[FeedbackOutlet | StatusOutlet]:
-        return chain(self.feedback.values(), self.status.values())
+    @property
+    def due(self) -> float:
+        """The time of the next message, or at which the server is asked again."""
+        times = [self.begin_at, *(one.due for one in self.feedback.values())]
+        if self.is_listed:
+            times += [one.due for one in self.status.values()]
+        return min(times)
 
     def begin(self, *, is_served: bool) -> None:
         """Ask for the statuses of the goals, or first wait until the action is served."""
         self.begin_at, self._unlisted = math.inf, None
         self._active, self._ended = {}, {}
         if is_served:
-            self.request = self._ask(
-                self, lambda number: encode(WatchStatus(number, self.action, CREDIT))
-            )
+            self.request = self._ask(self, lambda id: WatchStatus(id, self.action, CREDIT))
         else:
-            self.request = self._ask(self, lambda number: encode(AwaitServer(number, self.action)))
+            self.request = self._ask(self, lambda id: AwaitServer(id, self.action))
 
     def begin_list(self, known: int) -> None:
         """Take the number of known goals, which are told first."""
@@ -82,14 +86,13 @@ class WatchedAction:
 
     # Subscriptions
 
-    def add_status(self, sent: Subscribe) -> None:
-        """Tell the statuses on a topic: those that there are at once."""
-        outlet = self.status.setdefault(sent.topic, StatusOutlet(sent.topic))
-        outlet.subscribe(sent)
-        outlet.note()
-
-    def add_feedback(self, sent: Subscribe) -> None:
-        """Tell the feedback on a topic from now on."""
+    def add(self, sent: Subscribe, *, statuses: bool) -> None:
+        """Tell the statuses on a topic, first those that there are, or the feedback from now on."""
+        if statuses:
+            outlet = self.status.setdefault(sent.topic, StatusOutlet(sent.topic))
+            outlet.subscribe(sent)
+            outlet.note()
+            return
         is_first = not self.feedback
         self.feedback.setdefault(sent.topic, FeedbackOutlet(sent.topic)).subscribe(sent)
         if is_first:
@@ -144,11 +147,9 @@ class WatchedAction:
             return True
         if len(self.follows) >= self._most_goals:
             return False
+        action, goal_id, attempt = self.action, goal.goal_id, goal.attempt
         request = self._ask(
-            self,
-            lambda number: encode(
-                Follow(number, self.action, goal.goal_id, after, False, CREDIT, goal.attempt)
-            ),
+            self, lambda id: Follow(id, action, goal_id, after, False, CREDIT, attempt)
         )
         self.follows[request] = goal.goal_id
         self._followed.add(goal.goal_id)
@@ -164,8 +165,6 @@ class WatchedAction:
         if self.is_listed:
             goals = len(self._active) + len(self._ended)
             for one in self.status.values():
-                texts += one.take(now, goals, self._status_text)
+                all_goals = chain(self._ended.values(), self._active.values())
+                texts += one.take(now, goals, partial(topic_statuses, goals=all_goals))
         return texts
-
-    def _status_text(self, topic: str) -> str:
-        return topic_statuses(topic, chain(self._ended.values(), self._active.values()))
