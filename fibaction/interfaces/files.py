@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from fibaction.interfaces.common_messages import advice, common_message
 from fibaction.interfaces.definitions import FieldDefinition, InterfaceError, MessageDefinition
-from fibaction.interfaces.packages import PACKAGE, SearchPath, package_of
+from fibaction.interfaces.packages import PACKAGE, SearchPath, package_of, read_bytes
 from fibaction.interfaces.parser import parse_action, parse_message
 
 MAX_DEPTH = 100
@@ -161,7 +161,7 @@ def _snake(name: str) -> str:
 
 
 def _text_of(path: Path) -> str:
-    data = path.read_bytes()
+    data = read_bytes(path)
     if data.startswith(BOM_UTF8):
         raise InterfaceError(path, 1, "expected text without a byte order mark, found one")
     try:

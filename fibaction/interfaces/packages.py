@@ -5,22 +5,24 @@ A package is known by the name in its `package.xml`, and without that file by it
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 
 PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
 """The name of a package."""
+MOST_BYTES = 2**18
+"""Bytes of a file that are read: more than any may have, see `MOST_TEXT` of the parser."""
 WORKSPACE_LEVELS = 5
 """Levels of folders at which a package of a workspace is found."""
 MAX_FOLDERS = 10_000
 """Folders of a workspace that are looked into."""
 
 _MANIFEST = "package.xml"
-_MANIFEST_NAME = re.compile(r"<name[^>]*>\s*([^<\s]+)\s*</name>")
-_XML_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _NO_SOURCE = ("build", "install", "log")
 _IGNORE = ("COLCON_IGNORE", "AMENT_IGNORE")
 
@@ -28,11 +30,23 @@ _IGNORE = ("COLCON_IGNORE", "AMENT_IGNORE")
 def manifest_name(folder: Path) -> str:
     """Return the name in the `package.xml` of a folder; empty without such a file or name."""
     try:
-        text = (folder / _MANIFEST).read_text("utf-8", "replace")
-    except OSError:
+        name = ElementTree.fromstring(read_bytes(folder / _MANIFEST)).findtext("name", "").strip()
+    except (OSError, ElementTree.ParseError):
         return ""
-    found = _MANIFEST_NAME.search(_XML_COMMENT.sub("", text))
-    return found[1] if found and PACKAGE.fullmatch(found[1]) else ""
+    return name if PACKAGE.fullmatch(name) else ""
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return what is in a file, and of a large one the beginning, which is too much to be parsed.
+
+    Raises:
+        OSError: It cannot be read, or is no file, such as a pipe or a device that has no end.
+    """
+    if not path.is_file():
+        path.stat()  # tells that there is nothing
+        raise OSError(errno.EINVAL, "it is not a file", str(path))
+    with path.open("rb") as file:
+        return file.read(MOST_BYTES)
 
 
 def package_of(path: Path) -> str:

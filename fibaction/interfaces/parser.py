@@ -33,6 +33,11 @@ _FIELD_TYPE = re.compile(
 _MESSAGE_TYPE = re.compile(r"((?P<package>[^/]+)/)?(?P<name>[A-Z][A-Za-z0-9]*)", re.ASCII)
 _LONG_TYPE = re.compile(r"(?P<package>[^/]+)/msg/(?P<rest>[^/]+)", re.ASCII)
 
+MOST_TEXT = 2**16
+"""Characters of a file: a robot tells such texts, and the largest of ROS's packages has a third."""
+MOST_MEMBERS = 1000
+"""Fields of a message, and constants."""
+
 _SEPARATOR = "---"
 _ROS_1_TYPES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 """Types of ROS 1 that have another name in ROS 2."""
@@ -74,6 +79,8 @@ def parse_message(text: str, path: Path) -> MessageDefinition:
 
 
 def _lines(text: str, path: Path) -> list[SourceLine]:
+    if len(text) > MOST_TEXT:
+        raise InterfaceError(path, 1, f"expected at most {MOST_TEXT:,} characters, found more")
     lines = text.replace("\t", " ").splitlines()
     found = [SourceLine(path, number, line.rstrip()) for number, line in enumerate(lines, start=1)]
     for line, whole in zip(found, lines, strict=True):
@@ -134,6 +141,9 @@ def _joined(comments: Iterable[str]) -> str:
 def _check_unique(path: Path, members: Iterable[FieldDefinition | ConstantDefinition]) -> None:
     lines: dict[str, int] = {}
     for member in members:
+        if len(lines) == MOST_MEMBERS:
+            problem = f"expected at most {MOST_MEMBERS:,} fields or constants, found more"
+            raise InterfaceError(path, member.line, problem)
         if member.name in lines:
             raise InterfaceError(
                 path,

@@ -72,12 +72,15 @@ def read_single(line: SourceLine, kind: FieldType, text: str) -> Any:
 
 
 def _strings(line: SourceLine, kind: FieldType, text: str) -> Iterator[str]:
+    closing = {quote: _ClosingQuotes(text, quote) for quote in _QUOTES}
+    whole = len(text)
     while text := text.lstrip(" "):
         if text[0] == ",":
             raise line.error('strings like \'["one", "two"]\'', text)
         if text[0] in _QUOTES:
-            quoted = _QUOTED.match(text)
-            end = _closing_quote(text) or (quoted.end() - 1 if quoted else None)
+            end = closing[text[0]].of(whole - len(text))
+            if end is None and (quoted := _QUOTED.match(text)):
+                end = quoted.end() - 1
             if end is None:
                 raise line.error('strings like \'["one", "two"]\'', text)
             value, text = text[1:end].replace(f"\\{text[0]}", text[0]), text[end + 1 :]
@@ -89,19 +92,39 @@ def _strings(line: SourceLine, kind: FieldType, text: str) -> Iterator[str]:
         text = text.lstrip(" ").removeprefix(",")
 
 
-def _closing_quote(text: str) -> int | None:
-    """Return where ROS sees the end of the string that `text` begins with; None if it sees none.
+class _ClosingQuotes:
+    """Where ROS sees the ends of the strings in a text that one quote begins.
 
     After an escaped quote, ROS skips a character, and after a second one it counts from there.
     Such strings are not what their author meant, but they are the defaults that ROS builds. What it
     cannot build is read as it was meant.
     """
-    quote, shift = text[0], 0
-    while (end := text.find(quote, 1)) >= 0:
-        if text[end - 1] != "\\":
-            return shift + end
-        shift, text = end + 1, text[end + 1 :]
-    return None
+
+    def __init__(self, text: str, quote: str) -> None:
+        self._text = text
+        self._quote = quote
+        self._known: dict[int, tuple[int | None, bool]] = {}
+        """The ends by the starts of a search, and whether there is an escaped quote before the end:
+        so each quote is looked at once, however many strings there are."""
+
+    def of(self, start: int) -> int | None:
+        """Return the end of the string at a place, counted from there; None if ROS sees none."""
+        passed: list[int] = []
+        at = start
+        while at not in self._known:
+            quote = self._text.find(self._quote, at + 1)
+            if quote < 0:
+                self._known[at] = None, True
+            elif self._text[quote - 1] != "\\":
+                self._known[at] = quote - at, False
+            else:
+                passed.append(at)
+                at = quote + 1
+        for before in reversed(passed):
+            end, is_counted = self._known[at]
+            self._known[before] = end if end is None or is_counted else at - before + end, True
+            at = before
+        return self._known[start][0]
 
 
 def _unescaped(text: str) -> str:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -274,6 +275,35 @@ def test_a_message_is_read_once(lift: Path) -> None:
 def test_a_missing_file_is_an_os_error(lift: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_action(lift)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("# c\n" * 20_000, "expected at most 65,536 characters, found more"),
+        ("string[] a [" + "'x'," * 70_000 + "]\n", "expected at most 65,536 characters"),
+        ("".join(f"byte f{n}\n" for n in range(1001)), "at most 1,000 fields or constants"),
+    ],
+)
+def test_a_file_is_of_a_size_that_is_read_in_a_moment(text: str, problem: str, lift: Path) -> None:
+    lift.write_text(f"{text}---\n---\n")
+
+    with pytest.raises(InterfaceError, match=problem):
+        read_action(lift)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no such files")
+def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "action").mkdir()
+    pipe, manifest = tmp_path / "action" / "Lift.action", tmp_path / "package.xml"
+    os.mkfifo(pipe)
+    manifest.symlink_to("/dev/zero")
+
+    with pytest.raises(OSError, match="it is not a file"):
+        read_action(pipe)
+    pipe.unlink()
+    pipe.write_text("---\n---\n")
+    assert read_action(pipe).type_name == f"{tmp_path.name}/action/Lift"
 
 
 def test_a_file_name_that_ros_does_not_allow_is_rejected(lift: Path) -> None:
