@@ -244,5 +244,5 @@ class StreamChannel(Channel):
                     await self._stream.send_eof()
             while not framing.is_closed:
                 framing.discard(await self._receive())
-        except (ConnectionLost, OSError, anyio.BrokenResourceError, anyio.ClosedResourceError):
+        except (ActionError, OSError, anyio.BrokenResourceError, anyio.ClosedResourceError):
             pass  # it was lost before, or the peer has closed in its way

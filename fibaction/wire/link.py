@@ -41,6 +41,7 @@ from time import perf_counter
 from anyio import CancelScope, create_task_group, move_on_after, sleep
 from anyio.abc import TaskGroup
 
+from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction.border.event_loop import SLICE
 from fibaction.wire.channel import CHUNK, Line
@@ -49,6 +50,8 @@ from fibaction.wire.frames import UNCOUNTED, FrameMemory
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.messages import Ping
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
+
+logger = clean_logger("fibaction.wire")
 
 HIGH_WATER = 2**20
 """Bytes in the queue above which `send` waits: some milliseconds of any line."""
@@ -251,6 +254,17 @@ class Link:
     @property
     def _progress(self) -> tuple[int, int]:
         return self._writes, self._line.progress
+
+
+async def close_line(line: Line) -> None:
+    """Close a line. If that fails, the log tells it, and no error is raised: the task group of a
+    server is that of all its lines.
+    """
+    try:
+        await line.aclose()
+    except Exception as exc:
+        with suppress(Exception):  # the handler of a log may fail, too
+            logger.warning("%s: the connection could not be closed: %r", line.peer, exc)
 
 
 def naming(peer: str, error: ActionError) -> str:

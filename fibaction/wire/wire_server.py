@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import AsyncGenerator, Iterator, Mapping
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 
 import anyio
@@ -19,7 +19,7 @@ from fibaction.border.event_loop import Background
 from fibaction.wire.channel import Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader
-from fibaction.wire.link import Link, naming
+from fibaction.wire.link import Link, close_line, naming
 from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.wire.server.ownership import Owners
@@ -93,17 +93,18 @@ class WireServer:
         self.tasks.start_soon(self.serve, line)
 
     async def serve(self, line: Line) -> None:
-        """Serve one client until its connection ends."""
+        """Serve one client until its connection ends. An error of any kind ends this one only."""
         line.share_turns(self.turn)
         address = self.addresses.enter(line.peer)
         try:
             await self._serve(line, address)
         except Exception as exc:
-            # A bug of fibaction. It concerns this client only.
-            logger.error("%s: the connection failed", line.peer, exc_info=exc)
+            # A bug of fibaction, or of the handler of a log.
+            with suppress(Exception):
+                logger.error("%s: the connection failed", line.peer, exc_info=exc)
         finally:
             self.addresses.leave(address)
-            await line.aclose()
+            await close_line(line)
 
     async def _serve(self, line: Line, address: str) -> None:
         heartbeat, limits = self.settings.heartbeat, self.settings.limits
@@ -196,9 +197,16 @@ class WireServer:
             with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
                 async with anyio.create_task_group() as tasks:
                     for session in tuple(self._sessions):
-                        tasks.start_soon(session.drain)
+                        tasks.start_soon(_drain, session)
         finally:  # asyncio can cancel the task itself, which no scope shields
             await self._owners.aclose()
+
+
+async def _drain(session: Session) -> None:
+    try:
+        await session.drain()
+    except Exception as exc:  # of a stream, which may be foreign code; others are drained, too
+        logger.error("%s: its goals could not be told", session.client.name, exc_info=exc)
 
 
 def too_many(address: str, most: int | None) -> str:

@@ -10,6 +10,7 @@ import anyio
 import pytest
 
 from fibaction.border.abc import GoalRequest
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server import ActionServer
 from fibaction.testing import ScriptedServer
 from fibaction.types.action import Action
@@ -69,6 +70,7 @@ from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
 from tests.support.matching import Like
 from tests.support.virtual_time import in_virtual_time
+from tests.wire import memory
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -780,6 +782,58 @@ async def test_a_fault_of_the_package_ends_one_session_and_is_logged_with_its_pe
         assert texts(lines) == [(logging.ERROR, "the bad one: the connection failed")]
         assert lines[0].exc_info is not None
         assert await good.is_served()
+
+
+@pytest.mark.parametrize("fails", ["closing", "logging"])
+async def test_what_fails_at_the_end_of_one_connection_ends_no_other(
+    fails: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Full(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            raise OSError("the disk is full")
+
+    async def cannot_close(_: memory.MemoryChannel) -> None:
+        raise OSError(107, "not connected")
+
+    logger = logging.getLogger("fibaction.wire")
+    async with serving(held()) as served:
+        good, bad = await served.greet(ANN), await served.greet(BOB)
+        with monkeypatch.context() as patch:
+            if fails == "closing":
+                patch.setattr(memory.MemoryChannel, "aclose", cannot_close)
+            else:
+                patch.setattr(logger, "handlers", [Full()])
+                patch.setattr(logger, "level", logging.INFO)
+            bad.channel.cut()
+            await settled()
+        assert await good.is_served()
+
+
+async def test_a_stream_that_cannot_be_left_or_drained_harms_no_other_client(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fails(_: FeedbackCursor) -> Any:
+        raise ZeroDivisionError
+
+    server = held()
+    async with serving(server) as served:
+        good, bad, worse = [await served.greet(session) for session in (b"", ANN, BOB)]
+        await bad.send(1, A)
+        await worse.send(1, B)
+        with logged() as lines:
+            with monkeypatch.context() as patch:
+                patch.setattr(FeedbackCursor, "close", fails)
+                await bad.say(Goodbye("done"))
+                await settled()
+            assert await good.is_served()
+            with monkeypatch.context() as patch:
+                patch.setattr(FeedbackCursor, "status", property(fails))
+                await served.wire.drain()
+            assert await good.hear_all() == [CLOSING]
+        assert [text for level, text in texts(lines) if level == logging.ERROR] == [
+            "the goals of a lost client could not be released",
+            "the client: its goals could not be told",
+        ]
 
 
 # A connection that ends in the middle of something

@@ -49,7 +49,7 @@ from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses
 from fibaction.wire.codec import FromServer, decode_from_server, encode
 from fibaction.wire.errors import error_of_goodbye
-from fibaction.wire.link import FIRST_PING, Link, naming
+from fibaction.wire.link import FIRST_PING, Link, close_line, naming
 from fibaction.wire.messages import (
     LARGEST,
     VERSION,
@@ -194,7 +194,7 @@ class RemoteConnection(Connection):
                 self.lost_at = anyio.current_time()
             self._link = None
             self.calls.detach()
-            await line.aclose()
+            await close_line(line)
         if type(error) is ProtocolError:
             return ProtocolError(naming(self._url, error))
         return error

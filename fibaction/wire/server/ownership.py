@@ -294,6 +294,12 @@ class Owners:
 
     async def _wait(self, held: HeldGoals, left: bool) -> None:
         """Wait for the client of a lost connection, and give its goals up if it does not come."""
+        try:
+            await self._release(held, left)
+        except Exception as exc:  # of a stream, which may be foreign code
+            logger.error("the goals of a lost client could not be released", exc_info=exc)
+
+    async def _release(self, held: HeldGoals, left: bool) -> None:
         grace_over = current_time() + (0 if left else self._grace)
         slices = Slices()
         for call in tuple(held.calls.values()):

@@ -726,6 +726,41 @@ async def test_a_line_is_closed_also_by_who_is_being_canceled() -> None:
         assert peer.recv(10) == b""
 
 
+class Ending(Noting):
+    """A form that ends the stream, and says no word before that."""
+
+    ends_stream = True
+
+
+async def test_a_peer_that_has_reset_the_connection_unnoticed_is_left_without_an_error() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            await until(lambda: ends)
+            ends[0].line.begin(Ending(), b"")
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        await ends[0].line.aclose()  # before the event loop reads anything
+        ends[0].ended.set()
+
+
+async def test_a_connection_that_fails_ends_no_other(caplog: pytest.LogCaptureFixture) -> None:
+    served: list[Line] = []
+
+    async def serve(line: Line) -> None:
+        served.append(line)
+        await line.aclose()
+        raise OSError(107, "not connected")
+
+    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(accept, listener.listeners[0], FrameReader, serve, tasks)
+            address = listener.extra(SocketAttribute.local_address)
+            for count in (1, 2):
+                with socket.create_connection(address):
+                    await until(lambda count=count: len(served) == count)  # type: ignore[misc]  # bound here, for now
+            tasks.cancel_scope.cancel()
+    assert {record.getMessage() for record in caplog.records} == {"a connection failed"}
+
+
 async def test_small_messages_are_sent_at_once_by_both_ends() -> None:
     async with pair() as (one, other):
         for end in (one, other):

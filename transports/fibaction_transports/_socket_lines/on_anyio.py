@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import anyio
@@ -12,6 +13,7 @@ from anyio.abc import AnyByteStream, ByteStream, Listener, SocketAttribute, Task
 
 from fibaction.wire.channel import CHUNK, LEAVE, Line, StreamChannel
 from fibaction.wire.frames import Framing
+from fibaction_transports._socket_lines.sockets import serve_alone
 
 BROKEN = (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError, anyio.EndOfStream)
 """The errors of a stream whose peer has gone."""
@@ -32,7 +34,7 @@ async def accept(
     async def begin(stream: ByteStream) -> None:
         await serve(StreamChannel(stream, peer_of(stream), new_framing()))
 
-    await listener.serve(begin, tasks)
+    await listener.serve(partial(serve_alone, begin), tasks)
 
 
 def peer_of(stream: AnyByteStream) -> str:

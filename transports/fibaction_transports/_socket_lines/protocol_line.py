@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio  # noqa: TID251  # this module is for asyncio only
 from collections.abc import Sequence
+from contextlib import suppress
 from contextvars import copy_context
 from time import perf_counter
 from typing import cast
@@ -197,7 +198,8 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
     async def aclose(self) -> None:
         try:
             if not (self._is_at_end or self._transport.is_closing()):
-                await self._take_leave()
+                with suppress(OSError):  # the peer has gone, and the event loop has yet to notice
+                    await self._take_leave()
         finally:  # asyncio can cancel the task itself, which no scope shields
             self._framing.close()
             self._transport.abort()

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
 
 import anyio
 import anyio.lowlevel
 from anyio.abc import ByteStream, Listener, SocketAttribute, TaskGroup
 
 from fibaction.border.event_loop import asyncio_loop
+from fibaction.border.peer_text import clean_logger
+
+T = TypeVar("T")
+
+logger = clean_logger("fibaction.wire")
 
 BATCH = 16
 """Connections that are accepted in one turn of the event loop: each costs the next turns more."""
@@ -102,15 +107,23 @@ async def accept_sockets(
     listening = listener.extra(SocketAttribute.raw_socket)
     while True:
         accepted, _ = await loop.sock_accept(listening)
-        tasks.start_soon(begin, _without_delay(accepted))
+        tasks.start_soon(serve_alone, begin, _without_delay(accepted))
         for _ in range(BATCH - 1):
             try:
                 accepted, _ = listening.accept()
             except BlockingIOError:
                 break
             accepted.setblocking(False)
-            tasks.start_soon(begin, _without_delay(accepted))
+            tasks.start_soon(serve_alone, begin, _without_delay(accepted))
         await anyio.lowlevel.checkpoint()  # it need not have waited
+
+
+async def serve_alone(serve: Callable[[T], Awaitable[None]], client: T) -> None:
+    """Serve one client in a task of its own; what goes wrong with it ends no other one."""
+    try:
+        await serve(client)
+    except Exception as exc:
+        logger.error("a connection failed", exc_info=exc)
 
 
 def _without_delay(accepted: socket.socket) -> socket.socket:

@@ -21,6 +21,7 @@ from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, TransportError, text_of
 from fibaction_transports._socket_lines.on_anyio import leave, peer_of
+from fibaction_transports._socket_lines.sockets import serve_alone
 
 SPEAKS_TLS = framed([encode(Goodbye("this server speaks TLS: use tls://", Why.PROTOCOL))])
 """The answer to a client that does not begin with TLS. OpenSSL has no alert for it."""
@@ -92,7 +93,7 @@ class TlsListener(TLSListener):
 
             await self.shake_hands(stream, wrap, handler)
 
-        await self.listener.serve(begin, task_group)
+        await self.listener.serve(partial(serve_alone, begin), task_group)
 
     async def shake_hands(
         self,
