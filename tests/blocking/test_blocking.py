@@ -26,10 +26,8 @@ from fibaction import (
     GoalAborted,
     GoalCanceled,
     GoalHandle,
-    GoalID,
     GoalRejected,
     GoalStatus,
-    GoalTimeout,
     Progress,
     Report,
     Retry,
@@ -119,12 +117,6 @@ def test_a_call_returns_the_result_and_calls_back_in_its_own_thread(client: Clie
     assert repr(client) == "<BlockingClient of <Action 'count'>>"
 
 
-def test_the_exception_of_a_callback_cancels_the_goal_and_goes_on(client: Client) -> None:
-    with pytest.raises(KeyError):
-        client.call(FOR_EVER, on_feedback=fails)
-    assert [info.status for info in client.goals()][-1].name in ("CANCELING", "CANCELED")
-
-
 def test_a_goal_is_followed_to_its_end(client: Client) -> None:
     with client.send_goal(3) as goal:
         assert list(goal) == [0, 1, 2]
@@ -134,21 +126,6 @@ def test_a_goal_is_followed_to_its_end(client: Client) -> None:
         assert (goal.feedback_dropped, goal.feedback.dropped, goal.attempt) == (0, 0, 1)
         assert goal.stamp > 0
         assert repr(goal) == f"<BlockingGoal {goal.goal_id} SUCCEEDED>"
-
-
-def test_waiting_for_the_result_releases_the_executor_of_feedback_that_is_not_read(
-    client: Client,
-) -> None:
-    with client.send_goal(1000) as goal:
-        for _ in goal.feedback:
-            break
-        assert goal.result() == "counted to 1000"
-
-
-def test_the_end_of_a_block_cancels_the_goal(client: Client) -> None:
-    with client.send_goal(FOR_EVER) as goal:
-        next(goal.feedback)
-    assert goal.outcome().status is GoalStatus.CANCELED
 
 
 def test_a_goal_without_a_block_is_canceled_by_the_end_of_the_connection(served: Served) -> None:
@@ -164,21 +141,6 @@ def test_a_goal_without_a_block_is_canceled_by_the_end_of_the_connection(served:
         assert client.attach(detached.goal_id).outcome().status is GoalStatus.CANCELED
 
 
-def test_errors_are_those_of_the_async_client(client: Client) -> None:
-    with pytest.raises(GoalRejected, match="a number is 0 or more"):
-        client.send_goal(-1)
-    with pytest.raises(GoalAborted, match="nothing to count") as aborted:
-        client.call(0)
-    assert aborted.value.result == "0"
-    with pytest.raises(GoalTimeout):
-        client.call(FOR_EVER, timeout=0.05)
-    with client.send_goal(FOR_EVER, goal_id=GoalID.random(), timeout=60) as goal:
-        assert goal.cancel().accepted
-        with pytest.raises(GoalCanceled):
-            goal.result()
-        goal.close()
-
-
 def test_without_an_action_it_gives_a_connection(served: Served) -> None:
     with connect(served.url) as connection:
         assert isinstance(connection, BlockingConnection)
@@ -188,11 +150,6 @@ def test_without_an_action_it_gives_a_connection(served: Served) -> None:
         client.wait_for_server(10)
         assert client.action is COUNT
         assert client.call(1) == "counted to 1"
-
-
-def test_a_connection_knows_the_workers_of_a_fleet() -> None:
-    with connect(OneWorker()) as connection:
-        assert connection.workers() == [WORKER]
 
 
 def test_several_threads_use_one_client(client: Client) -> None:
@@ -239,19 +196,6 @@ def test_the_end_of_the_block_ends_the_calls_of_other_threads(served: Served) ->
     assert len(errors) == 2
     with pytest.raises(ConnectionLost, match="inside the block of connect"):
         client.call(1)
-
-
-def test_a_block_in_another_thread_works_too(served: Served) -> None:
-    results: list[str] = []
-
-    def use() -> None:
-        with connect(served.url, COUNT) as client:
-            results.append(client.call(2))
-
-    thread = threading.Thread(target=use)
-    thread.start()
-    thread.join()
-    assert results == ["counted to 2"]
 
 
 def test_inside_an_event_loop_one_sentence_says_what_to_use() -> None:
@@ -575,3 +519,8 @@ def test_track_has_the_bar_of_fibaction_and_returns_the_result(
         with client.send_goal(0) as goal, pytest.raises(GoalAborted, match="the disk is full"):
             track(goal, "copying", file=written)
         assert written.getvalue() == "copying 60 %\n"
+
+
+def test_a_connection_knows_the_workers_of_a_fleet() -> None:
+    with connect(OneWorker()) as connection:
+        assert connection.workers() == [WORKER]

@@ -11,10 +11,8 @@ from anyio import to_thread
 
 from fibaction import (
     ActionServer,
-    GoalAborted,
     GoalCanceled,
     GoalHandle,
-    GoalRejected,
     GoalStatus,
     GoalTimeout,
     blocking,
@@ -69,11 +67,6 @@ async def held(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None
         raise GoalCanceled("as asked", result=Result([1])) from None
 
 
-async def aborts(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-    yield Feedback([1])
-    raise GoalAborted("the arm is stuck", result=Result([1]))
-
-
 async def test_a_call_returns_the_result_after_all_feedback(reach: Reach) -> None:
     def use(client: Client) -> tuple[Result, list[Feedback]]:
         seen: list[Feedback] = []
@@ -95,17 +88,6 @@ async def test_all_feedback_arrives_in_order(reach: Reach) -> None:
     assert seen[-1].partial_sequence == result.sequence
 
 
-async def test_a_rejected_goal_is_told_with_the_reason(reach: Reach) -> None:
-    def on_goal(goal: Goal) -> None:
-        raise GoalRejected("too high")
-
-    def use(client: Client) -> None:
-        with pytest.raises(GoalRejected, match="too high"):
-            client.send_goal(Goal(1))
-
-    await used_by(reach, ActionServer(FIBONACCI, fibonacci, on_goal=on_goal), use)
-
-
 async def test_a_canceled_goal_ends_with_what_is_there(reach: Reach) -> None:
     def use(client: Client) -> None:
         with client.send_goal(Goal(1)) as goal:
@@ -119,24 +101,6 @@ async def test_a_canceled_goal_ends_with_what_is_there(reach: Reach) -> None:
     await used_by(reach, ActionServer(FIBONACCI, held), use)
 
 
-async def test_an_aborted_goal_is_told_with_the_reason(reach: Reach) -> None:
-    def use(client: Client) -> None:
-        with pytest.raises(GoalAborted, match="the arm is stuck") as caught:
-            client.call(Goal(1))
-        assert caught.value.result == Result([1])
-
-    await used_by(reach, ActionServer(FIBONACCI, aborts), use)
-
-
-async def test_the_end_of_a_block_cancels_the_goal(reach: Reach) -> None:
-    def use(client: Client) -> None:
-        with client.send_goal(Goal(1)) as goal:
-            pass
-        assert client.attach(goal.goal_id).outcome().status is GoalStatus.CANCELED
-
-    await used_by(reach, ActionServer(FIBONACCI, held), use)
-
-
 async def test_a_goal_that_takes_too_long_is_canceled(reach: Reach) -> None:
     def use(client: Client) -> None:
         with pytest.raises(GoalTimeout) as caught:
@@ -144,16 +108,5 @@ async def test_a_goal_that_takes_too_long_is_canceled(reach: Reach) -> None:
         assert caught.value.goal_id is not None
         outcome = client.attach(caught.value.goal_id).outcome()
         assert outcome.status is GoalStatus.CANCELED
-
-    await used_by(reach, ActionServer(FIBONACCI, held), use)
-
-
-async def test_goals_are_listed_and_followed_by_their_id(reach: Reach) -> None:
-    def use(client: Client) -> None:
-        with client.send_goal(Goal(1)) as goal:
-            next(goal.feedback)
-            assert [info.goal_id for info in client.goals()] == [goal.goal_id]
-            followed = client.attach(client.goals()[0].goal_id, after=0)
-            assert next(followed.feedback) == Feedback([1])
 
     await used_by(reach, ActionServer(FIBONACCI, held), use)

@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
-import msgspec
 import pytest
 
 from fibaction import ActionClient, ActionServer, CancelCode
@@ -28,7 +27,6 @@ from fibaction.border.abc import (
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (
     ActionError,
-    ConnectionLost,
     StoreError,
     TransportError,
     UnknownGoal,
@@ -146,32 +144,6 @@ class AtOnce(OneGoal):
         return self.stream
 
 
-@pytest.mark.asyncio
-async def test_a_result_is_the_outcome_of_the_followed_goal_and_the_stream_is_closed() -> None:
-    outcome = Outcome(GoalStatus.SUCCEEDED, b"done")
-    stream = OneEnd(outcome)
-    with anyio.fail_after(5):
-        assert await OneGoal(stream).get_result(KNOWN) is outcome
-    assert stream.closed == 1
-
-
-@pytest.mark.asyncio
-async def test_the_result_of_an_unknown_goal_is_unknown() -> None:
-    stream = OneEnd(Outcome(GoalStatus.SUCCEEDED))
-    with anyio.fail_after(5):
-        assert await OneGoal(stream).get_result(OTHER) is UNKNOWN_OUTCOME
-    assert stream.closed == 0
-
-
-@pytest.mark.asyncio
-async def test_a_stream_is_closed_also_when_the_connection_ends_first() -> None:
-    stream = OneEnd(ConnectionLost("gone"))
-    with anyio.fail_after(5):
-        with pytest.raises(ConnectionLost):
-            await OneGoal(stream).get_result(KNOWN)
-    assert stream.closed == 1
-
-
 ONE, OTHER_ONE = FeedbackItem(1, b"1"), FeedbackItem(2, b"2")
 
 
@@ -184,32 +156,6 @@ each_way_to_read = pytest.mark.parametrize(
 )
 Read = Callable[[GoalStream], Awaitable[GoalUpdate | None]]
 END = UNKNOWN_OUTCOME
-
-
-@pytest.mark.asyncio
-async def test_a_reader_of_feedback_is_not_told_of_statuses() -> None:
-    stream = OneEnd(
-        UNKNOWN_OUTCOME,
-        *(GoalStatus.ACCEPTED, GoalStatus.EXECUTING, ONE, OTHER_ONE, GoalStatus.CANCELING, END),
-    )
-    with anyio.fail_after(5):
-        assert [await stream.receive() for _ in range(3)] == [ONE, OTHER_ONE, None]
-
-
-@pytest.mark.asyncio
-async def test_an_iteration_gives_all_updates_in_their_order_the_outcome_last() -> None:
-    events = (GoalStatus.EXECUTING, ONE, GoalStatus.CANCELING, OTHER_ONE, END)
-    stream = OneEnd(END, *events)
-    with anyio.fail_after(5):
-        assert [update async for update in stream] == list(events)
-
-
-@pytest.mark.asyncio
-async def test_a_stream_that_was_closed_gives_no_more_feedback() -> None:
-    stream = OneEnd(END, ONE)
-    stream.reads = False
-    with anyio.fail_after(5):
-        assert await stream.receive() is None
 
 
 @each_way_to_read
@@ -260,57 +206,6 @@ async def test_nothing_is_lost_if_the_wait_is_canceled(read: Read, late: bool) -
     assert seen == [ONE, OTHER_ONE]
 
 
-@each_way_to_read
-@pytest.mark.asyncio
-async def test_a_lost_connection_is_told_to_a_reader_after_what_came_before(read: Read) -> None:
-    stream = OneEnd(None, ONE, ConnectionLost("gone"))
-    with anyio.fail_after(5):
-        assert await read(stream) == ONE
-        with pytest.raises(ConnectionLost, match="gone"):
-            await read(stream)
-
-
-@pytest.mark.asyncio
-async def test_an_outcome_is_waited_for_through_other_news_and_without_reading() -> None:
-    outcome = Outcome(GoalStatus.SUCCEEDED, b"done")
-    stream = OneEnd()
-    outcomes: list[Outcome[bytes]] = []
-
-    async def wait() -> None:
-        outcomes.append(await stream.outcome())
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            stream.happen(ONE)
-            await anyio.wait_all_tasks_blocked()
-            assert outcomes == []
-            stream.end = outcome
-            stream.news.notify()
-        assert outcomes == [outcome, outcome]
-        assert await stream.outcome() is outcome
-        assert stream.limits == []
-        assert await stream.receive() == ONE
-
-
-@pytest.mark.asyncio
-async def test_a_lost_connection_is_told_to_a_wait_for_the_outcome() -> None:
-    stream = OneEnd()
-
-    async def wait() -> None:
-        with pytest.raises(ConnectionLost, match="gone"):
-            await stream.outcome()
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            stream.end = ConnectionLost("gone")
-            stream.news.notify()
-
-
 @pytest.mark.asyncio
 @pytest.mark.parametrize("feedback", [True, False])
 async def test_a_goal_is_sent_by_offering_a_request_of_the_keywords(feedback: bool) -> None:
@@ -327,34 +222,12 @@ async def test_a_goal_is_sent_by_offering_a_request_of_the_keywords(feedback: bo
         assert second.deadline == pytest.approx(anyio.current_time() + 5, abs=1)
 
 
-@pytest.mark.asyncio
-async def test_an_endpoint_has_no_history_unless_it_says_so_and_a_wrapper_has_the_inner_one() -> (
-    None
-):
-    class Old(OneGoal):
-        async def past_goals(self, page: PastPage) -> list[GoalInfo]:
-            return [GoalInfo(KNOWN, page.limit, GoalStatus.SUCCEEDED)]
-
-    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
-    assert await inner.past_goals(PastPage()) == []
-    wrapper = ForwardingEndpoint(Old(inner.stream))
-    assert [info.stamp for info in await wrapper.past_goals(PastPage(limit=5))] == [5]
-
-
 def test_an_endpoint_that_is_written_as_it_was_before_says_what_to_write() -> None:
     for base in (Endpoint, ForwardingEndpoint, OneGoal):
         with pytest.raises(
             TypeError, match=r"Old overrides send_goal.* write offer_goal\(self, req"
         ):
             type("Old", (base,), {"send_goal": lambda self, goal_id, goal: None})
-
-
-def test_a_request_cannot_be_changed() -> None:
-    request = GoalRequest(KNOWN, b"goal")
-    with pytest.raises(AttributeError):
-        request.goal = b""  # type: ignore[misc]
-    changed = msgspec.structs.replace(request, sender=Sender("ann"))
-    assert changed == GoalRequest(KNOWN, b"goal", sender=Sender("ann")) != request
 
 
 class Nowhere(Connection):
@@ -365,10 +238,6 @@ class Nowhere(Connection):
 
     async def actions(self) -> list[ActionInfo]:
         raise NotImplementedError
-
-
-def test_a_transport_serves_actions_under_their_own_names() -> None:
-    assert InProcessTransport().served_as("fibonacci") == "fibonacci"
 
 
 @pytest.mark.asyncio
@@ -423,12 +292,6 @@ def test_a_stream_is_closed_at_the_end_of_its_block_and_lets_errors_pass() -> No
         assert stream.closed == 0
         raise LookupError
     assert stream.closed == 1
-
-
-def test_feedback_has_a_number_and_a_payload() -> None:
-    item = FeedbackItem(1, b"x")
-    assert (item.number, item.payload) == (1, b"x")
-    assert item == FeedbackItem(number=1, payload=b"x") != FeedbackItem(2, b"x")
 
 
 @pytest.mark.parametrize(
@@ -525,17 +388,6 @@ async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
 
 
 @pytest.mark.asyncio
-async def test_a_forwarding_endpoint_passes_on_all_that_goes_with_a_goal() -> None:
-    inner, ann, meta = OneGoal(OneEnd()), Sender("ann"), {"traceparent": "00-1"}
-    wrapper = ForwardingEndpoint(inner)
-    first = GoalRequest(KNOWN, b"1", False, ann, 7.5, meta)
-    await wrapper.offer_goal(first)
-    assert inner.sent == [first]
-    await ForwardingEndpoint(AtOnce(inner.stream)).offer_goal(first)
-    assert inner.sent == [first]
-
-
-@pytest.mark.asyncio
 async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_start() -> None:
     wrapper = ForwardingEndpoint(OneGoal(OneEnd()))
     assert wrapper.is_running
@@ -543,10 +395,6 @@ async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_
     async with wrapper as entered:
         assert entered is wrapper
         await wrapper.stop()
-
-
-def test_a_stream_of_a_server_without_a_store_is_of_the_first_attempt() -> None:
-    assert (OneEnd().attempt, OneEnd().newest_attempt) == (1, 1)
 
 
 def test_a_stream_does_not_know_the_goal_itself_unless_it_says_so() -> None:
@@ -569,3 +417,21 @@ def test_a_stream_that_cannot_limit_the_time_does_not_make_the_executor_wait() -
     stream = Held()
     stream.hold_briefly()
     assert not stream.wanted
+
+
+@pytest.mark.asyncio
+async def test_an_endpoint_has_no_history_unless_it_says_so_and_a_wrapper_has_the_inner_one() -> (
+    None
+):
+    class Old(OneGoal):
+        async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+            return [GoalInfo(KNOWN, page.limit, GoalStatus.SUCCEEDED)]
+
+    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
+    assert await inner.past_goals(PastPage()) == []
+    wrapper = ForwardingEndpoint(Old(inner.stream))
+    assert [info.stamp for info in await wrapper.past_goals(PastPage(limit=5))] == [5]
+
+
+def test_a_transport_serves_actions_under_their_own_names() -> None:
+    assert InProcessTransport().served_as("fibonacci") == "fibonacci"

@@ -12,34 +12,6 @@ def test_a_budget_has_room_up_to_its_limit() -> None:
     assert not budget.has_room(7)
 
 
-def test_bytes_that_are_given_back_can_be_taken_again() -> None:
-    budget = ByteBudget(10)
-    budget.take(10)
-
-    budget.give_back(3)
-
-    assert budget.used == 7
-    assert budget.has_room(3)
-
-
-def test_a_budget_counts_what_is_over_its_limit() -> None:
-    budget = ByteBudget(10)
-
-    budget.take(25)
-
-    assert budget.used == 25
-    assert not budget.has_room()
-    assert budget.is_over
-
-
-def test_a_budget_is_not_over_at_its_limit() -> None:
-    budget = ByteBudget(10)
-
-    budget.take(10)
-
-    assert not budget.is_over
-
-
 def test_bytes_count_as_long_as_anything_references_them() -> None:
     budget = ByteBudget(10)
     counted = CountedBytes(budget, 4)

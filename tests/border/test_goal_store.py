@@ -9,7 +9,6 @@ import pytest
 
 from fibaction import SqliteStore
 from fibaction.border.goal_store import NoFleet, no_obstacle
-from fibaction.words.goal_query import PastPage
 from fibaction.words.statuses import GoalStatus
 from tests.stores.made import a_goal
 
@@ -59,18 +58,6 @@ async def test_a_store_of_one_server_has_no_limits_for_a_fleet(tmp_path: Path) -
             await journal.key_places("arms", 1)
 
 
-@pytest.mark.asyncio
-async def test_a_store_without_a_history_has_no_goals_of_the_past(tmp_path: Path) -> None:
-    store = SqliteStore(tmp_path / "goals.db")
-    async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
-        assert await journal.past_goals(PastPage()) == []
-        assert await journal.past_goal(a_goal(1).goal_id) is None
-
-
-def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:
-    assert no_obstacle(a_goal(1)) == ""
-
-
 def test_a_list_of_a_history_has_all_of_a_goal_but_its_request_and_its_result() -> None:
     meta = {"order": "17", "traceparent": "00-1"}
     goal = a_goal(1)
@@ -104,3 +91,7 @@ def test_a_goal_that_was_given_up_is_a_new_one_when_it_runs_again() -> None:
     expected = a_goal(1, checkpoint=b"half")
     expected.goal_id, expected.stamp = new.goal_id, 9
     assert new == expected
+
+
+def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:
+    assert no_obstacle(a_goal(1)) == ""

@@ -45,12 +45,6 @@ async def test_tasks_run_during_the_block_and_end_with_it() -> None:
     assert all(helper.cleaned_up for helper in helpers)
 
 
-async def test_a_block_without_tasks_just_ends() -> None:
-    with anyio.fail_after(5):
-        async with Background():
-            pass
-
-
 async def test_the_exception_of_the_block_goes_on_as_itself_after_the_tasks_have_ended() -> None:
     helper = Helper()
     error = LookupError("of the block")
@@ -60,20 +54,6 @@ async def test_the_exception_of_the_block_goes_on_as_itself_after_the_tasks_have
             await helper.started.wait()
             raise error
     assert caught.value is error
-    assert helper.cleaned_up
-
-
-async def test_a_block_that_returns_ends_its_tasks() -> None:
-    helper = Helper()
-
-    async def leave_early() -> str:
-        async with Background() as tasks:
-            tasks.start_soon(helper)
-            await helper.started.wait()
-            return "returned"
-
-    with anyio.fail_after(5):
-        assert await leave_early() == "returned"
     assert helper.cleaned_up
 
 
@@ -128,40 +108,6 @@ async def test_its_tasks_go_on_while_a_block_that_was_canceled_is_left() -> None
                     wanted.set()
                     await done.wait()
     assert helped == [True]
-
-
-async def test_a_block_that_is_canceled_before_it_begins_leaves_nothing_behind() -> None:
-    ended = []
-
-    async def helps() -> None:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            ended.append(True)
-
-    with anyio.fail_after(5), anyio.CancelScope() as scope:
-        scope.cancel()
-        async with Background() as tasks:
-            tasks.start_soon(helps)
-            await anyio.sleep_forever()
-    assert scope.cancelled_caught
-    assert ended in ([True], [])
-
-
-async def test_a_task_that_is_started_just_before_the_end_at_least_begins() -> None:
-    done: list[str] = []
-
-    async def clean_up() -> None:
-        done.append("begun")
-        try:
-            await anyio.sleep_forever()
-        finally:
-            done.append("cleaned up")
-
-    with anyio.fail_after(5):
-        async with Background() as tasks:
-            tasks.start_soon(clean_up)
-    assert done == ["begun", "cleaned up"]
 
 
 async def test_a_task_that_is_started_just_before_an_error_can_clean_up_what_it_was_given() -> None:

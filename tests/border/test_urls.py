@@ -71,19 +71,6 @@ def package(folder: Path, name: str, entry_points: str) -> EntryPoints:
     return EntryPoints(installed.entry_points)
 
 
-def test_a_transport_is_given_back_as_it_is(install: Install) -> None:
-    install(EntryPoints())
-    transport = PigeonTransport()
-    assert transport_for(transport) is transport
-
-
-def test_the_transport_of_a_third_party_is_found_and_gets_the_whole_url(install: Install) -> None:
-    install(EntryPoints([entry("pigeon", HERE), entry("crow", "nowhere:CrowTransport")]))
-    transport = transport_for("pigeon://loft/3?ring=blue")
-    assert isinstance(transport, PigeonTransport)
-    assert transport.url == "pigeon://loft/3?ring=blue"
-
-
 def test_a_transport_that_is_installed_later_is_found_and_then_kept(install: Install) -> None:
     install(EntryPoints())
     with pytest.raises(TransportError, match="no transport for pigeon://"):
@@ -94,12 +81,6 @@ def test_a_transport_that_is_installed_later_is_found_and_then_kept(install: Ins
     assert isinstance(transport_for("pigeon://loft"), PigeonTransport)
 
 
-def test_an_entry_point_of_another_group_is_no_transport(install: Install) -> None:
-    install(EntryPoints([entry("pigeon", HERE, group="console_scripts")]))
-    with pytest.raises(TransportError):
-        transport_for("pigeon://loft")
-
-
 def test_an_unknown_scheme_is_rejected_and_the_known_ones_are_told(install: Install) -> None:
     install(EntryPoints([entry("pigeon", HERE), entry("crow", HERE), entry("crow", HERE)]))
     with pytest.raises(TransportError) as caught:
@@ -107,15 +88,6 @@ def test_an_unknown_scheme_is_rejected_and_the_known_ones_are_told(install: Inst
     assert str(caught.value) == (
         "no transport for raven:// is installed; installed are crow://, pigeon://"
     )
-
-
-def test_an_unknown_scheme_is_rejected_also_if_there_is_no_transport_at_all(
-    install: Install,
-) -> None:
-    install(EntryPoints())
-    with pytest.raises(TransportError) as caught:
-        transport_for("raven://tower")
-    assert str(caught.value) == "no transport for raven:// is installed; installed are none at all"
 
 
 @pytest.mark.parametrize("text", ["", "127.0.0.1:7400", "pigeon:loft", "pigeon:/loft"])
@@ -153,12 +125,6 @@ def test_a_missing_extra_is_named_with_the_scheme(
     assert str(caught.value) == "pigeon:// needs no_such_wings: pip install 'pigeon-post[wings]'"
 
 
-def test_a_missing_module_is_named_also_if_the_package_is_not_known(install: Install) -> None:
-    install(EntryPoints([entry("pigeon", "no_such_module:Pigeon")]))
-    with pytest.raises(TransportError, match="or the extra of 'its package' that brings it"):
-        transport_for("pigeon://loft")
-
-
 @pytest.mark.parametrize(
     ("source", "text"),
     [
@@ -188,23 +154,6 @@ def test_what_a_transport_says_that_cannot_be_imported_is_not_changed(
     install(EntryPoints([entry("pigeon", "pigeon_without_a_loft:PigeonTransport")]))
     with pytest.raises(TransportError, match=r"^build a loft first$"):
         transport_for("pigeon://loft")
-
-
-def test_what_a_transport_says_of_its_url_is_not_changed(
-    install: Install, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(url: str) -> PigeonTransport:
-        raise TransportError("a pigeon needs a loft")
-
-    monkeypatch.setattr(PigeonTransport, "from_url", refuse)
-    install(EntryPoints([entry("pigeon", HERE)]))
-    with pytest.raises(TransportError, match=r"^a pigeon needs a loft$"):
-        transport_for("pigeon://")
-
-
-def test_the_transport_within_one_process_is_found_as_it_is_installed() -> None:
-    transport = transport_for("inproc://here")
-    assert type(transport).__module__ == "fibaction_transports.inprocess"
 
 
 def test_settings_go_to_the_transports_constructor(install: Install) -> None:
@@ -243,12 +192,6 @@ def test_what_is_neither_a_url_nor_a_transport_is_no_address(where: Any) -> None
 )
 def test_a_url_is_shown_without_anything_secret(url: str, shown: str) -> None:
     assert without_settings(url) == shown
-
-
-def test_a_text_that_is_not_a_url_is_rejected_without_telling_its_secrets() -> None:
-    with pytest.raises(TransportError) as caught:
-        transport_for("robot:7400?token=secret")
-    assert str(caught.value) == "'robot:7400' is not a URL: write it like tcp://127.0.0.1:7400"
 
 
 @pytest.mark.parametrize(

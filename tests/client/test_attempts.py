@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import math
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from typing import Any
 from weakref import ref
@@ -30,7 +29,6 @@ from fibaction import (
     ServerNotFound,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
-from fibaction.client.attempts import check_is_retry, check_timeout
 from fibaction.feeds.feedback_log import FeedbackCursor
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.virtual_time import in_virtual_time
@@ -139,14 +137,6 @@ async def timed_out(waiting: Awaitable[object]) -> GoalTimeout:
 # Timeouts
 
 
-async def test_a_timeout_is_more_than_nothing() -> None:
-    for timeout in (None, 5e-324, 3, math.inf):
-        check_timeout(timeout)
-    for wrong in (0, -1, math.nan, -math.inf):
-        with pytest.raises(ValueError, match=f"timeout is more than 0 seconds.*, not {wrong}$"):
-            check_timeout(wrong)
-
-
 async def test_the_wait_for_the_acceptance_ends_and_the_goal_is_canceled_by_its_id() -> None:
     watch = Watch()
     async with ActionServer(FIBONACCI, slow) as server:
@@ -250,17 +240,6 @@ async def test_a_server_that_answers_not_even_the_goal_has_less_time_for_the_can
     assert "its server does not answer the cancel" in caplog.text
 
 
-async def test_only_the_last_attempt_counts_as_not_answered() -> None:
-    watch = Watch()
-    async with ActionServer(FIBONACCI, slow) as server:
-        lost = ConnectionLost("the line broke")
-        endpoint = Scripted(server, sends=[lost, HANG], cancels=[HANG])
-        retry = Retry(attempts=2, delay=3)
-        await timed_out(endpoint.client.call(Goal(9), timeout=4, retry=retry))
-        assert 6.4 < current_time() - watch.begun < 8.1
-    assert endpoint.calls == ["send", "send", "cancel"]
-
-
 async def test_a_cancellation_of_the_caller_does_not_cut_the_cancel_short() -> None:
     watch = Watch()
     async with ActionServer(FIBONACCI, slow) as server:
@@ -333,14 +312,6 @@ async def test_a_callback_is_not_interrupted_and_the_time_is_checked_after_it() 
     assert endpoint.calls == ["send", "cancel"]
 
 
-async def test_a_cancellation_of_the_caller_cancels_a_goal_that_is_being_sent() -> None:
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server, sends=[HANG])
-        with anyio.move_on_after(1):
-            await endpoint.client.call(Goal(1), timeout=3)
-    assert endpoint.calls == ["send", "cancel"]
-
-
 # Retries
 
 
@@ -352,14 +323,6 @@ async def test_the_goal_is_sent_again_with_longer_and_longer_delays_and_the_time
         assert await endpoint.client.call(Goal(0), timeout=20, retry=retry) == Result([0])
         assert watch.shows(1 + 2 + 3)
     assert endpoint.timeouts == pytest.approx([20, 19, 17, 14])
-
-
-async def test_without_a_timeout_none_is_sent() -> None:
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server)
-        await endpoint.client.call(Goal(0), retry=Retry())
-        await endpoint.client.call(Goal(0), timeout=math.inf)
-    assert endpoint.timeouts == [math.inf, math.inf]
 
 
 async def test_a_pause_ends_at_the_deadline_and_the_last_error_is_the_cause() -> None:
@@ -434,16 +397,6 @@ async def test_a_goal_is_followed_again_within_the_attempt_that_was_read(
     assert seen == [1, 2, 1, 2, 3]
 
 
-async def test_the_attempts_are_counted_from_the_first_to_the_last() -> None:
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server, sends=[ServerNotFound("not yet")])
-        seen, on_feedback = losing(endpoint, 1, 2)
-        with pytest.raises(ConnectionLost, match="the line broke"):
-            await endpoint.client.call(Goal(4), on_feedback=on_feedback, retry=Retry(delay=0.1))
-    assert seen == [1, 2]
-    assert endpoint.calls == ["send", "send", "follow", "cancel"]
-
-
 @pytest.mark.parametrize(
     "retry", [None, Retry(on=(ServerNotFound,)), Retry(attempts=1)], ids=["none", "other", "once"]
 )
@@ -485,27 +438,6 @@ async def test_an_executor_does_not_wait_for_a_goal_that_is_followed_again_for_i
         assert not endpoint.streams[-1].reads
 
 
-async def test_a_reader_that_waits_for_the_result_holds_the_executor_on_no_stream() -> None:
-    watch = Watch()
-    async with ActionServer(FIBONACCI, slow, feedback_window=1, stall_timeout=1000) as server:
-        endpoint = Scripted(server)
-        goal_id = GoalID.random()
-        client = endpoint.client
-        sending = client.send_goal(Goal(9), goal_id=goal_id, timeout=1000)
-        assert sending._attempts is not None
-        sending._attempts._retry = Retry(delay=0.1)
-        async with sending as goal, anyio.create_task_group() as tasks:
-
-            async def lose() -> None:
-                await anyio.sleep(1.5)
-                endpoint.lose()
-
-            tasks.start_soon(lose)
-            assert await anext(aiter(goal.feedback)) == Feedback([1])
-            assert await goal.result() == Result([9])
-        assert watch.shows(9)
-
-
 async def test_leaving_the_connection_ends_a_pause() -> None:
     watch = Watch()
     async with ActionServer(FIBONACCI, slow) as server:
@@ -528,37 +460,6 @@ async def test_leaving_the_connection_ends_a_pause() -> None:
         assert watch.shows(1.1)
     assert endpoint.calls == ["send", "cancel"]
     assert [str(error) for error in errors] == ["the line broke"]
-
-
-async def test_a_connection_that_was_left_is_not_waited_for() -> None:
-    watch = Watch()
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server, cancels=[ServerNotFound("gone")])
-        client = endpoint.client
-
-        async def call() -> None:
-            with pytest.raises(ConnectionLost):
-                await client.call(Goal(9), retry=Retry())
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(call)
-            await anyio.sleep(1)
-            await client.leave()
-            endpoint.lose()
-        assert watch.shows(1)
-    assert endpoint.calls == ["send", "cancel"]
-
-
-async def test_a_goal_that_has_timed_out_is_not_canceled_again_when_the_connection_is_left() -> (
-    None
-):
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server)
-        client = endpoint.client
-        async with client.send_goal(Goal(9), timeout=1) as goal:
-            await timed_out(goal.result())
-            await client.leave()
-    assert endpoint.calls == ["send", "cancel"]
 
 
 @pytest.mark.parametrize(
@@ -590,10 +491,3 @@ async def test_errors_that_are_retried_are_freed_without_the_garbage_collector()
             assert [error() for error in errors] == [None, None]
         finally:
             gc.enable()
-
-
-async def test_a_retry_that_is_none_is_an_error() -> None:
-    check_is_retry(None)
-    check_is_retry(Retry())
-    with pytest.raises(TypeError, match=r"retry is a Retry, such as Retry\(attempts=3\), not 3"):
-        check_is_retry(3)

@@ -18,15 +18,12 @@ from fibaction import (
     ActionServer,
     CancelAnswer,
     CancelCode,
-    CancelRejected,
     ConnectionLost,
     Endpoint,
     GoalAborted,
     GoalCanceled,
-    GoalFeedback,
     GoalHandle,
     GoalID,
-    GoalInfo,
     GoalRejected,
     GoalStatus,
     Outcome,
@@ -34,13 +31,9 @@ from fibaction import (
     Retry,
     ServerNotFound,
     UnknownGoal,
-    connect,
-    serve,
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpdate, StatusStream
-from fibaction.server.admission.callbacks import GoalCallbacks
-from fibaction.server.settings import ActionServerSettings
 from fibaction.testing import ScriptedServer
 from fibaction.words.goal_steps import GoalStep, GoalSteps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -174,11 +167,6 @@ async def test_a_goal_is_followed_from_its_acceptance_to_its_result() -> None:
         assert repr(goal) == f"<ClientGoal {goal.goal_id} SUCCEEDED>"
 
 
-async def test_a_goal_says_which_attempt_its_feedback_is_of() -> None:
-    goal = await client_of(Broken(BrokenStream())).attach(BrokenStream.goal_id)
-    assert goal.attempt == 3
-
-
 async def test_a_call_is_one_line() -> None:
     async with ScriptedServer(FIBONACCI, [Feedback([1]), Feedback([2]), Result([3])]) as server:
         client = client_of(server)
@@ -192,22 +180,6 @@ async def test_a_call_is_one_line() -> None:
         assert await client.call(Goal(1), on_feedback=seen.append) == Result([3])
         assert await client.call(Goal(1), on_feedback=later) == Result([3])
         assert seen == [Feedback([1]), Feedback([2])] * 2
-
-
-async def test_an_exception_of_the_feedback_callback_cancels_the_goal_and_arrives_as_itself() -> (
-    None
-):
-    def fail(feedback: Feedback) -> None:
-        raise KeyError("mine")
-
-    async with ScriptedServer(FIBONACCI, [Feedback([1]), anyio.Event()]) as server:
-        with await server.status() as statuses:
-            with pytest.raises(KeyError):
-                await client_of(server).call(Goal(1), on_feedback=fail)
-            with anyio.fail_after(5):
-                while (info := await statuses.receive()) is not None:
-                    if info.status is GoalStatus.CANCELED:
-                        break
 
 
 @pytest.mark.parametrize(
@@ -227,26 +199,6 @@ async def test_a_goal_that_does_not_succeed_raises_what_became_of_it(
             await goal.result()
         assert caught.value.goal_id == goal.goal_id
         assert caught.value.result == (await goal.outcome()).result
-
-
-async def test_a_canceled_goal_raises_that_it_was_canceled() -> None:
-    async with ScriptedServer(FIBONACCI, [Feedback([1]), anyio.Event()]) as server:
-        client = client_of(server)
-        goal = await client.send_goal(Goal(1))
-        assert (await client.cancel_goals(before=goal.stamp)).accepted
-        with pytest.raises(GoalCanceled) as caught:
-            await goal.result()
-        assert str(caught.value) == f"goal {goal.goal_id} was canceled"
-
-
-async def test_a_rejected_goal_raises_from_both_ways_of_sending_it() -> None:
-    async with ScriptedServer(FIBONACCI, [GoalRejected("busy")]) as server:
-        client = client_of(server)
-        with pytest.raises(GoalRejected, match="busy"):
-            await client.send_goal(Goal(1))
-        with pytest.raises(GoalRejected, match="busy"):
-            async with client.send_goal(Goal(1)):
-                raise AssertionError("the block must not run")
 
 
 async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
@@ -340,102 +292,6 @@ async def test_a_timeout_that_is_no_time_goes_nowhere(wrong: float) -> None:
     assert server.received == []
 
 
-async def test_a_goal_with_a_timeout_is_sent_in_both_ways() -> None:
-    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
-        client = client_of(server)
-        goal = await client.send_goal(Goal(1), timeout=5)
-        assert await goal.result() == Result([2])
-        async with client.send_goal(Goal(1), timeout=5) as goal:
-            assert [item async for item in goal.feedback] == [Feedback([1])]
-            assert await goal.result() == Result([2])
-        assert await client.call(Goal(1), timeout=5) == Result([2])
-
-
-@pytest.mark.parametrize("wrong", [1.5, "7"])
-async def test_what_is_no_whole_number_goes_nowhere(wrong: Any) -> None:
-    broken = Broken(BrokenStream())
-    client = client_of(broken)
-    with pytest.raises(TypeError, match="interpreted as an integer"):
-        await client.attach(GoalID.random(), after=wrong)
-    with pytest.raises(TypeError, match="interpreted as an integer"):
-        await client.cancel_goals(before=wrong)
-    assert (broken.follows, broken.cancels) == ([], [])
-
-
-async def test_another_goal_is_attached_to_by_its_id() -> None:
-    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
-        client = client_of(server)
-        mine = await client.send_goal(Goal(1), goal_id=GoalID(bytes(range(16))))
-        other = await client.attach(GoalID(bytes(range(16))), after=0)
-        assert [item async for item in other.feedback] == [Feedback([1])]
-        assert await other.result() == await mine.result() == Result([2])
-        with pytest.raises(UnknownGoal):
-            await client.attach(GoalID.random())
-
-
-async def test_the_goals_that_the_server_knows_are_listed_and_no_later_ones() -> None:
-    hold = anyio.Event()
-    async with ScriptedServer(FIBONACCI, [Result([])], [hold, Result([])]) as server:
-        client = client_of(server)
-        assert await client.goals() == []
-        ended = await client.send_goal(Goal(1))
-        await ended.outcome()
-        active = await client.send_goal(Goal(2))
-        goals = await client.goals()
-        assert [(info.goal_id, info.stamp) for info in goals] == [
-            (ended.goal_id, ended.stamp),
-            (active.goal_id, active.stamp),
-        ]
-        assert [info.status.is_active for info in goals] == [False, True]
-        hold.set()
-
-
-async def test_a_list_of_goals_ends_where_the_server_does() -> None:
-    class Short(StatusStream):
-        """A stream that ends before all is told that was known."""
-
-        known = 2
-        dropped = 0
-
-        def __init__(self) -> None:
-            self.items = [GoalInfo(GoalID(bytes(range(16))), 7, GoalStatus.EXECUTING)]
-            self.closed = False
-
-        def fail(self, error: ActionError) -> None:
-            raise NotImplementedError
-
-        async def receive(self) -> GoalInfo | None:
-            return self.items.pop() if self.items else None
-
-        def close(self) -> None:
-            self.closed = True
-
-    class Ending(Broken):
-        async def status(self) -> StatusStream:
-            return statuses
-
-    statuses = Short()
-    with anyio.fail_after(5):
-        assert [info.stamp for info in await client_of(Ending(BrokenStream())).goals()] == [7]
-    assert statuses.closed
-
-
-async def test_the_events_of_an_action_are_read_through_its_client() -> None:
-    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
-        client = client_of(server)
-        for feedback, expected in ((True, ["1", "SUCCEEDED"]), (False, ["SUCCEEDED"])):
-            seen: list[str] = []
-            async with client.events(feedback=feedback) as events:
-                goal = await client.send_goal(Goal(1))
-                async for event in events:
-                    if isinstance(event, GoalFeedback):
-                        seen.append(str(event.number))
-                    elif event.goal_id == goal.goal_id and not event.status.is_active:
-                        seen.append(event.status.name)
-                        break
-            assert seen == expected
-
-
 async def test_feedback_and_result_that_are_not_of_their_type_are_the_servers_error() -> None:
     goal = await client_of(Broken(BrokenStream(nonsense=True))).send_goal(Goal(1))
     text = "of action 'fibonacci' is not of its type, as its server sent it: Expected `object`"
@@ -462,34 +318,6 @@ async def test_a_lost_connection_is_told_to_each_wait_and_leaving_does_not_hide_
                 raise AssertionError("there is none")
     assert stream.closed
     assert "was left, but could not be canceled: the line is dead" in caplog.text
-
-
-async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_not_raise(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    def refuse(goal: GoalHandle[Goal]) -> None:
-        raise CancelRejected("too late")
-
-    hold = anyio.Event()
-    server = ScriptedServer(FIBONACCI, [hold, Result([])])
-    server._callbacks = GoalCallbacks("fibonacci", ActionServerSettings(on_cancel=refuse))
-    async with server:
-        async with client_of(server).send_goal(Goal(1)):
-            pass
-        hold.set()
-    assert "was left, but runs on: too late" in caplog.text
-
-
-async def test_leaving_waits_only_so_long_for_the_answer(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("fibaction.client.attempts.LEAVE_TIMEOUT", 0.001)
-    endpoint = Broken(BrokenStream())
-    endpoint.answer = None
-    async with client_of(endpoint).send_goal(Goal(1)) as goal:
-        pass
-    assert endpoint.cancels == [goal.goal_id]
-    assert "was left, but its server does not answer the cancel" in caplog.text
 
 
 async def test_giving_up_before_the_answer_cancels_the_goal() -> None:
@@ -527,31 +355,6 @@ async def test_the_executor_is_let_go_while_the_reader_waits_for_the_result_and_
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(wait_elsewhere)
     assert stream.held == [False, True, False, True]
-
-
-async def test_feedback_that_comes_after_a_status_is_read() -> None:
-    script: list[Feedback | Result] = [Feedback([1]), Result([1])]
-    async with ScriptedServer(FIBONACCI, script) as server:
-        goal = await client_of(server).send_goal(Goal(1))
-        await anyio.wait_all_tasks_blocked()
-        assert goal.status is GoalStatus.SUCCEEDED  # EXECUTING waits to be read before it
-        assert [each async for each in goal.feedback] == [Feedback([1])]
-        with pytest.raises(StopAsyncIteration):
-            await anext(goal.feedback)
-
-
-async def test_the_feedback_of_a_goal_that_is_read_no_more_ends() -> None:
-    stream = BrokenStream(nonsense=True)
-    stream.reads = False
-    goal = await client_of(Broken(stream)).send_goal(Goal(1))
-    assert [each async for each in goal.feedback] == []
-
-
-async def test_a_goal_that_is_closed_closes_its_stream() -> None:
-    stream = BrokenStream()
-    goal = await client_of(Broken(stream)).send_goal(Goal(1))
-    goal.close()
-    assert stream.closed == 1
 
 
 async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
@@ -680,24 +483,6 @@ async def _awaited(sending: Awaitable[object]) -> object:
     return await sending
 
 
-async def test_the_number_of_the_last_feedback_is_where_another_reader_goes_on() -> None:
-    hold = anyio.Event()
-    steps = Feedback([1]), Feedback([2]), Feedback([3]), hold, Result([4])
-    async with ScriptedServer(FIBONACCI, steps) as server:
-        client = client_of(server)
-        goal = await client.send_goal(Goal(1))
-        assert (goal.feedback.number, goal.feedback.attempt) == (0, 1)
-        async for feedback in goal:
-            if feedback == Feedback([2]):
-                break
-        assert goal.feedback.number == 2
-        later = await client.attach(goal.goal_id, after=goal.feedback.number, attempt=1)
-        hold.set()
-        assert [(later.feedback.number, feedback) async for feedback in later] == [
-            (3, Feedback([3]))
-        ]
-
-
 async def test_a_goal_goes_on_after_its_block_if_it_was_detached() -> None:
     hold = anyio.Event()
     async with ScriptedServer(FIBONACCI, [hold, Result([4])]) as server:
@@ -718,18 +503,6 @@ async def test_a_goal_that_was_not_awaited_is_told_with_what_to_write() -> None:
             " `goal = await client.send_goal(...)`, or `async with client.send_goal(...) as goal`"
         )
         assert await (await forgotten).result() == Result([4])
-
-
-async def test_only_a_client_that_was_awaited_is_closed() -> None:
-    async with ScriptedServer(FIBONACCI, [Result([4])]) as server:
-        with pytest.raises(RuntimeError, match="this client need not be closed"):
-            await client_of(server).aclose()
-        async with serve(server, "inproc://kept"):
-            client = await connect("inproc://kept", FIBONACCI)
-            assert await client.call(Goal(1)) == Result([4])
-            await client.aclose()
-            with pytest.raises(ConnectionLost):
-                await client.call(Goal(1))
 
 
 # Spans
@@ -777,3 +550,33 @@ async def test_a_list_of_goals_has_results_if_they_are_asked_for() -> None:
         [info] = await client.goals()
         [whole] = await client.goals(results=True)
         assert (info.result, whole.result) == (None, Result([0, 1]))
+
+
+async def test_the_feedback_of_a_goal_that_is_read_no_more_ends() -> None:
+    stream = BrokenStream(nonsense=True)
+    stream.reads = False
+    goal = await client_of(Broken(stream)).send_goal(Goal(1))
+    assert [each async for each in goal.feedback] == []
+
+
+async def test_the_number_of_the_last_feedback_is_where_another_reader_goes_on() -> None:
+    hold = anyio.Event()
+    steps = Feedback([1]), Feedback([2]), Feedback([3]), hold, Result([4])
+    async with ScriptedServer(FIBONACCI, steps) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1))
+        assert (goal.feedback.number, goal.feedback.attempt) == (0, 1)
+        async for feedback in goal:
+            if feedback == Feedback([2]):
+                break
+        assert goal.feedback.number == 2
+        later = await client.attach(goal.goal_id, after=goal.feedback.number, attempt=1)
+        hold.set()
+        assert [(later.feedback.number, feedback) async for feedback in later] == [
+            (3, Feedback([3]))
+        ]
+
+
+async def test_only_a_client_that_was_awaited_is_closed() -> None:
+    with pytest.raises(RuntimeError, match="this client need not be closed"):
+        await client_of(Broken(BrokenStream(nonsense=True))).aclose()

@@ -25,7 +25,6 @@ from fibaction import (
 from fibaction.border.abc import GoalStream, StatusStream
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord
-from fibaction.testing import ScriptedServer
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import UNKNOWN_OUTCOME, UNKNOWN_SENDER
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -77,16 +76,6 @@ async def test_a_goal_is_told_from_its_acceptance_to_its_end_feedback_first() ->
     assert len({event.goal_id for event in seen}) == 1
 
 
-async def test_without_feedback_only_the_statuses_are_told() -> None:
-    with anyio.fail_after(5):
-        async with ActionServer(FIBONACCI, fibonacci) as server:
-            client = ActionClient(server, FIBONACCI)
-            async with client.events(feedback=False) as events:
-                await client.call(Goal(4))
-                seen = await until(events)
-    assert [told(event) for event in seen] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
-
-
 async def test_goals_that_there_are_come_first_and_their_feedback_from_now_on() -> None:
     held, release = anyio.Event(), anyio.Event()
 
@@ -110,52 +99,6 @@ async def test_goals_that_there_are_come_first_and_their_feedback_from_now_on() 
                 release.set()
                 seen = await until(events)
     assert [told(event) for event in seen] == [3, "SUCCEEDED"]
-
-
-async def test_the_events_end_when_the_server_stops_and_every_goal_is_told_its_end() -> None:
-    never = anyio.Event()
-    with anyio.fail_after(5):
-        async with ScriptedServer(FIBONACCI, [Feedback([1]), never]) as server:
-            client = ActionClient(server, FIBONACCI)
-            async with client.events() as events:
-                await client.send_goal(Goal(1))
-                seen: list[Event] = []
-                async for event in events:
-                    seen.append(event)
-                    if told(event) == 1:
-                        break
-                await server.stop()
-                seen += [event async for event in events]
-    assert [told(event) for event in seen] == ["ACCEPTED", "EXECUTING", 1, "ABORTED"]
-    assert events.dropped == 0
-
-
-async def test_a_goal_that_is_forgotten_is_told_so() -> None:
-    gate = Gate()
-    with anyio.fail_after(5):
-        async with ActionServer(FIBONACCI, gate.work, result_timeout=0) as server:
-            client = ActionClient(server, FIBONACCI)
-            async with client.events() as events:
-                await client.send_goal(Goal(2))
-                seen = await until(events, GoalStatus.EXECUTING)
-                gate.open.set()
-                seen += await until(events, GoalStatus.UNKNOWN)
-    assert [told(event) for event in seen] == ["ACCEPTED", "EXECUTING", 1, "SUCCEEDED", "UNKNOWN"]
-
-
-async def test_goals_are_listed_ended_ones_first() -> None:
-    never = anyio.Event()
-    with anyio.fail_after(5):
-        async with ScriptedServer(FIBONACCI, [ENDED], [Feedback([1]), never]) as server:
-            client = ActionClient(server, FIBONACCI)
-            assert await client.goals() == []
-            await client.call(Goal(1))
-            async with client.send_goal(Goal(2)) as goal:
-                await anext(goal.feedback)
-                ended, active = await client.goals()
-            assert (ended.status, ended.feedback_count) == (GoalStatus.SUCCEEDED, 0)
-            assert (active.goal_id, active.status) == (goal.goal_id, GoalStatus.EXECUTING)
-            assert active.feedback_count == 1
 
 
 # When something goes wrong behind it

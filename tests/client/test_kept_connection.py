@@ -88,12 +88,6 @@ async def test_without_an_action_it_is_a_connection(url: str) -> None:
     await connection.aclose()
 
 
-async def test_it_knows_the_workers_of_a_fleet() -> None:
-    connection = await connect(OneWorker())
-    assert await connection.workers() == [WORKER]
-    await connection.aclose()
-
-
 async def test_closing_cancels_the_goals_of_calls_and_blocks(url: str) -> None:
     client = await connect(url, COUNT)
     errors: list[Exception] = []
@@ -136,11 +130,6 @@ async def test_a_goal_keeps_the_connection_of_its_client(url: str) -> None:
         assert [number async for number in feedback] == list(range(1, 51))
         del feedback
         gc.collect()
-
-
-async def test_a_connection_that_cannot_be_opened_is_told_at_once() -> None:
-    with pytest.raises(ServerNotFound):
-        await connect("tcp://127.0.0.1:1", COUNT, reconnect=False)
 
 
 async def test_a_cancellation_while_connecting_ends_the_connection() -> None:
@@ -195,3 +184,14 @@ def test_a_client_that_outlives_its_event_loop_is_collected_quietly() -> None:
     assert isinstance(client, ActionClient)
     del client
     gc.collect()
+
+
+async def test_it_knows_the_workers_of_a_fleet() -> None:
+    connection = await connect(OneWorker())
+    assert await connection.workers() == [WORKER]
+    await connection.aclose()
+
+
+async def test_a_connection_that_cannot_be_opened_is_told_at_once() -> None:
+    with pytest.raises(ServerNotFound):
+        await connect("tcp://127.0.0.1:1", COUNT, reconnect=False)

@@ -4,7 +4,6 @@ import gc
 import math
 import weakref
 from collections.abc import Awaitable, Callable, Sequence
-from functools import partial
 from time import process_time
 
 import anyio
@@ -87,41 +86,6 @@ def test_a_stream_knows_its_goal_as_an_entry_of_a_list() -> None:
 
 
 @pytest.mark.asyncio
-async def test_feedback_is_numbered_from_one_and_comes_in_order() -> None:
-    log = new_log()
-    stream = log.follow()
-    append(log, 3)
-    end(log)
-    with anyio.fail_after(5):
-        assert await stream.receive() == FeedbackItem(1, b"1")
-        assert await numbers(stream) == [2, 3]
-    assert log.count == log.goal.feedback_count == 3
-    assert stream.dropped == 0
-
-
-@pytest.mark.asyncio
-async def test_a_follower_knows_its_goal() -> None:
-    log = new_log()
-    stream = log.follow()
-    assert (stream.goal_id, stream.stamp) == (GOAL_ID, 7)
-    assert stream.status.name == "ACCEPTED"
-    end(log)
-    assert stream.status.name == "SUCCEEDED"
-
-
-@pytest.mark.asyncio
-async def test_a_follower_needs_no_change_of_status_to_hear_of_the_end() -> None:
-    log = new_log()
-    stream = log.follow()
-
-    def end_without_a_change() -> None:
-        log.goal.outcome = OUTCOME
-        log.finish()
-
-    await while_waiting(stream.receive, end_without_a_change)
-
-
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("after", "expected"),
     [(None, [4]), (0, [1, 2, 3, 4]), (2, [3, 4]), (3, [4]), (99, [4]), (-1, [1, 2, 3, 4])],
@@ -153,14 +117,6 @@ async def test_a_number_of_another_attempt_is_not_one_to_begin_behind(
     with anyio.fail_after(5):
         assert await numbers(stream) == expected
     assert (stream.attempt, stream.dropped) == (2, 0)
-
-
-def test_feedback_says_which_attempt_it_is_of() -> None:
-    log = new_log()
-    log.goal.attempt = 3
-    stream = log.follow()
-    append(log, 1)
-    assert stream.take() == [FeedbackItem(1, b"1", 3)]
 
 
 KEPT = GoalKept("the server keeps the goal")
@@ -212,20 +168,6 @@ def test_what_a_closed_follower_has_not_read_is_missed_if_it_wanted_any(reads: b
     for _ in range(2):
         assert stream.take() == (OUTCOME,)
         assert (stream.cursor, stream.dropped) == ((3, 2) if reads else (0, 0))
-
-
-def test_a_follower_that_leaves_a_goal_that_has_ended_is_not_remembered() -> None:
-    log = new_log()
-    stream = log.follow()
-    end(log)
-    stream.close()
-    assert log._others is None
-
-
-@pytest.mark.asyncio
-async def test_closing_a_follower_ends_the_wait_for_feedback() -> None:
-    stream = new_log().follow()
-    await while_waiting(stream.receive, stream.close)
 
 
 @given(
@@ -349,17 +291,6 @@ def test_a_goal_that_has_ended_has_no_end_for_a_reader_with_feedback_left_to_tak
     assert (stream.cursor, stream.dropped) == (1, 0)
 
 
-def test_feedback_that_an_ended_goal_no_longer_has_counts_as_dropped_also_if_none_is_taken() -> (
-    None
-):
-    goal = GoalFacts(GOAL_ID, 7)
-    goal.feedback_count = 3
-    goal.outcome = OUTCOME
-    stream = FeedbackLog(goal).follow(after=1)
-    assert stream.take(0) == (OUTCOME,)
-    assert (stream.cursor, stream.dropped) == (3, 2)
-
-
 @given(
     window=strategies.integers(1, 5),
     latest=strategies.booleans(),
@@ -427,23 +358,6 @@ def test_a_reader_is_told_of_feedback_of_statuses_of_the_end_and_of_its_being_cl
         assert len(wakes) == 1
 
 
-@pytest.mark.parametrize("reads", [True, False], ids=["closed", "without feedback"])
-def test_a_follower_that_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(
-    reads: bool,
-) -> None:
-    log = new_log()
-    stream = log.follow(feedback=reads)
-    if reads:
-        stream.close()
-    wakes = count_wakes(stream)
-    append(log, 3)
-    change(log, GoalStatus.EXECUTING)
-    assert wakes == []
-    end(log)
-    assert len(wakes) == 1
-    assert stream.known_outcome() is OUTCOME
-
-
 def test_a_log_keeps_its_readers_alive_and_no_other_cursor() -> None:
     log = new_log()
     reader, closed = log.follow(), log.follow()
@@ -500,17 +414,6 @@ def test_a_log_forgets_those_that_waited_for_the_end_and_are_gone() -> None:
     assert all(wakes)
 
 
-def test_a_follower_that_leaves_as_it_is_told_does_not_keep_others_from_being_told() -> None:
-    for happens in (lambda log: append(log, 1), end):
-        log = new_log()
-        streams = [log.follow() for _ in range(3)]
-        for stream in streams[:2]:
-            stream.news.on_next = streams[1].close
-        wakes = count_wakes(streams[2])
-        happens(log)
-        assert wakes
-
-
 def test_following_reading_and_leaving_take_the_same_time_with_ten_thousand_followers() -> None:
     def seconds_with(followers: int) -> float:
         log = new_log()
@@ -542,35 +445,6 @@ async def events(stream: FeedbackCursor) -> list[int | str]:
     return seen
 
 
-async def next_update(stream: FeedbackCursor) -> GoalUpdate:
-    return await anext(aiter(stream))
-
-
-@pytest.mark.asyncio
-async def test_a_follower_hears_of_each_status_until_the_end_and_of_all_feedback() -> None:
-    log = new_log()
-    stream = log.follow()
-    heard: list[int | str] = []
-
-    async def listen() -> None:
-        heard.extend(await events(stream))
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(listen)
-            for happens in (
-                partial(change, log, GoalStatus.EXECUTING),
-                partial(append, log, 2),
-                partial(change, log, GoalStatus.CANCELING),
-                partial(append, log, 1),
-                partial(end, log),
-            ):
-                await anyio.wait_all_tasks_blocked()
-                happens()
-        assert await next_update(stream) is OUTCOME
-    assert heard == ["EXECUTING", 1, 2, "CANCELING", 3]
-
-
 @pytest.mark.asyncio
 async def test_what_was_not_listened_to_is_heard_later_the_statuses_first() -> None:
     log = new_log()
@@ -581,78 +455,6 @@ async def test_what_was_not_listened_to_is_heard_later_the_statuses_first() -> N
     end(log)
     with anyio.fail_after(5):
         assert await events(stream) == ["EXECUTING", "CANCELING", 1, 2]
-
-
-@pytest.mark.asyncio
-async def test_a_follower_hears_of_no_status_before_it_came() -> None:
-    log = new_log()
-    change(log, GoalStatus.EXECUTING)
-    stream = log.follow()
-    change(log, GoalStatus.CANCELING)
-    end(log)
-    with anyio.fail_after(5):
-        assert await events(stream) == ["CANCELING"]
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize(
-    "happens",
-    [
-        lambda log, stream: change(log, GoalStatus.EXECUTING),
-        lambda log, stream: append(log, 1),
-        lambda log, stream: end(log),
-    ],
-    ids=["a status", "feedback", "the end"],
-)
-async def test_a_listener_waits_until_something_happens(
-    happens: Callable[[FeedbackLog[GoalFacts], FeedbackCursor], None],
-) -> None:
-    log = new_log()
-    stream = log.follow()
-    await while_waiting(lambda: next_update(stream), lambda: happens(log, stream))
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize("late", [True, False], ids=["canceled after", "canceled before"])
-async def test_nothing_is_lost_if_the_wait_is_canceled(late: bool) -> None:
-    log = new_log()
-    stream = log.follow()
-    heard: list[GoalUpdate] = []
-
-    async def listen() -> None:
-        heard.append(await next_update(stream))
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(listen)
-            await anyio.wait_all_tasks_blocked()
-            if not late:
-                tasks.cancel_scope.cancel()
-            change(log, GoalStatus.EXECUTING)
-            append(log, 1)
-            if late:
-                tasks.cancel_scope.cancel()
-        heard += [await next_update(stream) for _ in range(2 - len(heard))]
-    assert heard == [GoalStatus.EXECUTING, FeedbackItem(1, b"1")]
-
-
-@pytest.mark.asyncio
-async def test_a_cursor_without_feedback_or_closed_gives_the_outcome_only() -> None:
-    log = new_log()
-    cursors = [log.follow(feedback=False), log.follow(), log.follow()]
-    cursors[1].close()
-
-    async def only_the_outcome() -> None:
-        for cursor in cursors:
-            assert await next_update(cursor) is OUTCOME
-
-    def close_and_go_on() -> None:
-        cursors[2].close()
-        change(log, GoalStatus.EXECUTING)
-        append(log, 1)
-        end(log)
-
-    await while_waiting(only_the_outcome, close_and_go_on)
 
 
 @pytest.mark.asyncio
@@ -677,11 +479,6 @@ async def test_a_cursor_that_has_failed_raises_its_error_anew_for_each_wait(
     end(log)
     ended.fail(error)
     assert ended.known_outcome() is OUTCOME, "an outcome that is known stays"
-
-
-@pytest.mark.parametrize("latest", [True, False])
-def test_a_follower_knows_whether_late_readers_want_the_newest_only(latest: bool) -> None:
-    assert new_log(latest=latest).follow().latest is latest
 
 
 # Making the executor wait
@@ -717,40 +514,6 @@ def test_a_log_gives_what_there_still_is_behind_a_place(
     append(log, 6)
     assert [item.number for item in log.after(place, limit)] == expected
     assert log.has_after(place) is (place < 6)
-
-
-def test_a_cursor_is_set_to_any_number_as_far_as_the_log_remembers() -> None:
-    log = FeedbackLog(GoalFacts(GOAL_ID, 7), window=3)
-    stream = log.follow(after=0)
-    for number in range(1, 6):
-        log.append(b"%d" % number)
-        stream.take()
-    for after, first in ((-1, 3), (0, 3), (4, 5)):
-        stream.seek(after)
-        assert numbers_of(stream.take(9)) == list(range(first, 6))
-    stream.seek(9)
-    assert stream.cursor == 5
-
-
-def test_a_log_whose_feedback_is_all_gone_has_nothing_behind_any_place() -> None:
-    goal = GoalFacts(GOAL_ID, 7)
-    goal.feedback_count = 3
-    log = FeedbackLog(goal)
-    assert not log.has_after(0)
-    assert log.after(0, 10) == []
-
-
-@pytest.mark.asyncio
-async def test_a_log_is_full_when_its_client_has_a_window_to_read() -> None:
-    log = new_log(window=2)
-    stream = log.follow(own=True)
-    append(log, 1)
-    assert not log.is_full
-    append(log, 1)
-    assert log.is_full
-    with anyio.fail_after(5):
-        await stream.receive()
-    assert not log.is_full
 
 
 @pytest.mark.asyncio
@@ -794,48 +557,6 @@ async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
 
 
 @pytest.mark.asyncio
-async def test_the_wait_for_room_goes_on_when_an_observer_reads_or_leaves() -> None:
-    log = new_log(window=1)
-    client, observer = log.follow(own=True), log.follow()
-    append(log, 1)
-    done = anyio.Event()
-
-    async def wait() -> None:
-        await log.wait_for_room(math.inf)
-        done.set()
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            await observer.receive()
-            observer.close()
-            await anyio.wait_all_tasks_blocked()
-            assert not done.is_set()
-            await client.receive()
-    assert done.is_set()
-
-
-@pytest.mark.asyncio
-async def test_each_feedback_waits_until_the_one_before_was_read() -> None:
-    log = new_log(window=1)
-    stream = log.follow(own=True)
-    for number in range(1, 4):
-        append(log, 1)
-        await while_waiting(lambda: log.wait_for_room(math.inf), lambda: read_one(log, stream))
-        assert stream.cursor == number
-
-
-@pytest.mark.asyncio
-async def test_there_is_no_wait_where_there_is_room() -> None:
-    log = new_log(window=1)
-    stream = log.follow(own=True)
-    with anyio.fail_after(5):
-        await log.wait_for_room(math.inf)
-    assert stream.holding
-
-
-@pytest.mark.asyncio
 async def test_a_client_that_stalls_holds_up_nothing_until_it_has_caught_up() -> None:
     log = new_log(window=2)
     stream = log.follow(own=True)
@@ -850,40 +571,6 @@ async def test_a_client_that_stalls_holds_up_nothing_until_it_has_caught_up() ->
         assert stream.holding
     assert stream.dropped == 1
     append(log, 2)
-    assert log.is_full
-
-
-@pytest.mark.asyncio
-async def test_a_client_that_stalls_does_not_hold_again_by_asking_for_it() -> None:
-    log = new_log(window=1)
-    stream = log.follow(own=True)
-    append(log, 1)
-    with anyio.fail_after(5):
-        await log.wait_for_room(0)
-    stream.hold(True)
-    assert not log.is_full
-
-
-@pytest.mark.asyncio
-async def test_only_the_client_that_was_not_read_stalls() -> None:
-    log = new_log(window=2)
-    slow, quick = log.follow(own=True), log.follow(own=True)
-    append(log, 2)
-    with anyio.fail_after(5):
-        await quick.receive()
-        await log.wait_for_room(0)
-    assert not slow.holding
-    assert quick.holding
-
-
-@pytest.mark.asyncio
-async def test_a_client_that_let_go_can_hold_again() -> None:
-    log = new_log(window=1)
-    stream = log.follow(own=True)
-    append(log, 1)
-    stream.hold(False)
-    assert not log.is_full
-    stream.hold(True)
     assert log.is_full
 
 
@@ -1136,32 +823,6 @@ def test_a_log_that_loses_its_result_has_nothing_left_and_its_streams_end_with_a
             lost()
 
 
-def test_a_log_whose_bytes_are_not_counted_loses_its_result_too() -> None:
-    log = new_log()
-    stream = log.follow()
-    end(log)
-    log.lose_result()
-    with pytest.raises(UnknownGoal):
-        stream.take()
-
-
-def test_the_payload_of_an_active_goal_is_not_given_back_by_its_log() -> None:
-    budget = ByteBudget(1000)
-    log = FeedbackLog(GoalFacts(GOAL_ID, 7), budget=budget, payload=bytes(100))
-    del log
-    assert budget.used == 0
-
-
-def test_a_payload_that_is_not_kept_any_longer_is_not_told_or_counted() -> None:
-    budget = ByteBudget(1000)
-    goal = GoalFacts(GOAL_ID, 7)
-    log = FeedbackLog(goal, budget=budget, payload=bytes(100))
-    log.payload = None
-    goal.outcome = OUTCOME
-    log.finish()
-    assert (log.follow().goal, budget.used) == (None, 0)
-
-
 # Feedback that followers may not have
 
 
@@ -1190,7 +851,10 @@ def test_feedback_after_the_end_of_a_goal_is_discarded_and_holds_no_bytes() -> N
     assert (stream.take(), log.count, budget.used, log.is_full) == ((), 1, 0, False)
 
 
-def test_a_stream_of_the_end_that_is_asked_for_after_the_end_has_it_at_once() -> None:
+def test_a_log_whose_bytes_are_not_counted_loses_its_result_too() -> None:
     log = new_log()
+    stream = log.follow()
     end(log)
-    assert log.follow(feedback=False).take() == (OUTCOME,)
+    log.lose_result()
+    with pytest.raises(UnknownGoal):
+        stream.take()

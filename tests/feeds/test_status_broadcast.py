@@ -3,7 +3,6 @@ from __future__ import annotations
 import gc
 import tracemalloc
 import weakref
-from collections.abc import Awaitable, Callable
 
 import anyio
 import pytest
@@ -29,22 +28,6 @@ async def stamps(stream: StatusStream) -> list[int]:
     while (change := await stream.receive()) is not None:
         seen.append(change.stamp)
     return seen
-
-
-async def while_waiting(waiting: Callable[[], Awaitable[object]], then: Callable[[], None]) -> None:
-    """See that something waits, do something about it, and see that it waits no longer."""
-    done = anyio.Event()
-
-    async def wait() -> None:
-        await waiting()
-        done.set()
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            assert not done.is_set()
-            then()
 
 
 class Goals:
@@ -90,16 +73,6 @@ async def test_a_status_stream_begins_with_what_is_known_and_goes_on_with_each_c
         assert await told(stream) == [(2, "ACCEPTED"), (1, "UNKNOWN")]
         assert await stream.receive() is None
     assert stream.dropped == 0
-
-
-@pytest.mark.asyncio
-async def test_a_status_stream_says_how_much_of_it_was_known_when_it_began() -> None:
-    goals = Goals(known=2)
-    one, other = goals.follow(), goals.feed.follow(())
-    goals.change(1)
-    with anyio.fail_after(5):
-        await one.receive()
-    assert (one.known, other.known) == (2, 0)
 
 
 @pytest.mark.asyncio
@@ -205,26 +178,6 @@ async def test_a_list_that_was_read_keeps_no_goal_alive() -> None:
 
 
 @pytest.mark.asyncio
-@pytest.mark.parametrize(
-    "happens",
-    [lambda feed: feed.publish(info(1)), StatusBroadcast.finish],
-    ids=["a change", "the end"],
-)
-async def test_a_status_stream_waits_for_a_change_or_the_end(
-    happens: Callable[[StatusBroadcast], None],
-) -> None:
-    feed = StatusBroadcast()
-    stream = feed.follow(())
-    await while_waiting(stream.receive, lambda: happens(feed))
-
-
-@pytest.mark.asyncio
-async def test_closing_a_status_stream_ends_the_wait() -> None:
-    stream = StatusBroadcast().follow(())
-    await while_waiting(stream.receive, stream.close)
-
-
-@pytest.mark.asyncio
 async def test_a_status_stream_that_is_not_read_loses_the_oldest_changes() -> None:
     goals = Goals(known=2, limit=2)
     stream = goals.follow()
@@ -236,29 +189,6 @@ async def test_a_status_stream_that_is_not_read_loses_the_oldest_changes() -> No
         # The limit is for changes: what was known at the beginning is not lost.
         assert await stamps(stream) == [1, 2, 6, 7]
     assert stream.dropped == 3
-
-
-def test_ten_thousand_changes_are_kept_for_a_status_stream_unless_told() -> None:
-    feed = StatusBroadcast()
-    stream = feed.follow(())
-    for number in range(10_000):
-        feed.publish(info(number))
-    assert stream.dropped == 0
-    feed.publish(info(10_000))
-    assert stream.dropped == 1
-
-
-@pytest.mark.asyncio
-async def test_each_status_stream_sees_all_changes_and_one_that_is_closed_none() -> None:
-    feed = StatusBroadcast()
-    one, other, closed = (feed.follow(()) for _ in range(3))
-    closed.close()
-    closed.close()
-    feed.publish(info(1))
-    feed.finish()
-    with anyio.fail_after(5):
-        assert await stamps(one) == await stamps(other) == [1]
-        assert await stamps(closed) == []
 
 
 @pytest.mark.asyncio
@@ -340,40 +270,6 @@ async def test_a_status_stream_that_has_failed_gives_what_is_left_and_then_the_e
         for _ in range(2):
             with pytest.raises(ConnectionLost, match=r"^the server has gone away$"):
                 await stream.receive()
-
-
-@pytest.mark.asyncio
-async def test_a_wait_for_a_status_is_told_that_the_stream_has_failed() -> None:
-    stream = new_stream()
-
-    async def lost() -> None:
-        with pytest.raises(ConnectionLost, match="gone away"):
-            await stream.receive()
-
-    await while_waiting(lost, lambda: stream.fail(ConnectionLost("the server has gone away")))
-
-
-@pytest.mark.asyncio
-async def test_each_reader_of_a_failed_status_stream_gets_an_error_of_its_own() -> None:
-    stream = new_stream()
-    error = ConnectionLost("the server has gone away")
-    stream.fail(error)
-    caught: list[ConnectionLost] = [error]
-    for _ in range(2):
-        with pytest.raises(ConnectionLost) as raised:
-            await stream.receive()
-        caught.append(raised.value)
-    # A traceback grows with each `raise` of the same error.
-    assert len(set(map(id, caught))) == 3
-
-
-@pytest.mark.asyncio
-async def test_a_status_stream_that_was_closed_ends_even_if_it_has_failed() -> None:
-    stream = new_stream(1)
-    stream.fail(ConnectionLost("the server has gone away"))
-    stream.close()
-    with anyio.fail_after(5):
-        assert await stamps(stream) == [1]
 
 
 @pytest.mark.asyncio

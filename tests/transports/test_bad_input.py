@@ -28,7 +28,7 @@ from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, header
 from fibaction.wire.link import Link
-from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Welcome, Why
+from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Why
 from fibaction.wire.settings import Limits
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw
@@ -129,15 +129,6 @@ async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem:
         await here.ends(peer, problem)
 
 
-async def test_a_length_beyond_the_limit_after_the_hello_is_not_waited_for() -> None:
-    async with scene() as here, raw(here.url) as peer:
-        await peer.say(HELLO)
-        most = Limits().frame
-        await peer.send(struct.pack(">I", most + 1))
-        limit = f"frame of {most + 1} bytes exceeds the limit of {most} bytes"
-        await here.ends(peer, limit)
-
-
 NO_MESSAGE = "invalid client message: "
 DEPTH = 100_000
 """Arrays in arrays: more than the limit of recursion of any Python."""
@@ -186,15 +177,6 @@ async def test_a_frame_that_is_no_message_ends_the_connection(
         assert await here.is_well()
 
 
-@pytest.mark.parametrize("heartbeat", [0, -1, 1e9, math.nan, math.inf])
-async def test_a_heartbeat_that_makes_no_sense_ends_the_connection(heartbeat: float) -> None:
-    async with scene() as here, raw(here.url) as peer:
-        await peer.say(pack(16, VERSION, float(heartbeat)))
-        messages: list[Any] = await peer.hear_all()
-        assert messages[-1].why == Why.PROTOCOL
-        assert await here.is_well()
-
-
 async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> None:
     async with scene() as here:
         for data, how in (
@@ -215,17 +197,6 @@ async def test_a_peer_that_does_not_finish_its_hello_is_not_waited_for(data: byt
     async with scene(limits=Limits(handshake=0.05)) as here, raw(here.url) as peer:
         await peer.send(data)
         await here.ends(peer, "it has not said hello within 0.05 s", Why.LIMIT)
-
-
-async def test_a_peer_that_falls_silent_after_the_hello_is_not_waited_for() -> None:
-    async with scene() as here, raw(here.url) as peer:
-        await peer.say(encode(Hello(VERSION, 0.01)))
-        # The server looks once per its own heartbeat, which is 1 s.
-        with anyio.fail_after(5):
-            record = await here.heard.until(f"{peer.name} has been silent for")
-        assert record.levelno == logging.INFO
-        assert isinstance((await peer.hear_all())[0], Welcome)
-        assert await here.is_well()
 
 
 async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_queue() -> None:

@@ -248,17 +248,6 @@ async def test_a_cancel_whose_answer_is_lost_is_answered_on_the_next_connection(
     assert list(executor.interrupted.values()) == [1]
 
 
-async def test_single_bytes_on_the_line_make_no_difference() -> None:
-    async with bad_line(ActionServer(FIBONACCI, fibonacci)) as line:
-        line.chunk = 1
-        async with connect(line.url, FIBONACCI) as client:
-            with anyio.fail_after(30):
-                goal = await client.send_goal(Goal(20))
-                assert len([item async for item in goal.feedback]) == 19
-                assert (await goal.result()).sequence[-1] == 6765
-        assert line.opened == 1
-
-
 async def test_a_slow_line_is_not_taken_for_a_dead_one() -> None:
     async with bad_line(ActionServer(FIBONACCI, fibonacci), heartbeat=HEARTBEAT) as line:
         line.delay = 2 * HEARTBEAT
@@ -267,19 +256,6 @@ async def test_a_slow_line_is_not_taken_for_a_dead_one() -> None:
                 goal = await client.send_goal(Goal(5))
                 assert len([item async for item in goal.feedback]) == 4
         assert line.opened == 1
-
-
-async def test_a_line_that_is_closed_on_one_side_is_opened_anew() -> None:
-    executor = Counting(stop=1)
-    async with bad_line(ActionServer(FIBONACCI, executor)) as line:
-        async with connect(line.url, FIBONACCI) as client:
-            with anyio.fail_after(30):
-                goal = await client.send_goal(Goal(2))
-                await line.half_close()
-                await line.until(2)
-                executor.go_on.set()
-                assert await numbers(goal) == [1, 2]
-    assert list(executor.runs.values()) == [1]
 
 
 async def pending(client: Client, goal: ClientGoal[Feedback, Result]) -> list[Callable[[], Any]]:

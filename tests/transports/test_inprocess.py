@@ -66,12 +66,6 @@ async def test_transports_of_one_name_meet_and_those_without_a_name_do_not() -> 
                 await client.call(Goal(1))
 
 
-async def test_the_url_of_a_transport_without_a_name_leads_to_it() -> None:
-    async with serve(ActionServer(FIBONACCI, fibonacci), InProcessTransport()) as (url,):
-        async with connect(url, FIBONACCI) as client:
-            assert await client.call(Goal(1)) == Result([0, 1])
-
-
 async def test_one_action_cannot_be_served_twice_at_one_place() -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server:
         with pytest.raises(TransportError, match="'fibonacci' is already served at inproc://x"):
@@ -108,15 +102,6 @@ async def test_a_name_that_is_not_served_is_told_with_those_that_are() -> None:
                 with pytest.raises(ServerNotFound) as caught:
                     await client.send_goal(Goal(1))
                 assert str(caught.value).endswith(shown)
-
-
-async def test_a_client_outlives_its_server_and_finds_the_next_one() -> None:
-    async with connect("inproc://again", FIBONACCI) as client:
-        for _ in range(2):
-            async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://again"):
-                assert await client.call(Goal(1)) == Result([0, 1])
-            with pytest.raises(ServerNotFound):
-                await client.call(Goal(1))
 
 
 async def test_a_client_waits_for_its_own_action_only() -> None:
@@ -181,15 +166,6 @@ async def test_an_endpoint_hands_everything_on() -> None:
             assert first is not None
             assert first.goal_id == stream.goal_id
             assert await endpoint.past_goals(PastPage()) == []
-
-
-async def test_a_goal_that_is_decided_upon_later_is_open_once_it_is_accepted() -> None:
-    async def accept(goal: Goal) -> None:
-        await anyio.lowlevel.checkpoint()
-
-    server = ActionServer(FIBONACCI, fibonacci, on_goal=accept)
-    async with serve(server, "inproc://later"), connect("inproc://later", FIBONACCI) as client:
-        assert await client.call(Goal(1)) == Result([0, 1])
 
 
 async def test_a_gateway_names_the_owner_of_a_goal_and_any_other_sender_is_its_connection() -> None:

@@ -42,15 +42,6 @@ def test_the_first_connection_of_the_address_with_the_most_makes_room() -> None:
     assert ended == ["10.0.0.2:1", "10.0.0.1:1"]
 
 
-def test_connections_that_are_in_use_count_but_make_no_room() -> None:
-    addresses, ended = Addresses(None), list[str]()
-    entered(addresses, ended, "10.0.0.1:1", "10.0.0.1:2", "10.0.0.1:3")
-    one, other = entered(addresses, ended, "10.0.0.2:1", "10.0.0.1:4")
-    assert addresses.make_room([one, other])
-    assert ended == ["10.0.0.1:4"]
-    assert not addresses.make_room([])
-
-
 def test_only_connections_of_an_address_make_room_for_that_address() -> None:
     addresses, ended = Addresses(1), list[str]()
     candidates = entered(addresses, ended, "10.0.0.1:1", "10.0.0.1:2", "10.0.0.2:1")

@@ -12,7 +12,6 @@ import pytest
 from fibaction.border.abc import GoalRequest
 from fibaction.testing import ScriptedServer
 from fibaction.wire.codec import encode
-from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     VERSION,
     Following,
@@ -27,7 +26,6 @@ from fibaction.words.goals import Sender
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
 from tests.support.virtual_time import in_virtual_time
-from tests.wire import memory
 from tests.wire.ends import ANN, BOB, Network, follow, held, reached, serving
 from tests.wire.memory import LONG, logged, settled
 
@@ -42,25 +40,6 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 
 # Sessions
-
-
-@pytest.mark.parametrize("length", [1, 15, 17, 31, 33, 1000])
-async def test_a_session_of_another_length_is_rejected(length: int) -> None:
-    async with serving(held()) as served:
-        client = served.connect()
-        await client.say(Hello(VERSION, LONG, session=bytes(length)))
-        goodbye = await client.hear(Goodbye)
-        assert goodbye.why == Why.PROTOCOL
-        assert goodbye.reason.endswith(
-            f"its session has {length} bytes, and the lengths are 0, 16 and 32"
-        )
-        await client.hear_the_end()
-
-
-@pytest.mark.parametrize("length", [0, 16, 32])
-async def test_a_session_has_sixteen_or_thirty_two_bytes_or_none(length: int) -> None:
-    async with serving(held()) as served:
-        assert await (await served.greet(bytes(length))).is_served()
 
 
 async def test_the_same_session_with_another_token_is_another_client() -> None:
@@ -104,21 +83,6 @@ async def test_each_client_is_told_from_the_others_by_its_owner() -> None:
     assert {sender.address for sender in senders} == {"the client"}
 
 
-async def test_a_server_with_many_clients_finds_a_session_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async with serving(held()) as served:
-        for number in range(20):
-            await served.greet(bytes([number]) * 16)
-        assert len(served.wire._latest) == 20
-        newest = await served.greet(bytes([3]) * 16)
-        await settled()
-        assert len(served.wire._latest) == 20
-        newest.channel.cut()
-        await settled()
-        assert len(served.wire._latest) == 19
-
-
 # A full server
 
 
@@ -144,17 +108,6 @@ async def test_the_oldest_connection_without_a_hello_makes_room_at_a_full_server
         assert rejected.reason == "the server is full: it has 3 connections"
         for client in (first, second, silent[1]):
             assert await client.is_served()
-
-
-async def test_a_silent_connection_of_the_address_with_the_most_makes_room_first() -> None:
-    async with serving(held(), limits=Limits(connections=3)) as served:
-        honest = served.connect("10.0.0.1:1")
-        await settled()
-        for port in range(5):
-            served.connect(f"10.0.0.2:{port}")
-            await settled()
-        await honest.ask(Hello(VERSION, LONG), Welcome)
-        assert await honest.is_served()
 
 
 async def test_an_address_at_its_limit_has_its_own_silent_connections_ended_and_then_none() -> None:
@@ -201,12 +154,6 @@ async def test_a_server_limits_the_heartbeat_of_its_clients() -> None:
         assert 60 < anyio.current_time() - before <= 75
 
 
-async def test_a_server_with_no_such_limit_says_the_longest_that_can_be_said() -> None:
-    async with serving(held(), limits=Limits(heartbeat=10_000)) as served:
-        welcome = await served.connect().ask(Hello(VERSION, 3600), Welcome)
-        assert welcome.max_heartbeat == 3600
-
-
 @in_virtual_time()
 async def test_a_client_sends_something_as_often_as_its_server_wants() -> None:
     network = Network()
@@ -238,9 +185,3 @@ async def test_a_client_sends_a_blank_line_to_what_does_not_answer_as_a_server_w
         later = [frame for _, frames in server.channel.writes[before:] for frame in frames]
         assert later
         assert set(later) == {encode(Ping())}
-
-
-async def test_a_heartbeat_is_never_longer_than_the_own_one() -> None:
-    link = Link(memory.pair()[0], 1.0)
-    link.heartbeat.agree(2.0, 10.0)
-    assert (link.heartbeat.interval, link.heartbeat.peer_interval) == (1.0, 2.0)

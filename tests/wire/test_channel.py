@@ -9,8 +9,7 @@ import pytest
 from anyio.abc import ByteStream
 
 from fibaction._runtime.notify import Notifier
-from fibaction.wire import channel as channel_module
-from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames, StreamChannel
+from fibaction.wire.channel import CHUNK, StreamChannel
 from fibaction.wire.frames import HEADER, FrameReader, header
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from tests.support.virtual_time import in_virtual_time
@@ -147,12 +146,6 @@ async def test_small_frames_are_written_at_once() -> None:
     assert stream.sent == [framed(b"one", b"", b"three")]
 
 
-async def test_no_frames_are_no_write() -> None:
-    stream = FakeStream()
-    await channel_over(stream).send([])
-    assert stream.sent == []
-
-
 @pytest.mark.parametrize(
     ("size", "pieces"),
     [
@@ -177,21 +170,7 @@ async def test_frames_that_are_there_come_at_once_and_others_when_they_are_compl
     assert set(stream.asked) == {CHUNK}
 
 
-async def test_a_frame_over_the_limit_is_the_peers_error() -> None:
-    channel = channel_over(FakeStream(framed(b"12345")), limit=4)
-    with pytest.raises(ProtocolError, match="frame of 5 bytes"):
-        await channel.receive()
-
-
 # How a connection ends
-
-
-async def test_a_peer_that_closes_between_messages_closed_its_side() -> None:
-    channel = channel_over(FakeStream(framed(b"one")))
-    assert await channel.receive() == [b"one"]
-    with pytest.raises(ConnectionLost) as caught:
-        await channel.receive()
-    assert str(caught.value) == "10.0.0.1:7400 closed its side"
 
 
 @pytest.mark.parametrize("length", [1, HEADER, HEADER + 2])
@@ -212,26 +191,6 @@ async def test_a_line_that_breaks_is_a_lost_connection_for_the_sender(error: Exc
     assert lost.value.__cause__ is error
 
 
-@broken
-async def test_a_line_that_breaks_is_a_lost_connection_for_the_receiver(error: Exception) -> None:
-    stream = FakeStream()
-    stream.error = error
-    with pytest.raises(ConnectionLost, match=r"^the connection to 10\.0\.0\.1:7400 broke$") as lost:
-        await channel_over(stream).receive()
-    assert lost.value.__cause__ is error
-
-
-async def test_a_peer_that_reads_nothing_makes_no_progress() -> None:
-    channel = channel_over(PipeEnd(capacity=10))
-    assert channel.progress == 0
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(channel.send, [bytes(100)])
-            await anyio.wait_all_tasks_blocked()
-            assert channel.progress == 0
-            tasks.cancel_scope.cancel()
-
-
 async def test_each_piece_that_a_slow_peer_takes_is_progress() -> None:
     pipe = PipeEnd(capacity=0)
     channel = channel_over(pipe)
@@ -243,17 +202,6 @@ async def test_each_piece_that_a_slow_peer_takes_is_progress() -> None:
                 assert channel.progress == number
                 await pipe.receive(CHUNK)
     assert channel.progress == 11
-
-
-async def test_a_piece_that_breaks_is_no_progress() -> None:
-    stream = FakeStream()
-    channel = channel_over(stream)
-    await channel.send([b"one"])
-    assert channel.progress == 1
-    stream.error = OSError("no route")
-    with pytest.raises(ConnectionLost):
-        await channel.send([b"two"])
-    assert channel.progress == 1
 
 
 async def test_a_wait_for_frames_can_be_canceled_and_nothing_is_lost() -> None:
@@ -293,12 +241,6 @@ async def test_after_half_a_frame_nothing_more_is_sent() -> None:
 
 
 # Closing
-
-
-async def test_closing_closes_the_stream() -> None:
-    stream = FakeStream()
-    await channel_over(stream).aclose()
-    assert stream.closed
 
 
 @broken
@@ -361,13 +303,6 @@ class Running:
                 await self.channel.run(self.on_frames, self.next_frames)
             except Exception as exc:
                 self.error = exc
-
-
-async def test_a_channel_that_runs_hands_over_what_comes_until_the_end() -> None:
-    running = Running(framed(b"1", b"2"), framed(b"3"))
-    await running.run()
-    assert running.heard == [b"1", b"2", b"3"]
-    assert isinstance(running.error, ConnectionLost)
 
 
 async def test_what_there_is_to_send_is_fetched_at_first_and_when_it_is_stirred() -> None:
@@ -467,25 +402,6 @@ async def test_a_write_that_fails_ends_the_run() -> None:
     assert isinstance(running.error, ConnectionLost)
 
 
-async def test_a_foreign_line_need_not_know_of_progress() -> None:
-    class Still(Line):
-        peer = "nobody"
-
-        def wake_writer(self, *, at_once: bool = False) -> None:
-            raise NotImplementedError
-
-        async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
-            raise NotImplementedError
-
-        async def send(self, frames: Sequence[bytes]) -> None:
-            raise NotImplementedError
-
-        async def aclose(self) -> None:
-            raise NotImplementedError
-
-    assert Still().progress == 0
-
-
 class Polite(FrameReader):
     """A form with a question, an answer and a goodbye of its own."""
 
@@ -507,17 +423,6 @@ class Polite(FrameReader):
 
     def discard(self, data: bytes) -> None:
         self.is_closed = data == b"bye"
-
-
-async def test_an_answer_of_the_form_is_sent_without_a_frame() -> None:
-    stream = FakeStream(b"?")
-    channel = StreamChannel(stream, "the peer", Polite())
-    with pytest.raises(ConnectionLost):
-        while True:
-            assert await channel.receive() == []
-            assert channel.has_answer
-            await channel.send([])
-    assert stream.sent == [b"!"]
 
 
 async def test_a_channel_that_runs_sends_the_answer_by_itself() -> None:
@@ -567,18 +472,3 @@ async def test_a_form_may_end_the_stream_with_its_goodbye() -> None:
         await StreamChannel(stream, "the peer", Polite(ends_stream=True)).aclose()
         assert stream.closed
     assert ends == [[b"bye"]]
-
-
-async def test_a_peer_that_does_not_answer_the_goodbye_is_not_waited_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Silent(FakeStream):
-        async def receive(self, max_bytes: int = 65536) -> bytes:
-            await anyio.sleep_forever()
-            raise AssertionError
-
-    monkeypatch.setattr(channel_module, "LEAVE", 0.01)
-    stream = Silent()
-    with anyio.fail_after(5):
-        await StreamChannel(stream, "the peer", Polite()).aclose()
-    assert stream.closed

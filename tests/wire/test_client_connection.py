@@ -18,13 +18,8 @@ from fibaction.wire.client.open_calls import BURST, OpenCalls
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     VERSION,
-    Actions,
-    AskPeers,
     AwaitServer,
-    CancelAnswered,
-    CancelGoals,
     Close,
-    Credit,
     Done,
     Ended,
     Failed,
@@ -35,7 +30,6 @@ from fibaction.wire.messages import (
     GoalChanged,
     Goodbye,
     ListActions,
-    Peers,
     Ping,
     Received,
     Rejected,
@@ -51,21 +45,18 @@ from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
     ConnectionLost,
-    GoalRejected,
     InvalidMessage,
     InvalidURL,
     LimitReached,
     ProtocolError,
-    RejectionCode,
     ServerFailed,
     ServerNotFound,
     TransportError,
     UnknownGoal,
 )
-from fibaction.words.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.goals import CancelCode, GoalID
 from fibaction.words.statuses import GoalStatus
 from tests.support import fibonacci as fib
-from tests.support.fibonacci import FIBONACCI
 from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
     AWAY,
@@ -155,19 +146,6 @@ async def test_the_first_message_names_the_client_on_each_connection() -> None:
     assert len(hello.session) >= 16
 
 
-@pytest.mark.parametrize(
-    ("refusal", "settings"),
-    [(AWAY, ONCE), (AuthenticationFailed("another certificate"), PATIENT)],
-    ids=["no reconnecting", "not let in"],
-)
-async def test_a_first_attempt_that_fails_for_good_is_an_error_at_once(
-    refusal: TransportError, settings: ClientSettings
-) -> None:
-    network = Network()
-    network.refusal = refusal
-    assert await cannot_connect(network, type(refusal), settings) == str(refusal)
-
-
 HINT = ": give one as token=, or in the URL as ?token="
 UNEXPECTED = f"{WHERE}: a Welcome of version 2 was not expected"
 TOO_EARLY = f"{WHERE}: the first message was a Done, not a Welcome"
@@ -191,35 +169,7 @@ async def test_a_server_that_begins_otherwise_is_left_for_good(
         assert (await answering.answer()).channel.is_cut
 
 
-async def test_a_server_that_says_welcome_twice_is_left_for_good() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with Running(endpoint_of(connection).wait_for_server) as waiting:
-            await server.say(Welcome(VERSION, LONG))
-            with pytest.raises(ProtocolError, match="a Welcome of version 1 was not expected"):
-                await waiting.answer()
-        await fails_at_once(connection, ProtocolError)
-    assert network.dialed == 1
-
-
-async def test_a_frame_that_is_not_a_message_ends_the_connection_for_good() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        await server.channel.send([b"\xc1"])
-        await settled()
-        await fails_at_once(connection, ProtocolError)
-    assert network.dialed == 1
-
-
 # Before there is a connection
-
-
-async def test_calls_before_the_first_connection_fail_at_once() -> None:
-    network = Network()
-    network.refusal = AWAY
-    with anyio.fail_after(5):
-        async with open_connection(network.dial, WHERE, PATIENT) as connection:
-            assert await fails_at_once(connection, ServerNotFound) == str(AWAY)
 
 
 async def answer_the_wait(network: Network, waiting: Running) -> None:
@@ -293,40 +243,6 @@ async def test_a_wait_for_the_server_goes_on_while_the_server_is_full() -> None:
 # Calls
 
 
-async def test_a_cancel_is_asked_and_answered() -> None:
-    async with reached() as (connection, server):
-        endpoint = endpoint_of(connection)
-        async with Running(lambda: endpoint.cancel_goals(GOAL_ID, 5)) as asking:
-            asked = await server.hear(CancelGoals)
-            assert asked == CancelGoals(asked.id, "fibonacci", GOAL_ID, 5)
-            await server.say(CancelAnswered(asked.id, 0, [(GOAL_ID, 4, GoalStatus.CANCELING)], "x"))
-            goal = GoalInfo(GOAL_ID, 4, GoalStatus.CANCELING)
-            assert await asking.answer() == CancelAnswer(CancelCode.NONE, (goal,), "x")
-
-
-async def test_a_client_that_was_away_follows_its_own_goal() -> None:
-    async with reached() as (connection, server):
-        endpoint = endpoint_of(connection)
-        async with Running(lambda: endpoint.feedback(GOAL_ID, own=True)) as asking:
-            asked = await server.hear(Follow)
-            assert asked.own
-            await server.say(Following(asked.id, 4, GoalStatus.EXECUTING, False, 0))
-            assert (await asking.answer()).status is GoalStatus.EXECUTING
-
-
-async def test_the_actions_and_the_peers_of_one_are_asked_of_the_server() -> None:
-    async with reached() as (connection, server):
-        async with Running(connection.actions) as asking:
-            await server.say(Actions((await server.hear(ListActions)).id, [FIBONACCI.info]))
-            assert await asking.answer() == [FIBONACCI.info]
-        async with Running(lambda: connection.peers("fibonacci")) as asking:
-            asked = await server.hear(AskPeers)
-            await server.say(Peers(asked.id, ["10.0.0.7:1"]))
-            assert await asking.answer() == ActionPeers((WHERE,), ("10.0.0.7:1",))
-        assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
-        assert connection.endpoint(FIBONACCI.info).info == FIBONACCI.info
-
-
 async def test_a_call_that_is_alone_is_sent_at_once_and_those_beside_it_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -385,24 +301,6 @@ async def test_each_number_of_a_failure_is_an_error_and_the_call_is_over(
             else:
                 assert str(caught.value) == "for a reason"
             assert await server.hear_all() == []
-
-
-async def test_a_goal_that_is_rejected_is_named_with_the_reason() -> None:
-    async with reached() as (connection, server):
-        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")) as sending:
-            await server.say(Rejected((await server.hear(SendGoal)).id, "no arm", 2))
-            with pytest.raises(GoalRejected) as caught:
-                await sending.answer()
-        assert (caught.value.reason, caught.value.goal_id) == ("no arm", GOAL_ID)
-        assert caught.value.code is RejectionCode.UNREADABLE
-        assert await server.hear_all() == []
-
-
-async def test_the_result_of_an_unknown_goal_is_unknown() -> None:
-    async with reached() as (connection, server):
-        async with Running(lambda: endpoint_of(connection).get_result(GOAL_ID)) as asking:
-            await server.say(Failed((await server.hear(Follow)).id, Why.UNKNOWN_GOAL, "unknown"))
-            assert (await asking.answer()).status is GoalStatus.UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -517,30 +415,6 @@ async def test_a_goal_is_sent_followed_and_ends() -> None:
         assert (await outcome_of(goal), goal.status, goal.dropped) == (outcome, SUCCEEDED, 0)
 
 
-async def test_each_update_of_a_goal_is_waited_for() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            updates: list[tuple[Any, Any]] = [
-                (Feedback(call_id, 1, b"1"), FeedbackItem(1, b"1")),
-                (StatusChanged(call_id, GoalStatus.CANCELING), GoalStatus.CANCELING),
-            ]
-            for message, expected in updates:
-                async with Running(lambda: update_of(goal)) as waiting:
-                    await server.say(message)
-                    assert await waiting.answer() == expected
-            async with Running(goal.receive) as waiting:
-                await server.say(end(call_id, 1))
-                assert await waiting.answer() is None
-
-
-async def test_the_stream_of_feedback_leaves_statuses_out() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await server.say(StatusChanged(call_id, GoalStatus.CANCELING))
-            await server.say(Feedback(call_id, 1, b"1"))
-            assert await numbers_of(goal, 1) == [1]
-
-
 async def test_a_goal_without_feedback_asks_for_none_and_need_not_be_closed() -> None:
     async with reached() as (connection, server):
         endpoint = endpoint_of(connection)
@@ -579,17 +453,6 @@ async def test_a_stream_that_is_closed_gives_the_outcome_only_and_says_so_once()
             assert await update_of(goal) == await outcome_of(goal)
             assert (await outcome_of(goal)).result == b"result"
             assert await server.hear_all() == [Received(call_id)]
-
-
-async def test_closing_after_the_end_keeps_the_outcome_and_need_not_be_said() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await server.say(Feedback(call_id, 1, b"1"), end(call_id, 1))
-            assert await server.hear_all() == [Received(call_id)]
-            goal.close()
-            assert await numbers_of(goal) == []
-            assert (await outcome_of(goal)).result == b"result"
-            assert await server.hear_all() == []
 
 
 @pytest.mark.parametrize("why", [Why.LIMIT, Why.SERVER_NOT_FOUND, Why.UNKNOWN_GOAL])
@@ -699,29 +562,6 @@ def changed(call_id: int, *stamps: int, dropped: int = 0) -> list[GoalChanged]:
     ]
 
 
-async def test_statuses_are_watched_to_their_end() -> None:
-    async with reached() as (connection, server):
-        async with Running(endpoint_of(connection).status) as asking:
-            asked = await server.hear(WatchStatus)
-            assert asked == WatchStatus(asked.id, "fibonacci", WINDOW)
-            await server.say(Watching(asked.id, 1))
-            statuses = await asking.answer()
-        async with Running(statuses.receive) as waiting:
-            await server.say(GoalChanged(asked.id, GOAL_ID, 5, EXECUTING, 3, 9, "ann"))
-            info = await waiting.answer()
-        assert info == GoalInfo(GOAL_ID, 5, EXECUTING, 9, "ann")
-        assert (type(info.goal_id), type(info.status)) == (GoalID, GoalStatus)
-        assert statuses.dropped == 3
-        await server.say(*changed(asked.id, 6), Finished(asked.id))
-        with anyio.fail_after(5):
-            info = await statuses.receive()
-            assert info is not None
-            assert info.stamp == 6
-            assert await statuses.receive() is None
-        statuses.close()
-        assert await server.hear_all() == [Credit(asked.id, 2)]  # there is nothing to close
-
-
 @pytest.mark.parametrize("is_early", [True, False])
 @pytest.mark.parametrize(
     "make", [Finished, end, lambda call_id: Following(call_id, 1, GoalStatus.ACCEPTED, False, 0)]
@@ -740,21 +580,6 @@ async def test_a_message_that_does_not_fit_statuses_ends_the_connection_for_good
             await server.say(make(asked.id))
             with anyio.fail_after(5), pytest.raises(ProtocolError, match="does not answer"):
                 await (asking.answer() if is_early else statuses.receive())
-
-
-async def test_closing_the_statuses_says_so_once_and_ends_them() -> None:
-    async with reached() as (connection, server):
-        statuses, call_id = await watched(connection, server)
-        async with Running(statuses.receive) as waiting:
-            statuses.close()
-            statuses.close()
-            assert await waiting.answer() is None
-        assert await server.hear_all() == [Close(call_id)]
-        await server.say(*changed(call_id, 1))
-        await settled()
-        assert await statuses.receive() is None
-        await server.say(Finished(call_id))
-        assert await server.hear_all() == []
 
 
 @pytest.mark.parametrize("ending", ["complete", "finished", "lost"])
@@ -810,16 +635,6 @@ async def test_no_call_waits_any_longer_once_the_connection_was_left(call: Call)
     assert errors == [f"the connection to {WHERE} was closed here"] * 2
 
 
-@pytest.mark.parametrize("call", [*CALLS.values(), WAIT], ids=[*CALLS, "wait_for_server"])
-async def test_leaving_while_there_is_no_connection_does_not_wait(call: Call) -> None:
-    network = Network()
-    network.refusal = AWAY
-    async with open_connection(network.dial, WHERE, PATIENT) as connection:
-        pass
-    with anyio.fail_after(5), pytest.raises(ConnectionLost, match="was closed here"):
-        await call(connection)
-
-
 async def test_a_connection_that_is_left_while_it_is_being_lost_does_not_come_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -872,15 +687,6 @@ async def test_leaving_reads_on_until_the_server_has_closed() -> None:
     assert anyio.current_time() - start == pytest.approx(0.3)
 
 
-@in_virtual_time()
-async def test_leaving_a_server_that_does_not_close_takes_a_second() -> None:
-    network = Network()
-    network.closes = False
-    async with reached(network):
-        start = anyio.current_time()
-    assert anyio.current_time() - start == pytest.approx(1)
-
-
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_no_call_waits_on_where_the_task_that_leaves_is_itself_canceled() -> None:
     apart = Apart(reached())
@@ -892,36 +698,7 @@ async def test_no_call_waits_on_where_the_task_that_leaves_is_itself_canceled() 
             await asking.answer(within=0.5)
 
 
-async def test_an_exception_of_the_block_goes_on_as_itself() -> None:
-    with pytest.raises(ZeroDivisionError):
-        async with reached() as (_, server):
-            raise ZeroDivisionError
-    await server.hear(Goodbye)
-
-
 # With a real server at the other end
-
-
-async def test_a_goal_arrives_as_it_was_sent_and_so_does_its_result() -> None:
-    async with real(*feedback(*range(20)), fib.Result([9])) as endpoint:
-        goal = await endpoint.send_goal(GOAL_ID, GOAL)
-        heard = []
-        with anyio.fail_after(5):
-            while (item := await goal.receive()) is not None:
-                heard.append(FIBONACCI.feedback.decode(item.payload).partial_sequence[0])
-        assert heard == list(range(20))
-        result = (await outcome_of(goal)).result
-        assert FIBONACCI.result.decode(result) == fib.Result([9])
-
-
-async def test_the_result_of_a_goal_with_much_feedback_can_be_fetched_meanwhile() -> None:
-    go = anyio.Event()
-    async with real(go, *feedback(*range(WINDOW)), fib.Result([9])) as endpoint:
-        goal = await endpoint.send_goal(GOAL_ID, GOAL, feedback=False)
-        async with Running(lambda: endpoint.get_result(GOAL_ID)) as getting:
-            go.set()
-            assert (await outcome_of(goal)).status is SUCCEEDED
-            assert (await getting.answer(within=0.5)).status is SUCCEEDED
 
 
 async def test_of_many_goals_the_first_are_written_before_the_last_is_sent() -> None:

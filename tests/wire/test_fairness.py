@@ -13,7 +13,6 @@ from fibaction.border.event_loop import SLICE
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
 from fibaction.wire.link import Link
 from fibaction.wire.messages import ListActions
-from fibaction.words.errors import ConnectionLost, ProtocolError
 from tests.support.slices import SliceClock
 from tests.wire.ends import BOB, held, serving
 from tests.wire.memory import LONG, settled
@@ -76,43 +75,6 @@ async def test_after_a_slice_the_rest_of_the_frames_goes_back_to_the_line() -> N
             rest = line.on_frames(rest)
         assert heard == frames
         tasks.cancel_scope.cancel()
-
-
-async def test_a_frame_is_handled_in_each_turn_however_slow_it_is(slice_clock: SliceClock) -> None:
-    slice_clock.step = 2 * SLICE
-    heard: list[bytes] = []
-    async with anyio.create_task_group() as tasks:
-        line, _ = await running(heard.append, tasks)
-        assert line.on_frames([b"1", b"2"]) == [b"2"]
-        assert line.on_frames([b"2"]) == []
-        assert heard == [b"1", b"2"]
-        tasks.cancel_scope.cancel()
-
-
-async def test_after_the_end_nothing_is_handled_and_nothing_comes_back() -> None:
-    heard: list[bytes] = []
-
-    async with anyio.create_task_group() as tasks:
-
-        def handle(frame: bytes) -> None:
-            heard.append(frame)
-            link.end(ConnectionLost("enough"))
-
-        line, link = await running(handle, tasks)
-        assert line.on_frames([b"1", b"2"]) == []
-        assert line.on_frames([b"3"]) == []
-        assert heard == [b"1"]
-
-
-async def test_an_error_of_a_frame_ends_the_link() -> None:
-    def handle(frame: bytes) -> None:
-        raise ProtocolError("no such message")
-
-    async with anyio.create_task_group() as tasks:
-        line, link = await running(handle, tasks)
-        with pytest.raises(ProtocolError):
-            line.on_frames([b"1", b"2"])
-        assert not link.is_open
 
 
 async def test_the_queue_is_written_in_pieces() -> None:

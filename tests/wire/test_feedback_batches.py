@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import anyio
 import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from fibaction.border.abc import FeedbackItem
 from fibaction.server.execution import turns
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.frames import LEAST_FRAME
 from fibaction.wire.messages import (
-    Close,
     Credit,
     Ended,
     Feedback,
@@ -30,13 +27,10 @@ from tests.wire.ends import (
     EXECUTING,
     GOAL_ID,
     SUCCEEDED,
-    WHERE,
-    WINDOW,
     feedback,
     follow,
     goal_of,
     kinds,
-    numbers_of,
     outcome_of,
     reached,
     scripted,
@@ -79,12 +73,6 @@ async def test_a_client_that_does_not_accept_batches_gets_single_messages() -> N
         client = await served.greet()
         told = await client.ask_all(send(1))
         assert kinds(told) == [Following, Feedback, Feedback, Feedback, Ended]
-
-
-async def test_one_feedback_is_not_a_batch() -> None:
-    async with serving(scripted(*feedback(1), fib.Result([4]))) as served:
-        client = await served.greet(batches=True)
-        assert kinds(await client.ask_all(send(1))) == [Following, Feedback, Ended]
 
 
 async def test_a_batch_uses_up_one_credit_for_each_of_its_messages() -> None:
@@ -137,51 +125,12 @@ async def test_of_feedback_that_is_too_large_for_one_frame_the_messages_that_fit
 # The client
 
 
-async def test_a_client_reads_the_messages_of_a_batch_one_by_one() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await server.say(FeedbackBatch(call_id, 1, [b"1", b"2"]), Feedback(call_id, 3, b"3"))
-            with anyio.fail_after(5):
-                items = [await goal.receive() for _ in range(3)]
-            assert items == [FeedbackItem(number, str(number).encode()) for number in (1, 2, 3)]
-            assert goal.dropped == 0
-
-
-BEYOND = {
-    "twice": ([(1, 2), (2, 1)], "feedback 2 came after 2"),
-    "from before the place": ([(0, 2)], "feedback 0 came after 0"),
-    "without credit": ([(1, 5)], "there were more messages than credit for them"),
-}
-
-
-@pytest.mark.parametrize(("batches", "text"), BEYOND.values(), ids=BEYOND)
-async def test_a_batch_out_of_order_or_beyond_the_credit_is_the_servers_error(
-    batches: list[tuple[int, int]], text: str
-) -> None:
-    assert WINDOW == 4
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            for first, count in batches:
-                await server.say(FeedbackBatch(call_id, first, [b""] * count))
-            with pytest.raises(ProtocolError, match=f"^{WHERE}: {text}$"):
-                await outcome_of(goal)
-
-
 async def test_an_empty_batch_is_the_servers_error() -> None:
     async with reached() as (connection, server):
         async with goal_of(connection, server) as (goal, call_id):
             await server.say(FeedbackBatch(call_id, 1, []))
             with pytest.raises(ProtocolError, match=r"invalid server message: .*length"):
                 await outcome_of(goal)
-
-
-async def test_a_batch_for_a_goal_that_is_not_read_any_more_is_ignored() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            goal.close()
-            await server.say(FeedbackBatch(call_id, 1, [b"1", b"2"]))
-            assert await server.hear_all() == [Close(call_id)]
-            assert await numbers_of(goal) == []
 
 
 some_gaps = some.lists(some.tuples(some.integers(0, 3), some.integers(1, 5)), max_size=6)

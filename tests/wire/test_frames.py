@@ -41,21 +41,6 @@ def test_a_header_is_the_length_in_four_bytes_the_highest_first() -> None:
     assert len(header(MAX_FRAME)) == HEADER
 
 
-def test_a_header_has_room_for_the_largest_frame_of_sixteen_mebibytes() -> None:
-    assert MAX_FRAME == 16 * 1024 * 1024
-    assert header(MAX_FRAME) == b"\1\0\0\0"
-
-
-def test_frames_are_sent_one_behind_the_other_each_behind_its_header() -> None:
-    assert framed([]) == b""
-    assert framed([b"ab", b"", b"c"]) == b"\0\0\0\2ab\0\0\0\0\0\0\0\1c"
-
-
-@given(FRAMES)
-def test_frames_that_were_sent_come_out(frames: list[bytes]) -> None:
-    assert FrameReader().feed(framed(frames)) == frames
-
-
 @given(FRAMES, strategies.lists(strategies.integers(0, 2500), max_size=20))
 def test_frames_come_out_alike_in_any_chopping(frames: list[bytes], places: list[int]) -> None:
     data = framed(frames)
@@ -82,13 +67,6 @@ def test_it_is_within_a_frame_unless_the_bytes_end_with_one(frames: list[bytes],
     reader = FrameReader()
     whole = framed(reader.feed(data))
     assert reader.is_within_frame == (whole != data)
-
-
-def test_nothing_has_arrived_at_first() -> None:
-    reader = FrameReader()
-    assert not reader.is_within_frame
-    assert reader.feed(b"") == []
-    assert not reader.is_within_frame
 
 
 @given(FRAMES, strategies.lists(strategies.integers(0, 2500), max_size=20))
@@ -147,11 +125,6 @@ ADVICE = {
 def test_bytes_of_another_protocol_are_recognized(data: bytes, name: str) -> None:
     with pytest.raises(ProtocolError, match=f"bytes: this looks like {name}: {ADVICE[name]}$"):
         FrameReader().feed(data)
-
-
-def test_a_frame_over_the_limit_is_rejected_wherever_it_comes() -> None:
-    with pytest.raises(ProtocolError):
-        FrameReader(LIMIT).feed(framed([b"", bytes(LIMIT), bytes(LIMIT + 1)]))
 
 
 @pytest.mark.parametrize("limit", [1, LIMIT, MAX_FRAME])

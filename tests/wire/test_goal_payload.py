@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import anyio
 import msgspec
 import pytest
 from msgspec.structs import replace
@@ -54,25 +53,6 @@ async def test_a_goal_over_the_clients_limit_is_left_out() -> None:
         small, large_enough = await served.greet(BOB, max_frame=LEAST_FRAME), await served.greet()
         assert (await small.ask(follow(None, own=False), Following)).goal is None
         assert (await large_enough.ask(follow(None, own=False), Following)).goal == padded
-
-
-async def test_a_stream_of_a_client_knows_its_goal_also_after_another_connection() -> None:
-    async with reached() as (connection, server):
-        endpoint = endpoint_of(connection)
-        async with Running(lambda: endpoint.feedback(GOAL_ID)) as following:
-            asked = await server.hear(Follow)
-            told = Following(asked.id, 7, EXECUTING, False, 0, 1, GOAL)
-            await server.say(told)
-            stream = await following.answer()
-            assert stream.goal == GOAL
-        async with Running(lambda: endpoint.send_goal(GOAL_ID, GOAL)) as sending:
-            sent = await server.hear(SendGoal)
-            await server.say(Following(sent.id, 7, EXECUTING, False, 0))
-            assert (await sending.answer()).goal == GOAL
-        again = Following(asked.id, 7, EXECUTING, False, 0, 2)
-        await server.say(again)
-        await anyio.wait_all_tasks_blocked()
-        assert stream.goal == GOAL
 
 
 async def test_a_client_that_follows_the_child_of_another_goal_is_told_its_parent() -> None:

@@ -19,19 +19,16 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from fibaction.border.abc import GoalRequest
-from fibaction.border.byte_budgets import ByteBudget
 from fibaction.feeds import feedback_window
 from fibaction.server import ActionServer, GoalHandle
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.codec import decode_from_server, encode
-from fibaction.wire.errors import failed
 from fibaction.wire.frames import (
     FIRST_FRAME,
     LEAST_FRAME,
     MAX_FRAME,
     UNCOUNTED,
-    FrameMemory,
     FrameReader,
     header,
 )
@@ -44,7 +41,6 @@ from fibaction.wire.messages import (
     CancelGoals,
     Close,
     Credit,
-    Done,
     Ended,
     Failed,
     Feedback,
@@ -68,7 +64,6 @@ from fibaction.words.errors import (
     ConnectionLost,
     GoalRejected,
     InvalidMessage,
-    LimitReached,
     ProtocolError,
     RejectionCode,
     ServerNotFound,
@@ -94,7 +89,6 @@ from tests.wire.ends import (
     B,
     C,
     Client,
-    Lines,
     Network,
     Served,
     asked_again,
@@ -109,7 +103,6 @@ from tests.wire.ends import (
     observed,
     outcome_of,
     reached,
-    real,
     running,
     scripted,
     send,
@@ -137,16 +130,6 @@ async def test_no_more_feedback_comes_than_there_is_credit_for() -> None:
         assert kinds(await client.hear_all()) == [Feedback, Ended]
 
 
-async def test_credit_for_feedback_that_is_to_come_counts() -> None:
-    go = anyio.Event()
-    async with serving(scripted(go, *feedback(1, 2, 3), fib.Result([]))) as served:
-        client = await served.greet()
-        await client.say(send(1, credit=1), Credit(1, 1))
-        assert kinds(await client.hear_all()) == [Following, StatusChanged]
-        go.set()
-        assert [message.number for message in await client.hear_all()] == [1, 2]
-
-
 async def test_a_status_comes_without_credit() -> None:
     async with serving(scripted(*feedback(1, 2), anyio.Event())) as served:
         client = await served.greet()
@@ -155,20 +138,6 @@ async def test_a_status_comes_without_credit() -> None:
         await client.say(CancelGoals(2, "fibonacci", A, None))
         heard = await client.hear_by_id()
         assert heard[1] == [StatusChanged(1, GoalStatus.CANCELING)]
-
-
-@pytest.mark.parametrize(("count", "first"), [(2, [Feedback]), (1, [Feedback, Ended])])
-async def test_the_end_waits_for_credit_as_long_as_feedback_is_left(
-    count: int, first: list[type]
-) -> None:
-    async with serving(scripted(*feedback(*range(count)), fib.Result([]))) as served:
-        client = await served.greet()
-        await client.send(1, credit=1)
-        heard = kinds(await client.hear_all())
-        assert heard == first
-        await client.say(Credit(1, 2))
-        heard += kinds(await client.hear_all())
-        assert heard == [Feedback] * count + [Ended]
 
 
 # The size of the messages that a client takes
@@ -215,28 +184,7 @@ async def test_feedback_over_the_clients_limit_is_left_out_and_costs_no_credit()
         assert [(line.levelno, line.getMessage()) for line in lines] == [(logging.WARNING, text)]
 
 
-async def test_feedback_of_exactly_the_clients_limit_is_told() -> None:
-    limit = len(encode(Feedback(1, 1, FIBONACCI.feedback.encode(fib.Feedback([0] * 1200)))))
-    server = running(fib.Feedback([0] * 1200), fib.Feedback([0] * 1201), fib.Result([]))
-    async with serving(server) as served:
-        client = await served.greet(max_frame=limit)
-        await client.send(1)
-        assert kinds(await client.hear_all()) == [Feedback, Ended]
-
-
-async def test_an_answer_over_the_clients_limit_fails_that_request_only() -> None:
-    async with serving(held()) as served:
-        client = await served.greet(max_frame=LEAST_FRAME)
-        for number in range(50):
-            await client.ask(send(number, bytes([number + 1] * 16), None), Following)
-        await client.say(CancelGoals(50, "fibonacci", None, None))
-        (answer,) = (await client.hear_by_id())[50]
-        assert answer.why == Why.LIMIT
-        await client.ask(AwaitServer(51, "fibonacci"), Done)
-
-
 LONG_TEXT = "größer" * 300
-WHOLE = len(encode(Rejected(1, "no arm")))
 
 
 @pytest.mark.parametrize("error", [GoalRejected, ServerNotFound])
@@ -255,11 +203,6 @@ async def test_an_error_is_cut_to_the_clients_limit_between_two_letters(
         text = getattr(answer, "reason", None) or getattr(answer, "text", "")
         assert text
         assert LONG_TEXT.startswith(text)
-
-
-@pytest.mark.parametrize(("limit", "text"), [(1, ""), (WHOLE - 1, "no ar"), (WHOLE, "no arm")])
-def test_an_error_is_told_as_far_as_it_fits(limit: int, text: str) -> None:
-    assert failed(1, GoalRejected("no arm"), limit) == encode(Rejected(1, text))
 
 
 async def test_a_client_takes_messages_of_a_kibibyte_at_least() -> None:
@@ -361,13 +304,6 @@ async def test_an_id_that_is_in_use_ends_the_session(message: Any) -> None:
         await client.hear_the_end()
 
 
-async def test_an_id_that_was_answered_can_be_used_again() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        for _ in range(3):
-            assert await client.is_served()
-
-
 async def test_no_more_goals_are_taken_than_the_limit_and_more_once_one_has_ended() -> None:
     async with serving(held(), limits=Limits(goals=1, requests=7)) as served:
         client, other = await served.greet(ANN), await served.greet(BOB)
@@ -386,14 +322,6 @@ async def test_no_more_goals_are_taken_than_the_limit_and_more_once_one_has_ende
         await client.send(5, C)
 
 
-async def test_goals_that_are_sent_at_once_do_not_pass_the_limit() -> None:
-    async with serving(held(), limits=Limits(goals=2)) as served:
-        client = await served.greet()
-        await client.say(*(send(i, bytes([i] * 16), None) for i in range(1, 6)))
-        heard = kinds(await client.hear_all())
-        assert (heard.count(Following), heard.count(Rejected)) == (2, 3)
-
-
 async def test_no_more_requests_are_taken_than_the_limit() -> None:
     async with serving(limits=Limits(requests=2)) as served:
         served.endpoints["fibonacci"] = held()
@@ -410,17 +338,6 @@ async def test_no_more_requests_are_taken_than_the_limit() -> None:
         assert await client.hear_all() == []
 
 
-async def test_a_meta_over_the_limits_is_the_error_of_its_goal_alone() -> None:
-    async with serving(scripted(fib.Result([]))) as served:
-        client = await served.greet()
-        for request, meta in enumerate(({"a": "x" * 4096}, dict.fromkeys("123456789", "")), 1):
-            goal = SendGoal(request, "fibonacci", A, GOAL, None, None, meta)
-            failed = await client.ask(goal, Failed)
-            assert (failed.id, failed.why) == (request, Why.INVALID_MESSAGE)
-            assert failed.text.startswith("the goal's meta has ")
-        await client.send(3, credit=None)
-
-
 async def test_the_meta_of_goals_that_are_decided_upon_takes_memory() -> None:
     async def on_goal(goal: fib.Goal) -> None:
         await anyio.sleep_forever()
@@ -435,27 +352,6 @@ async def test_the_meta_of_goals_that_are_decided_upon_takes_memory() -> None:
         rejected = await client.ask(goals[0], Rejected)
         assert rejected.reason.startswith("too many bytes at once")
         assert await client.ask_all(goals[1]) == []
-
-
-async def test_goals_that_are_decided_upon_take_no_more_memory_than_the_limit() -> None:
-    decide = anyio.Event()
-
-    async def on_goal(goal: fib.Goal) -> None:
-        await decide.wait()
-
-    server = ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)
-    async with serving(server, limits=Limits(memory=len(GOAL))) as served:
-        client, other = await served.greet(ANN), await served.greet(BOB)
-        await client.say(send(1, A, None))
-        assert await client.hear_all() == []
-        rejected = await client.ask(send(2, B, None), Rejected)
-        assert rejected == Rejected(2, f"too many bytes at once: the limit is {len(GOAL)}", 1)
-        await other.say(send(2, B, None))
-        decide.set()
-        await client.hear(Following)
-        await other.hear(Following)
-        await client.hear(Ended)
-        await client.send(3, C, credit=None)
 
 
 # Clients that do not read
@@ -502,47 +398,6 @@ async def test_answers_wait_for_a_client_that_does_not_read_and_do_not_end_its_c
         heard = await client.hear_all()
         assert [one.id for one in heard if isinstance(one, Actions)] == [*range(50)]
         assert kinds(heard).count(Following) == 1
-
-
-async def test_an_answer_is_made_when_there_is_room_for_it() -> None:
-    end, other = memory.pair()
-    other.stop_reading()
-    link = Link(end, LONG, high_water=10)
-    made: list[int] = []
-
-    def make(number: int) -> Callable[[], bytes]:
-        def frame() -> bytes:
-            made.append(number)
-            return bytes(10)
-
-        return frame
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(link.run, lambda frame: None)
-        for number in range(3):
-            tasks.start_soon(link.send, make(number))
-            await settled()
-        assert len(made) == 1
-        other.go_on_reading()
-        await settled()
-        assert sorted(made) == [0, 1, 2]
-        link.end(ConnectionLost("enough"))
-
-
-async def test_feedback_for_a_client_that_does_not_read_waits_where_it_is_made() -> None:
-    server, count = endless(10)
-    async with serving(server, limits=Limits(queue=1000)) as served:
-        client, other = await served.greet(ANN), await served.greet(BOB)
-        client.channel.stop_reading()
-        goals = 20
-        for number in range(goals):
-            await client.say(send(number, bytes([number + 1] * 16)))
-        await settled()
-        # The window of each, and what the one write that is stuck may hold.
-        assert count[0] <= goals * 12 + PIECE
-        few = FIBONACCI.goal.encode(fib.Goal(0))
-        await other.say(SendGoal(1, "fibonacci", bytes([99] * 16), few, ANY))
-        assert kinds(await other.hear_all())[-1] is Ended
 
 
 async def test_an_executor_waits_for_moments_only_where_the_line_holds_it_briefly(
@@ -624,15 +479,6 @@ async def test_a_client_that_is_late_is_not_lost() -> None:
         assert await lost_after(client, alive(client, 3.5)) == 100
         # Silence counts from the last message, which was said two seconds before.
         assert 4 < 2 + await lost_after(client) <= 5.5
-
-
-@in_virtual_time()
-async def test_a_client_that_never_reads_is_lost_too() -> None:
-    async with serving(held(), heartbeat=2) as served:
-        client = served.connect()
-        client.channel.stop_reading()
-        await client.say(Hello(VERSION, LONG))
-        assert 4 * 2 < await lost_after(client, alive(client)) <= 4 * 2 + 2 + 1
 
 
 @in_virtual_time()
@@ -891,32 +737,6 @@ async def test_large_messages_that_clients_do_not_take_share_that_limit() -> Non
         assert served.wire.memory.used == 0
 
 
-async def test_a_link_that_is_given_up_gives_its_memory_back_and_ends() -> None:
-    budget = ByteBudget(UNCOUNTED)
-    memories = FrameMemory(budget)
-    ends = [memory.pair() for _ in range(2)]
-    links = [Link(end, LONG, memory=memories) for end, _ in ends]
-    errors: list[Any] = []
-
-    async def run(link: Link) -> None:
-        errors.append(await link.run(lambda frame: None))
-
-    async with anyio.create_task_group() as tasks:
-        for (_, other), link, size in zip(ends, links, (2, 1.5), strict=True):
-            other.stop_reading()
-            link.post(bytes(int(size * UNCOUNTED)))
-            tasks.start_soon(run, link)
-            await settled()
-        assert str(errors[0]) == "the client takes too long for a large message at a busy server"
-        assert isinstance(errors[0], ConnectionLost)
-        assert budget.used == UNCOUNTED // 2
-        ends[1][1].go_on_reading()
-        await settled()
-        assert budget.used == 0
-        assert links[1].is_open
-        links[1].end(ConnectionLost("enough"))
-
-
 # What a client keeps of a goal
 
 
@@ -941,16 +761,6 @@ WINDOWS = pytest.mark.parametrize(("window", "batch"), [(2, 1), (3, 2), (4, 2), 
 
 
 @WINDOWS
-async def test_credit_is_given_in_batches_of_half_a_window(window: int, batch: int) -> None:
-    async with reached(settings=with_window(window)) as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await tell(server, call_id, *range(1, window + 1))
-            for count in range(1, window + 1):
-                assert await numbers_of(goal, 1) == [count]
-                assert await credit_of(server, call_id) == [batch] * (count % batch == 0)
-
-
-@WINDOWS
 async def test_credit_for_statuses_is_given_in_batches_of_half_a_window(
     window: int, batch: int
 ) -> None:
@@ -969,25 +779,6 @@ async def test_the_smallest_window_of_a_goal_is_two(settings: ClientSettings) ->
         async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")):
             assert (await server.hear(SendGoal)).credit == 2
             await server.hear_all()
-
-
-async def test_no_credit_is_given_after_the_end_nor_after_the_stream_was_closed() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await tell(server, call_id, 1, 2, 3, 4)
-            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 4))
-            await settled()
-            assert await numbers_of(goal) == [1, 2, 3, 4]
-            assert await server.hear_all() == [Received(call_id)]
-        async with goal_of(connection, server) as (goal, call_id):
-            await tell(server, call_id, 1, 2, 3, 4)
-            goal.close()
-            goal.hold(False)
-            assert await server.hear_all() == [Close(call_id)]
-        statuses, call_id = await watched(connection, server)
-        statuses.close()
-        await server.say(*(GoalChanged(call_id, A, number, EXECUTING, 0) for number in range(4)))
-        assert await server.hear_all() == [Close(call_id)]
 
 
 BEYOND: dict[str, tuple[list[int], str]] = {
@@ -1040,49 +831,6 @@ async def test_a_reader_that_does_not_hold_the_executor_up_misses_the_oldest_fee
         await tell(server, call_id, 5)
         assert await numbers_of(goal, 2) == [4, 5]
         assert goal.dropped == 3
-
-
-async def test_a_reader_that_holds_the_executor_up_again_misses_nothing() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            goal.hold(False)
-            goal.hold(True)
-            await tell(server, call_id, 1, 2, 3, 4)
-            goal.hold(True)  # which drops nothing that is there
-            assert await numbers_of(goal, 4) == [1, 2, 3, 4]
-            assert goal.dropped == 0
-
-
-async def test_feedback_that_has_come_before_the_end_is_kept_for_every_reader() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await tell(server, call_id, 1, 2, 3, 4)
-            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 4))
-            await settled()
-            goal.hold(False)
-            assert await numbers_of(goal) == [1, 2, 3, 4]
-            assert goal.dropped == 0
-
-
-async def test_feedback_that_the_server_left_out_counts_as_dropped_once_it_is_passed() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server, place=10) as (goal, call_id):
-            await tell(server, call_id, 13)
-            assert goal.dropped == 0  # it is still to be read
-            assert await numbers_of(goal, 1) == [13]
-            assert goal.dropped == 2
-            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 20))
-            assert await numbers_of(goal) == []
-            assert goal.dropped == 9
-
-
-async def test_an_end_that_counts_less_feedback_than_has_come_changes_nothing() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await tell(server, call_id, 1, 2)
-            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 0))
-            assert await numbers_of(goal) == [1, 2]
-            assert goal.dropped == 0
 
 
 class Scripted:
@@ -1171,41 +919,3 @@ async def test_a_goal_that_the_next_server_does_not_take_is_not_sent_to_it() -> 
             server = await network.accept(max_frame=1000)
             with pytest.raises(InvalidMessage, match="1000 are the server's limit"):
                 await sending.answer(within=1)
-
-
-async def test_a_message_over_every_servers_limit_is_not_sent() -> None:
-    async with reached() as (connection, server):
-        with anyio.fail_after(5), pytest.raises(InvalidMessage, match="the server's limit"):
-            await endpoint_of(connection).send_goal(GOAL_ID, bytes(MAX_FRAME))
-        assert await server.hear_all() == []
-
-
-SMALL = ClientSettings(heartbeat=LONG, window=WINDOW, limits=Limits(frame=LEAST_FRAME))
-
-
-async def test_messages_over_the_limit_of_either_end_harm_one_goal_and_no_connection() -> None:
-    go, lines = anyio.Event(), Lines()
-    large = fib.Feedback([0] * 2000)
-    server = ScriptedServer(
-        FIBONACCI,
-        [*feedback(1), fib.Result([0] * 2000)],
-        [*feedback(1), go, *[large] * (3 * WINDOW), *feedback(2), large, fib.Result([9])],
-    )
-    limits = Limits(frame=LEAST_FRAME)
-    async with real(server=server, lines=lines, settings=SMALL, limits=limits) as endpoint:
-        with (
-            anyio.fail_after(5),
-            pytest.raises(InvalidMessage, match="1024 are the server's limit"),
-        ):
-            await endpoint.send_goal(GOAL_ID, bytes(1024))
-        too_large = await endpoint.send_goal(GOAL_ID, GOAL)
-        other = await endpoint.send_goal(GoalID(B), GOAL)
-        assert await numbers_of(too_large, 1) == [1]
-        for _ in range(2):
-            with pytest.raises(LimitReached, match="1024 are the limit"):
-                await outcome_of(too_large)
-        go.set()
-        assert await numbers_of(other) == [1, 3 * WINDOW + 2]
-        assert other.dropped == 3 * WINDOW + 1
-        assert (await outcome_of(other)).status is SUCCEEDED
-        assert len(lines.ends) == 1

@@ -55,17 +55,15 @@ from fibaction.wire.messages import (
     Why,
     label_fields,
     labels_from,
-    parent_fields,
-    parent_from,
     past_fields,
     past_from,
     told_labels,
 )
 from fibaction.words.errors import ProtocolError
 from fibaction.words.goal_query import GoalQuery, PastPage
-from fibaction.words.goals import GoalID, Parent
+from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
-from tests.support.golden import GOAL_ID, GOLDEN, STAMP
+from tests.support.golden import GOLDEN
 
 CLIENTS: tuple[type, ...] = get_args(FromClient)
 SERVERS: tuple[type, ...] = get_args(FromServer)
@@ -141,10 +139,6 @@ def test_the_reasons_have_the_numbers_that_they_always_had() -> None:
         "INVALID_MESSAGE": 9,
         "INVALID_URL": 10,
     }
-
-
-def test_the_first_version_of_the_protocol_is_spoken() -> None:
-    assert VERSION == 1
 
 
 @by_type
@@ -327,16 +321,6 @@ def test_a_client_ignores_messages_of_a_newer_kind_and_no_others() -> None:
             decode_from_server(frame)
 
 
-def test_a_reason_a_token_a_session_a_limit_and_a_timeout_need_not_be_sent() -> None:
-    assert decode_from_client(packed(16, 1, 1.0)) == Hello(1, 1.0, "", b"", 2**24)
-    assert decode_from_client(packed(16, 1, 1.0, "a", b"b")) == Hello(1, 1.0, "a", b"b", 2**24)
-    assert decode_from_server(packed(32, 1, 1.0)) == Welcome(1, 1.0, 2**24, 3600.0)
-    assert decode_from_client(packed(1, "over")) == Goodbye("over", 0)
-    goal = (1, "fibonacci", bytes(GOAL_ID), b"goal", 64)
-    assert decode_from_client(packed(17, *goal)) == SendGoal(*goal, None)
-    assert decode_from_server(packed(1, "over")) == Goodbye("over", 0)
-
-
 # Limits, field by field, as `docs/protocol.md` has them
 
 LARGEST = 2**63 - 1
@@ -471,153 +455,7 @@ def test_nil_is_taken_exactly_where_it_means_something(
         assert taken(message, name, None) == ((type(message), name) in NULLABLE)
 
 
-@by_type
-def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, golden: str) -> None:
-    likely = {
-        "credit": 1,
-        "after": 1,
-        "stamp": 1,
-        "goal_id": bytes(16),
-        "result": b"",
-        "goal": b"",
-        "timeout": 1.5,
-        "meta": {},
-        "parent": (bytes(16), ""),
-        "began_at": 1,
-        "ended_at": 1,
-        "past": ([5], "", None, None, 9, (1, bytes(16)), True),
-    }
-    likely["labels"] = {} if isinstance(message, GoalChanged | Following) else [("order", "17")]
-    for name in message.__struct_fields__:
-        if (type(message), name) in NULLABLE:
-            assert taken(message, name, likely[name])
-
-
-@pytest.mark.parametrize(
-    ("goal", "is_taken"),
-    [
-        ((bytes(16), 0, 0), True),
-        ((bytes(16), LARGEST, 6), True),
-        ((bytes(15), 0, 0), False),
-        ((bytes(17), 0, 0), False),
-        ((bytes(16), -1, 0), False),
-        ((bytes(16), LARGEST + 1, 0), False),
-        ((bytes(16), 0, -1), False),
-        ((bytes(16), 0, 7), False),
-    ],
-)
-def test_a_goal_in_the_answer_to_a_cancel_has_limits_too(
-    goal: tuple[bytes, int, int], is_taken: bool
-) -> None:
-    answer = packed(39, 3, 0, [goal], "")
-    if is_taken:
-        assert decode_from_server(answer) == CancelAnswered(
-            3, 0, [(*goal[:2], GoalStatus(goal[2]))], ""
-        )
-    else:
-        with pytest.raises(ProtocolError):
-            decode_from_server(answer)
-
-
-@pytest.mark.parametrize(
-    ("goal", "is_taken"),
-    [
-        ((bytes(16), 0, LARGEST), True),
-        ((bytes(15), 0, 0), False),
-        ((bytes(16), -1, 0), False),
-        ((bytes(16), 0, LARGEST + 1), False),
-    ],
-)
-def test_a_goal_that_waits_has_limits_too(goal: tuple[bytes, int, int], is_taken: bool) -> None:
-    answer = packed(46, 3, [goal])
-    if is_taken:
-        assert decode_from_server(answer) == Places(3, [goal])
-    else:
-        with pytest.raises(ProtocolError):
-            decode_from_server(answer)
-
-
 # What is no message
-
-
-@pytest.mark.parametrize(
-    "array",
-    [
-        [23, -1, 1],
-        [23, 2**63, 1],
-        [23, "1", 1],
-        [23, 1.5, 1],
-        [23, True, 1],
-        [23, None, 1],
-        [23, 1, -1],
-        [23, 1, 2**31],
-        [16, 1, 0.0],
-        [16, 1, -1.0],
-        [16, 1, 3600.5],
-        [16, 1, math.nan],
-        [16, 1, math.inf],
-        [16, 1, "1"],
-        [16, "1", 1.0],
-        [16, 1, 1.0, b"sesame"],
-        [16, 1, 1.0, "", b"", 0],
-        [16, 1, 1.0, "", b"", -1],
-        [16, 1, 1.0, "", b"", 2**32],
-        [16, 1, 1.0, "", b"", None],
-        [17, 1, "fibonacci", GOAL_ID[:15], b"", 1],
-        [17, 1, "fibonacci", GOAL_ID[:15] + b"ab", b"", 1],
-        [17, 1, "fibonacci", GOAL_ID.hex()[:16], b"", 1],
-        [17, 1, "fibonacci", None, b"", 1],
-        [17, 1, b"fibonacci", bytes(16), b"", 1],
-        [17, 1, "fibonacci", bytes(16), "", 1],
-        [18, 1, "fibonacci", bytes(16), -1, True, 1],
-        [18, 1, "fibonacci", bytes(16), 0, 1, 1],
-        [19, 1, "fibonacci", None, -1],
-        [19, 1, "fibonacci", None, 2**63],
-        [25, -1],
-        [25],
-        [15],
-        [26, 1],
-        [-1, 1],
-        ["Ping"],
-        [],
-    ],
-)
-def test_a_client_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
-    with pytest.raises(ProtocolError, match=r"^invalid client message: ") as caught:
-        decode_from_client(packed(*array))
-    assert caught.value.__context__ is None  # it may hold the whole frame
-
-
-@pytest.mark.parametrize(
-    "array",
-    [
-        [32, 1, 1.0, 0],
-        [32, 1, 1.0, 2**32],
-        [32, 1, 1.0, "65536"],
-        [33, 1, STAMP, 7, False, 0],
-        [33, 1, STAMP, -1, False, 0],
-        [33, 1, -STAMP, 1, False, 0],
-        [37, 1, 7],
-        [37, 1, "EXECUTING"],
-        [38, 1, 4, "text", "", 0],
-        [38, 1, 4, None, None, 0],
-        [39, 1, 4, [], ""],
-        [39, 1, -1, [], ""],
-        [39, 1, 0, [[bytes(15), STAMP, 3]], ""],
-        [39, 1, 0, [[bytes(16), STAMP]], ""],
-        [39, 1, 0, [[bytes(16), STAMP, 3, 0]], ""],
-        [40, 1, bytes(16), STAMP, 3, -1],
-        [43, 1, [{}]],
-        [43, 1, [{"name": "fibonacci", "goal": []}]],
-        [43, 1, {}],
-        [44, 1],
-        [],
-    ],
-)
-def test_a_server_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
-    with pytest.raises(ProtocolError, match=r"^invalid server message: ") as caught:
-        decode_from_server(packed(*array))
-    assert caught.value.__context__ is None  # it may hold the whole frame
 
 
 @either_decoder
@@ -669,35 +507,6 @@ def test_any_array_is_a_message_or_a_protocol_error(tag: int, items: list[Any]) 
     check(packed(tag, *items))
 
 
-@given(strategies.integers(0, 43), strategies.binary(), strategies.integers(0, 15))
-def test_a_tag_and_any_bytes_are_a_message_or_a_protocol_error(
-    tag: int, data: bytes, length: int
-) -> None:
-    check(bytes([0x90 + length, tag]) + data)
-
-
-@given(
-    strategies.sampled_from(GOLDEN),
-    strategies.lists(
-        strategies.tuples(strategies.integers(0, 200), strategies.integers(0, 255)), max_size=5
-    ),
-    strategies.integers(0, 200),
-    strategies.binary(max_size=20),
-)
-def test_a_message_that_was_damaged_is_a_message_or_a_protocol_error(
-    row: tuple[FromClient | FromServer, str],
-    changes: list[tuple[int, int]],
-    cut: int,
-    inserted: bytes,
-) -> None:
-    data = bytearray.fromhex(row[1])
-    for place, value in changes:
-        data[place % len(data)] ^= value
-    check(bytes(data))
-    check(bytes(data[:cut]))
-    check(bytes(data[:cut] + inserted + data[cut:]))
-
-
 @by_type
 def test_a_message_with_one_bit_flipped_is_a_message_or_a_protocol_error(
     message: FromClient | FromServer, golden: str
@@ -733,18 +542,6 @@ def test_deep_nesting_is_a_protocol_error(start: bytes, nested: bytes) -> None:
     for decode in DECODERS:
         with pytest.raises(ProtocolError):
             decode(start + nested * 200_000)
-
-
-@pytest.mark.parametrize("nested", [lambda inner: [inner], lambda inner: {"a": inner}])
-def test_a_hundred_levels_are_not_too_deep(nested: Callable[[Any], Any]) -> None:
-    value: Any = 1
-    for _ in range(98):
-        value = nested(value)
-    assert decode_from_client(packed(22, 7, value)) == ListActions(7)
-    info = {"name": "a", "goal": {"k": value}}
-    assert decode_from_server(packed(43, 7, [info])) == Actions(
-        7, [ActionInfo("a", "", {"k": value}, {}, {})]
-    )
 
 
 @pytest.mark.parametrize(
@@ -784,23 +581,6 @@ def test_a_length_that_is_only_announced_takes_no_memory(start: bytes, announced
                 assert tracemalloc.get_traced_memory()[1] < 2**18
             finally:
                 tracemalloc.stop()
-
-
-def test_an_announced_length_in_each_of_many_levels_takes_no_memory() -> None:
-    tracemalloc.start()
-    try:
-        with pytest.raises(ProtocolError):
-            decode_from_server(IN_A_SCHEMA + b"\xdd\0\xff\xff\xff" * 500)
-        assert tracemalloc.get_traced_memory()[1] < 2**18
-    finally:
-        tracemalloc.stop()
-
-
-def test_a_parent_comes_back_from_the_field_of_a_message() -> None:
-    parent = Parent(GoalID(bytes(range(16))), "pick")
-    assert parent_fields(parent) == (bytes(range(16)), "pick")
-    assert parent_from(parent_fields(parent)) == parent
-    assert parent_from(parent_fields(None)) is None
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from fibaction.wire.messages import (
     Failed,
     Feedback,
     Follow,
-    Following,
     ListActions,
     Received,
     SendGoal,
@@ -30,14 +29,12 @@ from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
-    ProtocolError,
     ServerFailed,
     ServerNotFound,
     UnknownGoal,
 )
 from fibaction.words.goals import UNKNOWN_OUTCOME, Outcome
 from tests.wire.ends import (
-    EXECUTING,
     GOAL_ID,
     ONCE,
     PATIENT,
@@ -111,15 +108,6 @@ async def two_servers(
         one, other = [await network.accept() for network in client.networks]
         await settled()
         yield client, one, other
-
-
-async def test_both_connections_have_one_session_and_no_call_twice() -> None:
-    async with Background() as tasks:
-        client = Client(tasks, PATIENT)
-        hellos = [(await network.reached())[1] for network in client.networks]
-        assert hellos[0].session == hellos[1].session
-        assert len(hellos[0].session) == 16
-        assert new_session() != new_session()
 
 
 async def test_a_goal_goes_on_elsewhere_behind_its_last_feedback() -> None:
@@ -196,30 +184,6 @@ async def test_a_goal_whose_server_has_a_bug_is_not_lost_but_fails() -> None:
         assert not client.lost
 
 
-async def test_a_goal_whose_server_breaks_the_protocol_is_not_lost_but_fails() -> None:
-    async with two_servers() as (client, one, _):
-        goal = await client.send(one)
-        await one.say(Feedback(goal.id, 1, b""), Feedback(goal.id, 1, b""))
-        with pytest.raises(ProtocolError):
-            await outcome_of(goal)
-        assert not client.lost
-
-
-async def test_a_goal_that_was_not_answered_is_not_lost_but_fails() -> None:
-    async with two_servers() as (client, one, _):
-
-        async def send() -> RemoteGoal:
-            request = GoalRequest(GOAL_ID, b"goal")
-            return await client.one.calls.send("fibonacci", request, on_lost=client.lose)
-
-        async with Running(send) as sending:
-            await one.hear(SendGoal)
-            client.one.end(GONE)
-            with pytest.raises(ConnectionLost, match="the worker is gone"):
-                await sending.answer()
-        assert not client.lost
-
-
 async def test_what_was_not_answered_can_be_ended_alone() -> None:
     async with two_servers() as (client, one, _):
         goal = await client.send(one)
@@ -283,22 +247,6 @@ async def test_a_goal_that_was_closed_while_it_was_lost_asks_for_the_end_only() 
         assert asked.credit is None
 
 
-async def test_a_line_that_flickers_loses_no_goal() -> None:
-    async with two_servers() as (client, one, _):
-        goal = await client.send(one)
-        assert client.one.lost_at is None
-        before = anyio.current_time()
-        one.channel.cut()
-        await settled()
-        assert client.one.lost_at is None or client.one.lost_at >= before
-        one = await client.networks[0].accept()
-        await one.say(following(await one.hear(Follow)))
-        await settled()
-        assert (client.one.lost_at, client.lost) == (None, [])
-        await one.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
-        assert await outcome_of(goal) == ENDED
-
-
 async def test_the_time_at_which_a_line_was_lost_is_known_with_the_goal() -> None:
     async with two_servers(ONCE) as (client, one, _):
         goal = await client.send(one)
@@ -308,11 +256,3 @@ async def test_the_time_at_which_a_line_was_lost_is_known_with_the_goal() -> Non
         assert [lost for lost, _ in client.lost] == [goal]
         assert client.one.lost_at is not None
         assert before <= client.one.lost_at <= anyio.current_time()
-
-
-async def test_a_goal_that_is_told_anew_is_not_lost_any_more() -> None:
-    goal = RemoteGoal(GOAL_ID, SendGoal(1, "fibonacci", A, b"", 1), WINDOW, lambda message: None)
-    assert goal.action == "fibonacci"
-    goal.lost_at = 1.0
-    goal.on_message(Following(1, 7, EXECUTING, latest=False, place=0))
-    assert goal.lost_at is None

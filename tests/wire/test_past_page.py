@@ -25,7 +25,7 @@ from fibaction.words.errors import LimitReached, ProtocolError
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
-from tests.wire.ends import ANY, Network, asked_again, endpoint_of, held, reached, real, serving
+from tests.wire.ends import ANY, Network, asked_again, endpoint_of, held, reached, serving
 from tests.wire.memory import Running
 
 pytestmark = pytest.mark.anyio
@@ -87,11 +87,6 @@ async def test_a_page_does_not_count_as_a_watch_and_may_be_closed() -> None:
         await client.ask(WatchStatus(4, "fibonacci", ANY), Failed)
 
 
-async def test_a_client_gets_pages_of_a_server() -> None:
-    async with real(server=held()) as endpoint:
-        assert await endpoint.past_goals(PastPage()) == []
-
-
 async def page_of(endpoint: Any, server: Any, page: PastPage, *answers: Any) -> Any:
     """Return what a client makes of these answers, each a function of the ID of the call."""
     async with Running(lambda: endpoint.past_goals(page)) as asking:
@@ -127,17 +122,6 @@ async def test_goals_of_any_order_are_in_that_of_the_page() -> None:
         page = PastPage(newest_first=False, after=(1, bytes([1] * 16)))
         assert await page_of(endpoint, server, page, *answers) == [past(2), past(3)]
         assert await server.hear_all() == []
-
-
-async def test_a_page_that_ends_early_is_shorter() -> None:
-    async with reached() as (connection, server):
-        infos = await page_of(
-            *(endpoint_of(connection), server, PastPage()),
-            lambda call_id: Watching(call_id, 3),
-            lambda call_id: changed(call_id, 1),
-            Finished,
-        )
-        assert infos == [past(1)]
 
 
 async def test_an_error_is_raised() -> None:
@@ -197,14 +181,3 @@ async def test_labels_are_asked_for_and_told() -> None:
         told, _ = await client.hear_all()
     assert told.labels == {"order": "17"}
     assert endpoint.asked == [page]
-
-
-async def test_a_server_that_does_not_know_labels_has_no_goals_with_them() -> None:
-    page = PastPage(GoalQuery(labels=(("order", "17"),)))
-    async with reached() as (connection, server):
-        infos = await page_of(
-            *(endpoint_of(connection), server, page),
-            lambda call_id: Watching(call_id, 1),
-            lambda call_id: changed(call_id, 2),
-        )
-    assert infos == []

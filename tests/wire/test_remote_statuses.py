@@ -27,27 +27,14 @@ from fibaction.wire.messages import (
     WatchStatus,
     Why,
 )
-from fibaction.wire.settings import Limits
-from fibaction.words.errors import ConnectionLost, LimitReached
-from fibaction.words.goals import GoalID
+from fibaction.words.errors import LimitReached
 from fibaction.words.statuses import GoalStatus
 from tests.wire.ends import (
-    ANN,
-    ANY,
-    AWAY,
-    BOB,
     EXECUTING,
-    GOAL,
     SUCCEEDED,
     WINDOW,
-    Network,
     endpoint_of,
-    held,
-    one_by_one,
     reached,
-    real,
-    send,
-    serving,
     watched,
 )
 from tests.wire.memory import Peer, Running, settled
@@ -125,19 +112,6 @@ async def test_times_reason_labels_and_worker_are_those_that_the_server_tells() 
     assert (second.labels, second.worker) == ({}, "")
 
 
-async def test_a_follower_that_comes_during_the_list_has_all_of_it() -> None:
-    async with reached() as (connection, server):
-        _, call_id = await watched(connection, server, known=3)
-        await told(server, change(call_id, 1))
-        second = await follow(connection, server)
-        assert second.known == 3
-        async with Running(second.listed) as listing:
-            assert not listing.is_done
-            await told(server, *(change(call_id, stamp) for stamp in (2, 3, 4)))
-            assert [info.stamp for info in await listing.answer()] == [1, 2, 3]
-        assert await numbers(second, 1) == [4]
-
-
 async def test_followers_that_come_at_once_wait_for_one_answer() -> None:
     async with reached() as (connection, server):
         async with (
@@ -202,36 +176,6 @@ async def test_an_error_and_an_end_are_for_all_followers() -> None:
             assert await stream.receive() is None
             assert await stream.listed() == []
         await watched(connection, server)
-
-
-async def test_a_follower_can_be_failed_alone() -> None:
-    async with reached() as (connection, server):
-        first, call_id = await watched(connection, server)
-        second = await follow(connection, server)
-        first.fail(ConnectionLost("a test says so"))
-        with pytest.raises(ConnectionLost, match="a test says so"):
-            await first.receive()
-        await told(server, change(call_id, 1))
-        assert await numbers(second, 1) == [1]
-
-
-async def test_a_follower_that_comes_without_a_connection_waits_for_the_next() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        first, call_id = await watched(connection, server, known=1)
-        await told(server, change(call_id, 1))
-        network.refusal = AWAY
-        server.channel.cut()
-        await settled()
-        async with Running(endpoint_of(connection).status) as asking:
-            network.refusal = None
-            server = await network.accept()
-            assert await heard(server) == [WatchStatus(call_id, "fibonacci", WINDOW)]
-            assert not asking.is_done
-            await told(server, Watching(call_id, 1), change(call_id, 2))
-            second = await asking.answer()
-        assert [info.stamp for info in await second.listed()] == [2]
-        assert await numbers(first, 2) == [1, 2]
 
 
 async def test_a_follower_has_what_the_server_has_told_before_its_sign() -> None:
@@ -325,19 +269,6 @@ async def test_places_are_asked_for_if_a_goal_comes_to_wait_before_the_sign() ->
         assert [(info.stamp, info.place, info.queue_length) for info in listed] == [(2, 1, 3)]
 
 
-async def test_places_are_those_of_the_server_behind_a_gateway() -> None:
-    async with real(server=one_by_one()) as behind, serving(held()) as gateway:
-        gateway.endpoints["fibonacci"] = behind
-        client, other = await gateway.greet(ANN), await gateway.greet(BOB)
-        await client.ask(WatchStatus(1, "fibonacci", ANY), Watching)
-        for number in (2, 3, 4):
-            await client.say(send(number, bytes([number] * 16)))
-            await client.hear_all()
-        await other.ask(WatchStatus(1, "fibonacci", ANY), Watching)
-        listed = {one.goal_id[0]: one.place for one in await other.hear_all()}
-        assert listed == {2: 0, 3: 1, 4: 2}
-
-
 async def test_a_slow_follower_loses_the_oldest_changes_and_delays_no_other(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -362,19 +293,3 @@ async def test_a_server_cannot_make_its_client_remember_ever_more_goals(
         await told(server, *(change(call_id, stamp) for stamp in range(1, 8)))
         late = await follow(connection, server)
         assert await numbers(late, 3) == [5, 6, 7]
-
-
-async def test_a_connection_follows_the_statuses_of_an_action_once() -> None:
-    """All who follow them at its end share that, in the order in which they come and go."""
-    async with real(server=held(), limits=Limits(requests=3)) as endpoint:
-        goal_ids = [GoalID.random() for _ in range(3)]
-        for goal_id in goal_ids:
-            await endpoint.send_goal(goal_id, GOAL)
-        streams = [await endpoint.status() for _ in range(20)]
-        for stream in streams:
-            assert {info.goal_id for info in await stream.listed()} == set(goal_ids)
-        for stream in streams:
-            stream.close()
-        for _ in range(20):
-            with await endpoint.status() as stream:
-                assert {info.goal_id for info in await stream.listed()} == set(goal_ids)

@@ -17,7 +17,6 @@ from fibaction.wire.messages import (
     Actions,
     AskPeers,
     AskPlaces,
-    AwaitServer,
     CancelAnswered,
     CancelGoals,
     Close,
@@ -99,38 +98,6 @@ async def test_a_goal_can_be_followed_again_once_a_call_has_ended(own: bool) -> 
             heard = await client.ask_all(follow(None, own=own, request=request))
             assert kinds(heard) == [Following, Ended]
             await client.say(Received(request))
-
-
-async def test_a_goal_that_is_being_decided_upon_counts_for_each_time_it_was_sent() -> None:
-    decided = anyio.Event()
-
-    async def on_goal(_goal: Any) -> None:
-        await decided.wait()
-
-    async with serving(
-        running(*feedback(1), fib.Result([]), on_goal=on_goal), limits=Limits(follows=2)
-    ) as served:
-        client = await served.greet()
-        assert await client.ask_all(*map(send, range(1, 4))) == [
-            Rejected(3, OFTEN, RejectionCode.BUSY)
-        ]
-        decided.set()
-        heard = await client.hear_by_id()
-        assert {kinds(messages)[-1] for messages in heard.values()} == {Ended}
-        assert set(heard) == {1, 2}
-
-
-async def test_a_call_that_wants_the_end_only_counts_until_the_end() -> None:
-    async with serving(held(), limits=Limits(follows=2)) as served:
-        client = await served.greet()
-        await client.send(1)
-        await client.ask_all(follow(None, own=False, request=2), Close(2), Close(1))
-        assert (await client.ask(follow(None, request=3), Failed)).why == Why.LIMIT
-        await client.say(CancelGoals(4, "fibonacci", A, None))
-        heard = await client.hear_by_id()
-        assert kinds(heard[2]) == [Ended]
-        assert kinds(heard[4]) == [CancelAnswered]
-        await client.ask(follow(None, own=False, request=5), Following)
 
 
 # The bytes of goals that wait for an answer
@@ -239,29 +206,6 @@ async def test_a_goal_of_another_client_is_told_to_its_sender_only_if_it_may_obs
         assert kinds(await ann.ask_all(send(2))) == [Following, Feedback]
 
 
-async def test_a_goal_that_two_send_at_once_is_told_to_one_if_the_other_may_not_observe() -> None:
-    deciding = Deciding()
-    access = only(Permission.SEND, is_async=False)
-    server = running(*feedback(1), anyio.Event(), on_goal=deciding.on_goal)
-    async with serving(server, access=access) as served:
-        ann, bob = await served.greet(ANN), await served.greet(BOB)
-        assert await ann.ask_all(send(1)) == []
-        assert await bob.ask_all(send(1)) == []
-        deciding.go.set()
-        assert kinds(await bob.hear_all()) == [Failed]
-        assert kinds(await ann.ask_all()) == [Following, Feedback]
-
-
-async def test_a_goal_of_another_client_is_told_to_a_sender_that_may_observe() -> None:
-    access = only(Permission.SEND, Permission.OBSERVE, is_async=True)
-    async with serving(running(*feedback(1), anyio.Event()), access=access) as served:
-        ann, bob = await served.greet(ANN), await served.greet(BOB)
-        assert kinds(await ann.ask_all(send(1))) == [Following, Feedback]
-        assert kinds(await bob.ask_all(send(1))) == [Following, Feedback]
-        await bob.say(Received(1))  # as an observer may say before the end
-        assert kinds(await bob.ask_all(send(1))) == [Following, Feedback]
-
-
 @pytest.mark.parametrize("is_behind_a_gateway", [False, True])
 async def test_a_goal_that_another_client_sends_too_waits_for_its_own_client_only(
     is_behind_a_gateway: bool,
@@ -326,14 +270,6 @@ async def test_a_connection_follows_the_statuses_of_an_action_once_at_a_time() -
         await client.ask(WatchStatus(5, "fibonacci", 1), Watching)
 
 
-async def test_statuses_that_cannot_be_followed_do_not_count() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        for request in range(3):
-            failed = await client.ask(WatchStatus(request, "swim", 1), Failed)
-            assert failed.why == Why.SERVER_NOT_FOUND
-
-
 class Counting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
     """A server that counts what is asked of it at the same time, and answers when told to."""
 
@@ -392,47 +328,6 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
             31: [Peers],
             **{request: [Places] for request in (32, 33)},
         }
-
-
-async def test_a_request_that_waits_for_its_turn_goes_with_its_connection() -> None:
-    server = Counting()
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.say(*(CancelGoals(i, "fibonacci", None, None) for i in range(3)))
-        await client.say(WatchStatus(4, "fibonacci", 1))
-        await settled()
-        client.channel.cut()
-        await settled()
-        server.go.set()
-        assert await (await served.greet()).is_served()
-        assert server.most == {"cancel": 1, "status": 1}
-
-
-async def test_a_long_list_is_read_as_far_as_there_is_credit() -> None:
-    server = held()
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.say(*(send(i, bytes([i] * 16), None) for i in range(1, 51)))
-        await client.hear_all()
-        assert (await client.ask(WatchStatus(99, "fibonacci", 10), Watching)).known == 50
-        assert len(await client.hear_all()) == 10
-        await client.say(Credit(99, 100))
-        assert len(await client.hear_all()) == 40
-
-
-async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
-    server = held()
-    async with serving(server, limits=Limits(queue=1)) as served:
-        client = await served.greet()
-        client.channel.stop_reading()
-        await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"))
-        await settled()
-        await client.say(WatchStatus(3, "fibonacci", 1))
-        await settled()
-        assert server._parts.logs._statuses.is_followed
-        client.channel.cut()
-        await settled()
-        assert not server._parts.logs._statuses.is_followed
 
 
 async def test_a_write_ends_when_it_has_taken_a_slice(slice_clock: SliceClock) -> None:

@@ -12,15 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from fibaction.border.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalRequest, GoalStream
+from fibaction.border.abc import FeedbackItem, ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.wire.auth import Permission
-from fibaction.wire.client.connection import open_connection
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import (
     CancelGoals,
-    Close,
     Credit,
     Ended,
     Failed,
@@ -31,14 +29,11 @@ from fibaction.wire.messages import (
     Received,
     Rejected,
     SendGoal,
-    StatusChanged,
     Why,
 )
 from fibaction.wire.settings import WireSettings
-from fibaction.words.errors import ConnectionLost, GoalKept, GoalRejected, UnknownGoal
+from fibaction.words.errors import GoalKept, GoalRejected, UnknownGoal
 from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, digest_of
-from fibaction.words.statuses import GoalStatus
-from tests.wire import memory
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -46,13 +41,10 @@ from tests.wire.ends import (
     EXECUTING,
     GOAL,
     GOAL_ID,
-    PATIENT,
     SUCCEEDED,
-    WHERE,
     WINDOW,
     A,
     Network,
-    Served,
     asked_again,
     endpoint_of,
     follow,
@@ -61,12 +53,10 @@ from tests.wire.ends import (
     held,
     kinds,
     numbers_of,
-    outcome_of,
     reached,
     send,
     serving,
 )
-from tests.wire.memory import Running, settled
 
 pytestmark = pytest.mark.anyio
 
@@ -99,35 +89,6 @@ async def test_the_feedback_of_another_attempt_is_numbered_anew() -> None:
             assert (goal.status, goal.dropped) == (SUCCEEDED, 0)
 
 
-async def test_an_attempt_that_begins_on_an_open_connection_takes_no_credit() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            for attempt in (2, 3):
-                again = Following(call_id, 7, EXECUTING, latest=False, place=0, attempt=attempt)
-                await server.say(again, *numbered(call_id, 1, 2))
-                assert await numbers_of(goal, 2) == [1, 2]
-                assert await server.hear(Credit) == Credit(call_id, 2)
-
-
-async def test_unread_feedback_of_the_attempt_before_is_read_first() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await server.say(*numbered(call_id, 1, 2))
-            await settled()
-            for attempt in (2, 3, 4):  # those between have no feedback
-                server, asked = await asked_again(network, server, Follow)
-                await server.say(following(asked, attempt=attempt))
-            await server.say(*numbered(call_id, 1))
-            await settled()
-            server, asked = await asked_again(network, server, Follow)
-            assert (asked.after, asked.attempt, asked.credit) == (1, 4, WINDOW - 3)
-            await server.say(following(asked, attempt=4))
-            for item in ((1, 1), (1, 2), (4, 1)):
-                (update,) = goal.take()
-                assert (update.attempt, update.number) == (goal.attempt, goal.cursor) == item
-
-
 async def test_attempts_without_feedback_are_not_remembered() -> None:
     goal = RemoteGoal(GOAL_ID, send(1, credit=WINDOW), WINDOW, lambda _: None)
     for attempt in range(1, 100):
@@ -137,46 +98,6 @@ async def test_attempts_without_feedback_are_not_remembered() -> None:
     assert len(goal._earlier) == 1
     goal.on_message(Feedback(1, 1, b""))
     assert [*goal.take(), *goal.take()] == [FeedbackItem(1, b"", 1), FeedbackItem(1, b"", 99)]
-
-
-async def test_what_was_missed_is_counted_within_each_attempt() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            again = Following(call_id, 7, EXECUTING, latest=False, place=0, attempt=2)
-            await server.say(*numbered(call_id, 1, 3), again, *numbered(call_id, 3))
-            await server.say(Ended(call_id, SUCCEEDED, b"", "", 5))
-            assert await numbers_of(goal) == [1, 3, 3]
-            assert goal.dropped == 1 + 2 + 2
-
-
-async def test_feedback_that_is_not_wanted_is_not_missed_in_any_attempt() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            second, third = (
-                Following(call_id, 7, EXECUTING, latest=False, place=0, attempt=attempt)
-                for attempt in (2, 3)
-            )
-            await server.say(*numbered(call_id, 1), second, *numbered(call_id, 1))
-            await settled()
-            goal.close()
-            assert goal.attempt == 2
-            await server.say(*numbered(call_id, 2), third)
-            await server.say(Ended(call_id, SUCCEEDED, b"", "", 0))
-            assert (await outcome_of(goal)).status is SUCCEEDED
-            assert (goal.attempt, goal.newest_attempt, goal.dropped) == (3, 3, 0)
-
-
-@pytest.mark.parametrize("latest", [True, False])
-async def test_the_oldest_feedback_gives_way_also_to_another_attempt(latest: bool) -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server, latest=latest) as (goal, call_id):
-            goal.hold(False)
-            again = Following(call_id, 7, EXECUTING, latest=latest, place=0, attempt=2)
-            await server.say(*numbered(call_id, 1, 2), again, *numbered(call_id, 1))
-            await settled()
-            assert await numbers_of(goal, 1) == ([1] if latest else [2])
-            assert goal.attempt == (2 if latest else 1)
-            assert goal.dropped == (2 if latest else 1)
 
 
 async def test_an_attempt_may_be_a_lower_one_after_a_store_has_lost_its_last_writes() -> None:
@@ -190,17 +111,6 @@ async def test_an_attempt_may_be_a_lower_one_after_a_store_has_lost_its_last_wri
             await server.say(following(asked, attempt=2), *numbered(call_id, 1))
             assert await numbers_of(goal, 1) == [1]
             assert goal.attempt == 2
-
-
-async def test_a_stream_is_asked_for_behind_feedback_of_an_attempt() -> None:
-    async with reached() as (connection, server):
-        endpoint = endpoint_of(connection)
-        async with Running(lambda: endpoint.feedback(GOAL_ID, after=17, attempt=2)) as asking:
-            asked = await server.hear(Follow)
-            assert (asked.after, asked.attempt) == (17, 2)
-            await server.say(following(asked, attempt=3))
-            goal = await asking.answer()
-            assert (goal.attempt, goal.cursor) == (3, 0)
 
 
 STEPS = some.lists(
@@ -392,50 +302,6 @@ async def test_a_gateway_tells_another_attempt_before_its_first_feedback(
             ]
 
 
-async def test_a_goal_that_is_followed_before_it_is_run_again_begins_anew_then() -> None:
-    kept = Kept()
-    async with serving(kept) as served:
-        client = await served.greet()
-        assert (await client.ask(follow(17), Following)).attempt == 1
-        kept.goal.attempt = 2  # the server has decided
-        kept.tell(1)
-        kept.goal.status = kept.goal.told_status = GoalStatus.CANCELING
-        kept.log.tell_status()
-        assert await client.hear_all() == [
-            Following(1, 7, GoalStatus.CANCELING, latest=False, place=0, attempt=2),
-            StatusChanged(1, GoalStatus.CANCELING),
-            *numbered(1, 1),
-        ]
-
-
-async def test_the_begin_of_an_attempt_takes_no_credit() -> None:
-    kept = Kept()
-    async with serving(kept) as served:
-        client = await served.greet()
-        await client.say(follow(None, credit=1))
-        await client.hear(Following)
-        kept.goal.attempt = 2
-        kept.tell(2)
-        assert kinds(await client.hear_all()) == [Following, Feedback]
-        await client.say(Credit(1, 1))
-        assert kinds(await client.hear_all()) == [Feedback]
-
-
-async def test_an_attempt_that_begins_after_a_close_counts_nothing_as_missed() -> None:
-    async with reached() as (connection, server):
-        async with serving(ForwardingEndpoint(endpoint_of(connection))) as served:
-            client = await served.greet()
-            await client.say(send(1))
-            sent = await server.hear(SendGoal)
-            await server.say(following(sent), *numbered(sent.id, 1))
-            assert kinds(await client.hear_all()) == [Following, Feedback]
-            await client.say(Close(1))
-            await server.hear(Close)
-            await server.say(following(sent, attempt=2), Ended(sent.id, SUCCEEDED, b"", "", 0))
-            again, ended = await client.hear_all()
-            assert (again.attempt, again.place, ended.place) == (2, 0, 0)
-
-
 # At the server: whose goal it is
 
 
@@ -547,45 +413,3 @@ async def test_a_request_to_a_server_that_keeps_its_goals_has_no_answer(message:
 
 
 # Both together
-
-
-async def test_a_client_does_not_notice_a_restart_but_for_the_attempt() -> None:
-    kept = Kept()
-    served: list[Served] = []
-    lines: list[memory.MemoryChannel] = []
-
-    async def dial() -> memory.MemoryChannel:
-        if not served:
-            raise ConnectionLost("both servers have gone")
-        end, other = memory.pair(other=WHERE)
-        lines.append(end)
-        served[-1].serve(end)
-        await anyio.lowlevel.checkpoint()
-        return other
-
-    async with serving(kept) as first:
-        served.append(first)
-        async with open_connection(dial, WHERE, PATIENT) as connection:
-            endpoint: Endpoint = endpoint_of(connection)
-            goal = await endpoint.send_goal(GOAL_ID, GOAL)
-            kept.tell(3)
-            assert await numbers_of(goal, 2) == [1, 2]
-            kept.error = KEPT
-            async with Running(lambda: endpoint.send_goal(GOAL_ID, GOAL)) as sending:
-                kept.log.fail(KEPT)
-                async with serving(kept) as second:
-                    served.append(second)
-                    kept.start_again()
-                    lines[0].cut()
-                    other = await sending.answer()
-                    assert (other.attempt, other.own) == (2, True)
-                    kept.tell(2)
-                    assert await numbers_of(goal, 3) == [3, 1, 2]
-                    kept.end()
-                    for stream in (goal, other):
-                        assert (await outcome_of(stream)).result == b"result"
-                    assert (goal.attempt, goal.dropped) == (2, 0)
-                    assert kept.owned == [True]
-                    goal.close()
-                    other.close()
-                    served.clear()  # its end may be noticed before that of the connection

@@ -21,7 +21,6 @@ from fibaction.wire.codec import encode
 from fibaction.wire.link import HIGH_WATER, OVERFULL
 from fibaction.wire.messages import (
     VERSION,
-    Actions,
     AwaitServer,
     Close,
     Done,
@@ -69,7 +68,6 @@ from tests.wire.ends import (
     WINDOW,
     A,
     B,
-    Lines,
     Network,
     Server,
     asked_again,
@@ -85,7 +83,6 @@ from tests.wire.ends import (
     observed,
     outcome_of,
     reached,
-    real,
     running,
     scripted,
     send,
@@ -124,24 +121,6 @@ async def test_an_end_that_was_lost_with_the_line_is_told_again(result_timeout: 
         again = await served.greet()
         answer = await again.ask(follow(2), Failed if result_timeout == 0 else Following)
         assert getattr(answer, "why", None) == (None if result_timeout else Why.UNKNOWN_GOAL)
-
-
-@forgotten_or_not
-@pytest.mark.parametrize("credit", [1, ANY])
-async def test_feedback_that_was_not_heard_is_told_on_the_next_connection(
-    result_timeout: float, credit: int
-) -> None:
-    server = running(*feedback(1, 2, 3), fib.Result([]), result_timeout=result_timeout)
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.send(1, credit=credit)
-        await client.hear_all()
-        client.channel.cut()
-        again = await served.greet()
-        assert (await again.ask(follow(1), Following)).place == 1
-        *told, ended = await again.hear_all()
-        assert [message.number for message in told] == [2, 3]
-        assert isinstance(ended, Ended)
 
 
 @forgotten_or_not
@@ -205,16 +184,6 @@ async def test_an_end_that_was_lost_is_told_to_its_own_client_only() -> None:
         assert [kinds(heard[request]) for request in (2, 3)] == [[Following, Ended]] * 2
 
 
-async def test_a_client_that_has_no_session_owns_no_goal() -> None:
-    async with serving(running(fib.Result([]), result_timeout=0)) as served:
-        client = await served.greet(b"")
-        await client.say(send(1))
-        await client.hear_all()
-        client.channel.cut()
-        again = await served.greet(b"")
-        assert (await again.ask(follow(0), Failed)).why == Why.UNKNOWN_GOAL
-
-
 async def test_an_end_is_not_told_again_after_a_goodbye() -> None:
     async with serving(running(fib.Result([]), result_timeout=0)) as served:
         client = await served.greet()
@@ -224,16 +193,6 @@ async def test_an_end_is_not_told_again_after_a_goodbye() -> None:
         await client.hear_the_end()
         again = await served.greet()
         assert (await again.ask(follow(0), Failed)).why == Why.UNKNOWN_GOAL
-
-
-async def test_a_client_that_wants_no_old_feedback_is_told_the_end_that_was_lost() -> None:
-    async with serving(running(*feedback(1), fib.Result([]), result_timeout=0)) as served:
-        client = await served.greet()
-        await client.send(1)
-        await client.hear_all()
-        again = await served.greet()
-        assert (await again.ask(follow(None), Following)).place == 1
-        assert kinds(await again.hear_all()) == [Ended]
 
 
 @in_virtual_time()
@@ -368,22 +327,6 @@ async def test_the_goal_of_a_client_that_leaves_is_canceled_at_once() -> None:
 
 
 @in_virtual_time()
-async def test_a_goal_that_has_ended_within_the_grace_is_not_canceled() -> None:
-    go = anyio.Event()
-    server = running(go, fib.Result([]), result_timeout=100)
-    async with serving(server, then="cancel", grace=10) as served:
-        client = await served.greet()
-        await client.send(1)
-        with logged() as lines:
-            client.channel.cut()
-            await settled()
-            go.set()
-            await anyio.sleep(20)
-        assert await status_of(server) is SUCCEEDED
-        assert len(lines) == 1  # of the connection
-
-
-@in_virtual_time()
 @pytest.mark.parametrize("message", [follow(0), send(1)], ids=["followed", "sent again"])
 @pytest.mark.parametrize("is_noticed", [True, False])
 async def test_the_goal_of_a_client_that_comes_back_goes_on(message: Any, is_noticed: bool) -> None:
@@ -503,24 +446,6 @@ async def test_a_goal_that_cannot_be_canceled_is_logged_and_harms_no_other(
 # At the server: a goal that was sent twice
 
 
-@pytest.mark.parametrize("after", [2, 3, 99])
-async def test_of_a_goal_that_was_sent_twice_each_call_goes_on_behind_what_it_had(
-    after: int,
-) -> None:
-    """What is kept for the client is the stream of the second, which had one message only."""
-    async with serving(running(*feedback(1, 2, 3), fib.Result([]), result_timeout=0)) as served:
-        client = await served.greet()
-        await client.send(1, credit=0)
-        await client.say(send(2, credit=1))
-        await client.hear_all()
-        client.channel.cut()
-        again = await served.greet()
-        assert (await again.ask(follow(after), Following)).place == min(after, 3)
-        *told, ended = await again.hear_all()
-        assert [one.number for one in told] == list(range(after + 1, 4))
-        assert isinstance(ended, Ended)
-
-
 async def test_both_calls_of_a_goal_that_was_sent_twice_go_on_on_the_next_connection_too() -> None:
     first, second = anyio.Event(), anyio.Event()
     steps = [first, *feedback(1), second, *feedback(2), fib.Result([])]
@@ -584,22 +509,6 @@ async def test_each_copy_of_a_goal_that_was_sent_twice_is_told_the_end_that_was_
         for request in (1, 2):
             begin, *_, end = heard[request]
             assert (begin.stamp, end.status, end.place) == (first.stamp, SUCCEEDED, 1)
-
-
-async def test_a_copy_of_a_goal_is_told_the_end_after_the_other_has_confirmed_it() -> None:
-    server = running(fib.Result([]), result_timeout=0)
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.say(send(1), send(2))
-        await client.hear_all()
-        await client.say(Received(2))
-        await client.is_served()
-        client.channel.cut()
-        client = await served.greet()
-        await client.say(follow(0, request=1))
-        assert kinds(await client.hear_all()) == [Following, Ended]
-        await client.say(Received(1))
-        assert (await client.ask(follow(0, request=3), Failed)).why == Why.UNKNOWN_GOAL
 
 
 async def test_a_goal_that_is_sent_again_before_its_end_was_confirmed_runs_once() -> None:
@@ -703,16 +612,6 @@ async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connecti
 # At the client: calls
 
 
-async def test_the_loss_of_a_server_is_one_line_of_the_log() -> None:
-    network = Network()
-    async with reached(network) as (_, server):
-        with logged() as lines:
-            server.channel.cut()
-            await network.accept()
-            await settled()
-        assert [line.getMessage() for line in lines] == [f"{WHERE} closed its side"]
-
-
 @every_call
 async def test_a_call_without_an_answer_is_made_again(
     call: Callable[[Connection], Awaitable[Any]],
@@ -754,22 +653,6 @@ async def test_a_goal_is_sent_again_with_the_time_that_is_left(
 
 
 @every_call
-async def test_a_call_between_two_connections_waits_for_the_next(
-    call: Callable[[Connection], Awaitable[Any]],
-) -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        network.refusal = AWAY
-        server.channel.cut()
-        await settled()
-        async with Running(lambda: call(connection)) as calling:
-            assert not calling.is_done
-            network.refusal = None
-            server = await network.accept()
-            assert len(await server.hear_all()) == 1
-
-
-@every_call
 async def test_without_reconnecting_the_loss_ends_every_call(
     call: Callable[[Connection], Awaitable[Any]],
 ) -> None:
@@ -782,15 +665,6 @@ async def test_without_reconnecting_the_loss_ends_every_call(
         with anyio.fail_after(5), pytest.raises(ConnectionLost, match="closed its side"):
             await call(connection)
     assert network.dialed == 1
-
-
-async def test_a_server_that_says_goodbye_is_found_again() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        await server.say(Goodbye("the server is closing the connection"))
-        server = await network.accept()
-        await settled()
-        await is_used(connection, server)
 
 
 async def test_a_server_that_lets_the_client_in_no_more_is_left_for_good() -> None:
@@ -880,35 +754,6 @@ async def test_feedback_that_got_lost_between_two_connections_counts_as_dropped(
             assert goal.dropped == 4
 
 
-async def test_a_stream_that_is_full_asks_for_nothing_until_it_is_read() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await server.say(*(Feedback(call_id, number, b"") for number in (1, 2, 3, 4)))
-            await settled()
-            for _ in range(3):
-                server, asked = await asked_again(network, server, Follow)
-                assert (asked.after, asked.credit) == (4, 0)
-                await server.say(following(asked, place=4))
-            assert await numbers_of(goal, 2) == [1, 2]
-            assert [message.count for message in await server.hear_all()] == [2]
-            await server.say(Feedback(call_id, 5, b""))
-            assert await numbers_of(goal, 3) == [3, 4, 5]
-
-
-async def test_credit_that_was_not_given_is_part_of_what_the_next_connection_gets() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            for number in (1, 2):  # of which each would be half of a batch
-                await server.say(Feedback(call_id, number, b""))
-                assert await numbers_of(goal, 1) == [number]
-                assert await server.hear_all() == []
-                server, asked = await asked_again(network, server, Follow)
-                assert asked.credit == WINDOW
-                await server.say(following(asked, place=number))
-
-
 async def test_an_observer_stays_one() -> None:
     network = Network()
     async with reached(network) as (connection, server):
@@ -926,24 +771,6 @@ async def test_an_observer_stays_one() -> None:
         await server.say(following(again, place=5), ended)
         assert (await outcome_of(kept)).result == b"result"
         assert await server.hear_all() == [Received(kept_id)]
-
-
-@pytest.mark.parametrize("feedback", [True, False])
-async def test_a_stream_of_which_only_the_end_is_wanted_is_resumed_for_that(feedback: bool) -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with goal_of(connection, server, feedback=feedback) as (goal, call_id):
-            network.refusal = AWAY
-            server.channel.cut()
-            await settled()
-            goal.close()
-            network.refusal = None
-            server = await network.accept()
-            asked = await server.hear(Follow)
-            assert (asked.own, asked.credit) == (True, None)
-            ended = Ended(call_id, SUCCEEDED, b"result", "", 9)
-            await server.say(following(asked), ended)
-            assert (await outcome_of(goal)).result == b"result"
 
 
 @pytest.mark.parametrize("stamp", [None, 8], ids=["forgotten", "another of its ID"])
@@ -980,19 +807,6 @@ async def test_a_status_that_changed_between_two_connections_is_told_once() -> N
             await server.say(Feedback(call_id, 2, b""))
             assert (await update_of(goal)).number == 2
             assert goal.status is GoalStatus.CANCELED
-
-
-@in_virtual_time()
-async def test_a_goal_whose_server_does_not_come_back_has_lost_its_connection() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        (other, _) = await observed(connection, server)
-        async with goal_of(connection, server) as (goal, _):
-            network.refusal = AWAY
-            server.channel.cut()
-            for wait in (goal.receive, goal.outcome, other.outcome):
-                with anyio.fail_after(60), pytest.raises(ConnectionLost):
-                    await wait()
 
 
 def changes(call_id: int, *stamps: int, dropped: int = 0) -> Sequence[GoalChanged]:
@@ -1039,26 +853,6 @@ async def test_a_list_of_goals_has_each_once_across_connections() -> None:
             assert await listing.answer() == []
 
 
-@pytest.mark.parametrize("is_late", [True, False])
-async def test_statuses_that_were_closed_are_not_watched_again(is_late: bool) -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(HIGH_WATER))):
-            await server.hear(SendGoal)
-            statuses, _ = await watched(connection, server)
-            if not is_late:
-                statuses.close()
-                await server.hear(Close)
-            server.channel.cut()
-            server = await network.accept()
-            if is_late:  # before they could be watched again
-                server.channel.stop_reading()
-                await settled()
-                statuses.close()
-                server.channel.go_on_reading()
-            assert kinds(await server.hear_all()) == [SendGoal] + [Close] * is_late
-
-
 # At the client: for how long
 
 
@@ -1073,18 +867,6 @@ async def test_a_server_that_misses_four_signs_of_life_is_lost() -> None:
                 await server.say(Ping())
             with pytest.raises(ConnectionLost, match="has been silent for 4"):
                 await asking.answer(within=42)
-
-
-@in_virtual_time()
-async def test_a_server_that_falls_silent_is_found_again() -> None:
-    network = Network()
-    async with reached(network, ClientSettings(heartbeat=1), heartbeat=1) as (connection, server):
-        async with Running(connection.actions) as asking:
-            await server.hear(ListActions)
-            server.channel.mute()
-            server = await network.accept()
-            await server.say(Actions((await server.hear(ListActions)).id, []))
-            assert await asking.answer() == []
 
 
 @in_virtual_time()
@@ -1129,23 +911,6 @@ async def test_a_call_does_not_wait_for_an_attempt_that_hangs(hangs: str) -> Non
         server = await network.accept()
         await settled()
         await is_used(connection, server)
-
-
-@in_virtual_time()
-async def test_each_loss_has_the_whole_time_and_a_connection_that_came_back_has_any() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        for _ in range(3):
-            network.refusal = AWAY
-            server.channel.cut()
-            async with Running(connection.actions) as asking:
-                await anyio.sleep(20)
-                network.refusal = None
-                server = await network.accept()
-                asked = await server.hear(ListActions)
-                await anyio.sleep(60)
-                await server.say(Actions(asked.id, []))
-                assert await asking.answer() == []
 
 
 class Late(MemoryChannel):
@@ -1201,22 +966,6 @@ async def test_a_connection_that_comes_back_in_the_last_moment_is_used(
             await waiting.answer()
 
 
-@in_virtual_time()
-async def test_a_wait_for_the_server_goes_on_across_a_long_absence() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with Running(endpoint_of(connection).wait_for_server) as waiting:
-            await server.hear(AwaitServer)
-            network.refusal = AWAY
-            server.channel.cut()
-            await anyio.sleep(3600)
-            assert not waiting.is_done
-            network.refusal = None
-            server = await network.accept()
-            await server.say(Done((await server.hear(AwaitServer)).id))
-            await waiting.answer()
-
-
 @pytest.mark.parametrize("reconnects", [True, False])
 async def test_a_wait_for_an_action_that_is_not_served_goes_on_at_the_next_server(
     reconnects: bool,
@@ -1240,39 +989,3 @@ async def test_a_wait_for_an_action_that_is_not_served_goes_on_at_the_next_serve
 
 
 # Both together: what is on its way when the line dies
-
-
-@forgotten_or_not
-@pytest.mark.parametrize("wanted", [True, False])
-@pytest.mark.parametrize("later", [[], [3, 4]], ids=["the end", "feedback"])
-async def test_messages_that_got_lost_with_the_line_arrive_on_the_next(
-    result_timeout: float, wanted: bool, later: list[int]
-) -> None:
-    go, lines = anyio.Event(), Lines()
-    steps = [*feedback(1, 2), go, *feedback(*later), fib.Result([9])]
-    server = running(*steps, result_timeout=result_timeout)
-    async with real(server=server, lines=lines) as endpoint:
-        goal = await endpoint.send_goal(GOAL_ID, GOAL, feedback=wanted)
-        await settled()
-        lines.end.mute()
-        go.set()
-        await settled()
-        assert goal.status is not SUCCEEDED
-        lines.end.cut()
-        assert await numbers_of(goal) == ([1, 2, *later] if wanted else [])
-        outcome = await outcome_of(goal)
-        assert outcome.status is SUCCEEDED
-        assert FIBONACCI.result.decode(outcome.result) == fib.Result([9])
-        assert len(lines.ends) == 2
-        assert goal.dropped == 0 or not wanted
-
-
-async def test_a_received_that_got_lost_with_the_line_is_not_a_goal_of_the_next() -> None:
-    lines = Lines()
-    async with real(*feedback(1, 2), fib.Result([9]), lines=lines) as endpoint:
-        goal = await endpoint.send_goal(GOAL_ID, GOAL)
-        assert await numbers_of(goal) == [1, 2]
-        lines.end.cut()
-        assert (await outcome_of(goal)).status is SUCCEEDED
-        again = await endpoint.send_goal(GoalID(bytes([2] * 16)), GOAL)
-        assert await numbers_of(again) == [1, 2]

@@ -17,7 +17,6 @@ from fibaction.types.action import Action
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.messages import (
     VERSION,
-    Actions,
     AskPeers,
     AskPlaces,
     AwaitServer,
@@ -29,7 +28,6 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
-    Finished,
     Follow,
     Following,
     GoalChanged,
@@ -40,12 +38,9 @@ from fibaction.wire.messages import (
     Ping,
     Places,
     Received,
-    Rejected,
     SendGoal,
-    StatusChanged,
     Watching,
     WatchStatus,
-    Welcome,
     Why,
 )
 from fibaction.wire.server.requests import ChangingEndpoints
@@ -60,7 +55,6 @@ from fibaction.words.errors import (
     GoalRejected,
     InvalidTransition,
     ProtocolError,
-    RejectionCode,
     ServerNotFound,
     UnknownGoal,
 )
@@ -87,7 +81,6 @@ from tests.wire.ends import (
     held,
     kinds,
     one_by_one,
-    real,
     running,
     scripted,
     send,
@@ -130,6 +123,10 @@ WRONG: dict[str, tuple[list[Any], tuple[Goodbye, str]]] = {
         [Hello(2, LONG)],
         over("it speaks version 2 of the protocol, and this is 1"),
     ),
+    "a session of another length": (
+        [Hello(VERSION, LONG, "right", bytes(17))],
+        over("its session has 17 bytes, and the lengths are 0, 16 and 32"),
+    ),
     "two hellos": ([HELLO, HELLO], over("it said hello twice")),
     "no token": ([Hello(VERSION, LONG), ListActions(1)], NO_TOKEN),
     "a wrong token": ([Hello(VERSION, LONG, "wrong"), ListActions(1)], WRONG_TOKEN),
@@ -154,29 +151,6 @@ async def test_a_client_that_begins_in_a_wrong_way_is_told_so_and_harms_no_other
         assert await good.is_served()
 
 
-async def test_a_frame_that_is_not_a_message_ends_the_session_with_the_reason() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        await client.channel.send([b"\xc1"])
-        assert (await client.hear(Goodbye)).why == Why.PROTOCOL
-        await client.hear_the_end()
-
-
-@in_virtual_time()
-async def test_a_client_has_limited_time_for_its_hello_and_may_try_again() -> None:
-    async with serving(held(), limits=Limits(handshake=5)) as served:
-        in_time = await served.greet()
-        with logged() as lines:
-            client = served.connect()
-            await anyio.sleep(5.1)
-            goodbye, text = over("it has not said hello within 5 s", Why.LIMIT)
-            assert await client.hear(Goodbye) == goodbye
-            await client.hear_the_end()
-        assert texts(lines) == [(logging.WARNING, f"the client: {text}")]
-        await anyio.sleep(60)
-        assert await in_time.is_served()
-
-
 async def test_a_client_that_leaves_is_not_answered_and_its_reason_is_one_line_of_the_log() -> None:
     async with serving(held()) as served:
         client = await served.greet()
@@ -186,39 +160,6 @@ async def test_a_client_that_leaves_is_not_answered_and_its_reason_is_one_line_o
         ((level, text),) = texts(lines)
         assert (level, "\n" in text) == (logging.INFO, False)
         assert text.startswith("the client left: done\\x0aWARNING")
-
-
-async def test_the_loss_of_a_client_is_one_line_of_the_log() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        with logged() as lines:
-            client.channel.cut()
-            await settled()
-        assert texts(lines) == [(logging.INFO, "the client closed its side")]
-
-
-async def test_a_token_is_in_no_line_of_the_log() -> None:
-    async with serving(held(), access=WireSettings(tokens={"right": "ann"})) as served:
-        with logged(logging.DEBUG) as lines:
-            for version in (VERSION, 2):
-                await served.connect().say(Hello(version, LONG, "s3cret"))
-            await settled()
-        assert len(lines) == 2
-        assert not any("s3cret" in line.getMessage() for line in lines)
-
-
-async def test_a_server_says_the_size_of_the_messages_that_it_takes() -> None:
-    async with serving(held(), limits=Limits(frame=1234)) as served:
-        welcome = await served.connect().ask(Hello(VERSION, LONG, "", ANN), Welcome)
-        assert welcome == Welcome(VERSION, LONG, 1234, Limits().heartbeat)
-
-
-async def test_a_sign_of_life_has_no_answer() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        await client.say(Ping())
-        assert await client.hear_all() == []
-        assert await client.is_served()
 
 
 # Goals
@@ -237,13 +178,6 @@ async def test_a_goal_is_told_from_its_acceptance_to_its_end() -> None:
         assert await client.hear_all() == []
 
 
-@pytest.mark.parametrize(("reason", "code"), [("no arm", 2), ("größer als 🤖", 0)])
-async def test_a_goal_that_is_rejected_is_told_with_the_reason(reason: str, code: int) -> None:
-    async with serving(scripted(GoalRejected(reason, code=RejectionCode(code)))) as served:
-        client = await served.greet()
-        assert await client.ask(send(1), Rejected) == Rejected(1, reason, code)
-
-
 # As `os.fsdecode` makes it of a file name that is not UTF-8.
 @pytest.mark.parametrize("error", [GoalRejected, GoalAborted])
 async def test_a_reason_that_is_not_unicode_is_told_as_far_as_it_is(error: type[Exception]) -> None:
@@ -253,28 +187,6 @@ async def test_a_reason_that_is_not_unicode_is_told_as_far_as_it_is(error: type[
         last = (await client.hear_all())[-1]
         assert last.reason.endswith("no file ?")
         assert await client.is_served()
-
-
-async def test_a_goal_of_the_wrong_type_is_rejected_and_the_session_goes_on() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        answer = await client.ask(SendGoal(1, "fibonacci", A, b"\xc1", 1), Rejected)
-        assert answer.reason
-        assert await client.is_served()
-
-
-async def test_a_goal_is_followed_from_the_place_that_is_asked_for() -> None:
-    go = anyio.Event()
-    async with serving(scripted(*feedback(1, 2, 3), go, fib.Result([4]))) as served:
-        sender, other = await served.greet(), await served.greet(BOB)
-        await sender.send(1)
-        assert len(await sender.hear_all()) == 3
-        following = await other.ask(follow(1, own=False, request=5), Following)
-        assert (following.status, following.place) == (EXECUTING, 1)
-        assert [(await other.hear(Feedback)).number for _ in range(2)] == [2, 3]
-        go.set()
-        assert (await other.hear(Ended)).id == 5
-        assert (await sender.hear(Ended)).id == 1
 
 
 async def test_a_client_that_wants_the_end_only_is_told_no_more() -> None:
@@ -294,25 +206,6 @@ async def test_a_client_that_wants_the_end_only_is_told_no_more() -> None:
         assert [kinds(heard[request]) for request in (1, 2)] == [[Following, Ended]] * 2
 
 
-async def test_a_client_that_wants_no_more_feedback_is_told_the_end() -> None:
-    go = anyio.Event()
-    async with serving(scripted(*feedback(1, 2, 3), go, fib.Result([]))) as served:
-        client = await served.greet()
-        await client.send(1, credit=1)
-        assert [message.number for message in await client.hear_all()] == [1]
-        await client.say(Close(1))
-        assert await client.hear_all() == []
-        go.set()
-        assert kinds(await client.hear_all()) == [Ended]
-
-
-async def test_an_unknown_goal_cannot_be_followed() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        failed = await client.ask(Follow(1, "fibonacci", B, None, True, 1), Failed)
-        assert failed == Failed(1, Why.UNKNOWN_GOAL, str(UnknownGoal(GoalID(B))))
-
-
 async def test_an_action_that_is_not_served_is_told_with_those_that_are() -> None:
     async with serving(held()) as served:
         client = await served.greet()
@@ -324,29 +217,7 @@ async def test_an_action_that_is_not_served_is_told_with_those_that_are() -> Non
         assert failed.text.endswith("there is nothing")
 
 
-async def test_a_server_that_has_stopped_is_not_found() -> None:
-    server = held()
-    async with serving(server) as served:
-        client = await served.greet()
-        await server.stop()
-        assert (await client.ask(send(1), Failed)).why == Why.SERVER_NOT_FOUND
-
-
 # The end, and the answer to it
-
-
-@pytest.mark.parametrize("credit", [None, ANY])
-async def test_the_id_of_a_goal_is_in_use_until_its_client_has_heard_the_end(
-    credit: int | None,
-) -> None:
-    async with serving(running(*feedback(1), fib.Result([])), limits=Limits(goals=1)) as served:
-        client = await served.greet()
-        await client.send(1, credit=credit)
-        assert kinds(await client.hear_all())[-1] is Ended
-        await client.ask(send(2, B), Rejected)  # there is room for one goal
-        await client.say(Received(1))
-        assert await client.hear_all() == []
-        await client.send(1, B)
 
 
 async def test_an_observed_goal_is_not_kept_for_the_observer() -> None:
@@ -393,20 +264,6 @@ async def test_an_observer_may_leave_before_the_answer() -> None:
         await other.send(5, B)
 
 
-async def test_a_message_about_a_request_that_there_is_not_is_ignored() -> None:
-    go = anyio.Event()
-    async with serving(scripted(go, fib.Result([]))) as served:
-        client = await served.greet()
-        await client.send(1)
-        await client.say(Received(1), Received(7), AwaitServer(8, "fibonacci"), Received(8))
-        await client.say(Credit(7, 1), Close(7))
-        assert await client.hear_all() == [Done(8)]
-        go.set()
-        assert kinds(await client.hear_all()) == [Ended]
-        await client.say(Received(1), Received(1))
-        assert await client.is_served()
-
-
 async def test_goals_whose_ends_are_received_leave_nothing_behind() -> None:
     limits = Limits(goals=1, memory=len(GOAL))
     server = running(*feedback(1, 2), fib.Result([]), result_timeout=0)
@@ -426,26 +283,6 @@ async def test_goals_whose_ends_are_received_leave_nothing_behind() -> None:
 # Other requests
 
 
-async def test_a_canceled_goal_is_answered_and_ends() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        stamp = (await client.send(1)).stamp
-        await client.say(CancelGoals(2, "fibonacci", A, None))
-        heard = await client.hear_by_id()
-        assert heard[2] == [CancelAnswered(2, 0, [(A, stamp, GoalStatus.CANCELING)], "")]
-        assert heard[1] == [
-            StatusChanged(1, GoalStatus.CANCELING),
-            Like(Ended(1, GoalStatus.CANCELED, None, "", 0)),
-        ]
-
-
-async def test_a_cancel_of_all_by_time_that_finds_none_is_answered() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        answer = await client.ask(CancelGoals(2, "fibonacci", None, 1), CancelAnswered)
-        assert answer == CancelAnswered(2, CancelCode.NONE, [], "")
-
-
 async def test_the_reason_of_a_cancel_that_is_not_unicode_is_told_as_far_as_it_is() -> None:
     def on_cancel(*args: Any) -> Any:
         raise CancelRejected("no \udcff")
@@ -459,12 +296,6 @@ async def test_the_reason_of_a_cancel_that_is_not_unicode_is_told_as_far_as_it_i
         await client.ask(send(1, credit=None), Following)
         answer = await client.ask(CancelGoals(2, "fibonacci", A, None), CancelAnswered)
         assert (answer.return_code, answer.reason) == (CancelCode.REJECTED, "no ?")
-
-
-async def test_the_actions_that_are_served_are_listed() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        assert await client.ask(ListActions(1), Actions) == Actions(1, [FIBONACCI.info])
 
 
 async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
@@ -484,40 +315,6 @@ async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
         assert await client.hear_all() == []
         await client.say(Credit(2, 5))
         assert [message.status for message in await client.hear_all()] == [3, 5]
-
-
-@pytest.mark.parametrize("goals", [0, 2], ids=["at rest", "waiting for credit"])
-async def test_a_client_that_wants_no_more_statuses_is_told_that_there_are_none(
-    goals: int,
-) -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        for number in range(goals):
-            await client.send(number, bytes([number + 1] * 16))
-        await client.ask(WatchStatus(3, "fibonacci", 1), Watching)
-        assert len(await client.hear_all()) == min(goals, 1)
-        assert await client.ask(Close(3), Finished) == Finished(3)
-
-
-async def test_statuses_end_when_the_server_stops() -> None:
-    server = held()
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.ask(WatchStatus(2, "fibonacci", 1), Watching)
-        await server.stop()
-        assert await client.hear(Finished) == Finished(2)
-
-
-async def test_a_client_is_told_when_the_server_is_there() -> None:
-    server = held()
-    async with serving() as served:
-        served.endpoints["fibonacci"] = server
-        client = await served.greet()
-        await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"), Close(1))
-        assert await client.hear_all() == []
-        async with server:
-            assert await client.hear(Done) == Done(2)
-            assert await client.hear_all() == []
 
 
 async def test_where_actions_come_and_go_a_client_is_told_when_its_own_has_come() -> None:
@@ -620,17 +417,6 @@ async def test_a_client_without_permissions_is_not_told_what_there_is() -> None:
     async with serving(access=WireSettings(authorize=lambda *_: False)) as served:
         client = await served.greet()
         assert (await client.ask(WatchStatus(1, "swim", 1), Failed)).why == Why.FORBIDDEN
-
-
-async def test_a_request_that_is_allowed_is_granted() -> None:
-    async def authorize(peer: Peer, action: str, verb: Permission) -> bool:
-        await anyio.lowlevel.checkpoint()
-        return verb is Permission.SEND
-
-    async with serving(held(), access=WireSettings(authorize=authorize)) as served:
-        client = await served.greet()
-        await client.send(1)
-        assert (await client.ask(AwaitServer(2, "fibonacci"), Failed)).why == Why.FORBIDDEN
 
 
 @in_virtual_time()
@@ -914,25 +700,6 @@ async def test_an_answer_that_comes_after_the_connection_has_ended_is_dropped(
         assert len(lines) == 1 or error is not None  # a bug is logged, too
 
 
-async def test_a_permission_that_comes_after_the_connection_has_ended_sends_nothing() -> None:
-    allow = anyio.Event()
-
-    async def authorize(peer: Peer, action: str, verb: Permission) -> bool:
-        await allow.wait()
-        return True
-
-    server = scripted(anyio.Event())
-    async with serving(server, access=WireSettings(authorize=authorize)) as served:
-        client = await served.greet()
-        await client.say(send(1))
-        await settled()
-        client.channel.cut()
-        await settled()
-        allow.set()
-        await settled()
-        assert server.received == []
-
-
 @pytest.mark.parametrize("together", [True, False])
 async def test_a_decision_that_the_end_of_the_connection_cut_off_is_made_anew(
     together: bool,
@@ -984,25 +751,6 @@ async def test_a_newer_connection_of_a_client_ends_the_one_before_and_no_other()
         assert texts(lines) == [(logging.INFO, f"the first: {text}")]
         for client in (second, other, nameless):
             assert await client.is_served()
-
-
-async def test_a_client_too_many_is_told_so_and_another_is_taken_once_there_is_room() -> None:
-    async with serving(held(), limits=Limits(connections=2)) as served:
-        first, second = await served.greet(ANN), await served.greet(BOB)
-        with logged() as lines:
-            third = served.connect("the third")
-            reason = "the server is full: it has 2 connections"
-            assert await third.hear(Goodbye) == Goodbye(reason, Why.LIMIT)
-            await third.hear_the_end()
-        assert texts(lines) == [(logging.WARNING, f"the third is rejected: {reason}")]
-        fourth = served.connect()
-        fourth.channel.stop_reading()
-        await settled()
-        assert await first.is_served()
-        fourth.channel.cut()
-        second.channel.cut()
-        await settled()
-        assert await (await served.greet(BOB)).is_served()
 
 
 def waiting() -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
@@ -1062,14 +810,6 @@ async def test_a_server_that_closes_waits_neither_for_goals_nor_long_for_clients
         assert silent.channel.is_cut
 
 
-async def test_an_exception_of_the_block_goes_on_as_itself() -> None:
-    with pytest.raises(ZeroDivisionError):
-        async with serving(held()) as served:
-            client = await served.greet()
-            raise ZeroDivisionError
-    assert await client.hear(Goodbye) == CLOSING
-
-
 def talking() -> Server:
     """A server whose goals give more feedback than their client takes, and succeed."""
     return running(*feedback(*range(100)), fib.Result([]))
@@ -1087,19 +827,6 @@ async def test_a_server_that_has_closed_holds_no_executor_up() -> None:
             served.endpoints["fibonacci"] = server
             await (await served.greet()).send(1, credit=1)
         await has_succeeded(server)
-
-
-async def test_a_goal_is_told_through_a_gateway_as_far_as_there_is_credit() -> None:
-    go = anyio.Event()
-    async with real(*feedback(1, 2, 3), go, fib.Result([])) as endpoint, serving() as gateway:
-        gateway.endpoints["fibonacci"] = endpoint
-        client = await gateway.greet()
-        await client.send(1, credit=2)
-        assert [message.number for message in await client.hear_all()] == [1, 2]
-        await client.say(CancelGoals(2, "fibonacci", A, None), Credit(1, 5))
-        heard = await client.hear_by_id()
-        assert {Feedback, Ended} <= set(kinds(heard[1])) <= {StatusChanged, Feedback, Ended}
-        assert kinds(heard[2]) == [CancelAnswered]
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])

@@ -6,19 +6,10 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
+from fibaction.wire.frames import LEAST_FRAME
 from fibaction.wire.settings import ClientSettings, Limits
 
 NAMES = Limits.__struct_fields__
-
-
-def test_the_default_limits_let_a_usual_client_work() -> None:
-    limits = Limits()
-    assert limits.frame == 2**20
-    assert ClientSettings().max_frame == MAX_FRAME
-    assert limits.queue <= limits.frame <= limits.memory
-    assert limits.per_address is None
-    assert all(0 < getattr(limits, name) < math.inf for name in NAMES if name != "per_address")
 
 
 @given(strategies.sampled_from(NAMES), strategies.integers(LEAST_FRAME, 2**32 - 1))
@@ -38,11 +29,6 @@ def test_a_limit_that_limits_nothing_or_everything_is_rejected(name: str, value:
         Limits(**{name: value})  # type: ignore[arg-type]  # a float where some take an int
 
 
-@given(strategies.sampled_from(NAMES).filter("frame".__ne__), strategies.integers(1, LEAST_FRAME))
-def test_a_limit_may_be_small(name: str, value: int) -> None:
-    assert getattr(Limits(**{name: value}), name) == value
-
-
 def test_messages_of_a_kibibyte_pass_everywhere() -> None:
     limits = Limits(frame=LEAST_FRAME)
     assert limits.frame == ClientSettings(limits=limits).max_frame
@@ -56,16 +42,6 @@ def test_limits_are_not_none() -> None:
     limits: Any = None
     with pytest.raises(TypeError, match=r"limits are like Limits\(connections=100\), not None"):
         ClientSettings(limits=limits)
-
-
-def test_a_fraction_of_a_second_is_time_for_a_handshake() -> None:
-    assert Limits(handshake=0.25).handshake == 0.25
-
-
-def test_limits_do_not_change() -> None:
-    limits = Limits()
-    with pytest.raises(AttributeError):
-        limits.goals = 1  # type: ignore[misc]  # that is what is refused
 
 
 @pytest.mark.parametrize("name", ["frame", "goals"])

@@ -151,21 +151,6 @@ def test_an_error_of_others_is_its_name_and_what_it_says_if_it_can() -> None:
     assert text_of(Mute("too far")) == "Mute"
 
 
-def test_the_reason_of_a_rejection_does_not_say_whether_the_server_was_busy() -> None:
-    assert GoalRejected("no room", code=RejectionCode.BUSY).is_busy
-    assert not GoalRejected("busy: 1 of 1 running").is_busy
-
-
-def test_what_is_not_said_is_none_or_empty() -> None:
-    assert GoalRejected("no").goal_id is None
-    assert (GoalAborted("no").result, GoalAborted("no").goal_id) == (None, None)
-    late = GoalTimeout("slow")
-    assert (late.goal_id, late.status) == (None, GoalStatus.UNKNOWN)
-    assert (late.feedback, late.feedback_count) == (None, 0)
-    canceled = GoalCanceled()
-    assert (canceled.reason, canceled.result, canceled.goal_id) == ("", None, None)
-
-
 @pytest.mark.parametrize(
     "error",
     [

@@ -21,11 +21,6 @@ def test_a_missing_module_is_a_sentence_with_the_extra_that_brings_it() -> None:
     assert told.advice == "led: pip install 'lamps[led]'"
 
 
-def test_a_module_that_is_too_old_for_a_name_is_the_same_sentence() -> None:
-    told = missing(ImportError("cannot import name 'Light' from 'led'", name="led"))
-    assert str(told) == "a lamp needs led: pip install 'lamps[led]'"
-
-
 def test_the_sentence_goes_to_another_process_as_it_is() -> None:
     told = missing(ModuleNotFoundError("No module named 'led'", name="led"))
     copy = pickle.loads(pickle.dumps(told))

@@ -30,10 +30,6 @@ def test_a_meta_without_entries_is_none() -> None:
     assert (size_of(None), size_of({})) == (0, 0)
 
 
-def test_the_bytes_of_keys_and_values_count_as_they_are_sent() -> None:
-    assert size_of({"a": "bc", "ä": ""}) == 5
-
-
 def test_a_meta_at_the_limits_is_copied() -> None:
     meta = {str(number): "" for number in range(MAX_KEYS)}
     meta["0"] = "x" * (MAX_META_BYTES - MAX_KEYS)
@@ -102,12 +98,6 @@ def test_a_long_name_of_a_step_is_kept_and_told_in_part() -> None:
 def test_a_meta_without_the_id_of_a_goal_names_no_parent(meta: dict[str, str] | None) -> None:
     assert parent_in(meta) is None
     assert meta_after_end(meta) is None
-
-
-def test_the_parent_is_left_of_the_meta_after_the_end() -> None:
-    meta = meta_of_child(Parent(PARENT_ID, "pick"), {"traceparent": "00-1"})
-
-    assert meta_after_end(meta) == {"parent": str(PARENT_ID), "step": "pick"}
 
 
 LABELS = {"order": "17", "site": "north"}

@@ -9,7 +9,6 @@ from fibaction.words.plain_data import (
     check_is_number,
     is_list,
     is_map,
-    is_number,
     quoted,
 )
 
@@ -33,14 +32,6 @@ def test_an_argument_that_is_not_a_number_is_told_by_its_name() -> None:
         check_is_number("timeout", number)
     with pytest.raises(TypeError, match="timeout is a number, not '5'"):
         check_is_number("timeout", "5")
-
-
-def test_true_is_not_a_number() -> None:
-    assert [is_number(value) for value in (1, 1.5, True, "1")] == [True, True, False, False]
-
-
-def test_a_long_value_is_quoted_in_part() -> None:
-    assert quoted("x" * 1000) == '"' + "x" * 59 + "..."
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
 import pydantic
 import pytest
 
@@ -64,14 +63,6 @@ def test_other_feedback_tells_nothing(feedback: object) -> None:
     assert (meter.read(feedback), meter.fields) == (None, ())
 
 
-def test_what_is_not_a_number_tells_nothing() -> None:
-    assert ProgressMeter().read({"progress": math.nan}) is None
-    assert ProgressMeter().read(Progress(math.nan, 1)) is None
-    assert Progress(math.nan, 1).fraction is None
-    assert Progress(1, math.inf).fraction is None
-    assert Progress(math.inf, 2).fraction == 1.0
-
-
 def test_a_text_of_another_type_is_none() -> None:
     assert ProgressMeter().read({"done": 1, "total": 2, "text": 5}) == Progress(1, 2)
 
@@ -79,11 +70,6 @@ def test_a_text_of_another_type_is_none() -> None:
 def test_the_counts_and_the_text_are_a_label() -> None:
     assert Progress(3, 10, "unpacking").label == "3/10 unpacking"
     assert Progress(0.5).label == "0.5"
-
-
-def test_it_is_feedback_as_plain_data() -> None:
-    assert msgspec.to_builtins(Progress(1, 2)) == {"done": 1, "total": 2, "text": ""}
-    assert msgspec.convert({"done": 3}, Progress) == Progress(3)
 
 
 def test_a_number_that_is_not_finite_is_no_progress_and_no_total() -> None:

@@ -14,7 +14,6 @@ from typing import Any
 import anyio
 import anyio.lowlevel
 import pytest
-import sniffio
 from anyio.abc import SocketAttribute
 
 from fibaction.border.event_loop import SLICE
@@ -22,7 +21,7 @@ from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction_transports._socket_lines import on_asyncio, protocol_line
-from fibaction_transports._socket_lines.on_asyncio import accept, dial_tcp, dial_unix
+from fibaction_transports._socket_lines.on_asyncio import accept, dial_tcp
 from fibaction_transports._socket_lines.protocol_line import PIECE, ProtocolLine
 from fibaction_transports._socket_lines.sockets import BATCH
 from tests.support.slices import SliceClock
@@ -155,35 +154,6 @@ async def test_frames_go_both_ways_in_order() -> None:
         assert one.heard == [b"answer"]
 
 
-async def test_what_there_is_to_say_before_it_runs_is_said() -> None:
-    async with listening() as ((host, port), ends):
-        line = await dial_tcp(host, port, FrameReader(), "the server")
-        await until(lambda: ends)
-        one, other = End(line), ends[0]
-        one.say(b"early")
-        await line.send([b"earliest"])
-        async with anyio.create_task_group() as tasks:
-            await until(lambda: other.line._early)  # it has arrived, and nobody takes it yet
-            tasks.start_soon(other.run)
-            tasks.start_soon(one.run)
-            await until(lambda: len(other.heard) == 2)
-            assert other.heard == [b"earliest", b"early"]
-            one.stop()
-            other.stop()
-        await line.aclose()
-
-
-async def test_it_asks_again_when_all_is_written_and_then_waits_to_be_stirred() -> None:
-    async with pair() as (one, other):
-        one.say(b"1")
-        await until(lambda: other.heard)
-        asked = one.fetched
-        assert asked == 3  # at first; for the frame; and whether there is more
-        for _ in range(5):
-            await anyio.lowlevel.checkpoint()
-        assert one.fetched == asked
-
-
 async def test_what_is_stirred_at_once_is_written_in_the_same_turn() -> None:
     async with pair() as (one, other):
         one.say(b"1")
@@ -231,15 +201,6 @@ async def test_after_a_large_write_others_have_their_turn() -> None:
                 turn += 1
         assert len(set(turns)) >= 3
         assert len(turns) == 4
-
-
-async def test_a_frame_in_pieces_is_heard_of_and_handed_over_when_it_is_whole() -> None:
-    async with beside_a_socket() as (end, peer):
-        data = framed([b"hello"])
-        for i in range(len(data)):
-            peer.send(data[i : i + 1])
-            await until(lambda i=i: end.pieces == i + 1)  # type: ignore[misc]  # bound here, for now
-            assert end.heard == ([b"hello"] if i == len(data) - 1 else [])
 
 
 async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progress() -> None:
@@ -408,35 +369,6 @@ async def test_lines_that_have_ended_take_no_turn_of_the_others(
             peer.close()
 
 
-async def test_a_line_that_no_longer_runs_handles_no_rest() -> None:
-    async with beside_a_socket() as (end, peer):
-        giving_back(end)
-        peer.send(framed([b"1", b"2", b"3"]))
-        await until(lambda: end.heard)
-        end.stop()
-        await end.ended.wait()
-        heard = len(end.heard)
-        for _ in range(5):
-            await anyio.lowlevel.checkpoint()
-        assert len(end.heard) == heard < 3
-        assert not end.line._transport.is_reading()
-
-
-async def test_an_error_in_the_rest_is_the_end() -> None:
-    async with beside_a_socket() as (end, peer):
-        wrong = ProtocolError("no such message")
-
-        def on_frames(frames: list[bytes]) -> list[bytes]:
-            if frames == [b"2"]:
-                raise wrong
-            return frames[1:]
-
-        end.on_frames = on_frames
-        peer.send(framed([b"1", b"2"]))
-        await end.ended.wait()
-        assert end.error is wrong
-
-
 async def test_frames_that_arrived_before_it_runs_may_be_given_back_as_well() -> None:
     async with listening() as (address, ends):
         with socket.create_connection(address) as peer:
@@ -479,15 +411,6 @@ async def test_what_hear_raises_is_the_end_and_nothing_more_is_heard() -> None:
         assert other.heard == [b"1"]
 
 
-async def test_a_line_that_is_lost_before_its_turn_to_write_fetches_nothing() -> None:
-    async with pair() as (one, _):
-        asked = one.fetched
-        one.say(b"1")
-        one.line.connection_lost(None)
-        await one.ended.wait()
-        assert one.fetched == asked
-
-
 async def test_what_fetch_raises_is_the_end_too() -> None:
     async with pair() as (one, _):
         wrong = RuntimeError("a fault of ours")
@@ -526,17 +449,6 @@ async def test_the_last_frame_is_handed_over_before_the_end() -> None:
     assert str(one.error) == "that was the last frame"
 
 
-async def test_a_frame_that_is_too_large_is_the_end() -> None:
-    async with listening(max_frame=10) as (address, ends):
-        with socket.create_connection(address) as peer:
-            await until(lambda: ends)
-            peer.send(framed([bytes(11)]))
-            with anyio.fail_after(30):
-                await ends[0].run()
-        assert isinstance(ends[0].error, ProtocolError)
-        assert str(ends[0].error) == "frame of 11 bytes exceeds the limit of 10 bytes"
-
-
 @pytest.mark.parametrize(
     ("said", "how"), [(b"", "its side"), (b"\0\0", "in the middle of a message")]
 )
@@ -561,18 +473,6 @@ async def test_a_connection_that_is_reset_is_lost_with_its_cause() -> None:
         assert isinstance(end.error.__cause__, ConnectionResetError)
         with pytest.raises(ConnectionLost, match=f"the connection to {end.line.peer} broke"):
             await end.line.send([b"after the end"])
-
-
-async def test_who_stops_to_run_it_reads_no_more_and_can_still_have_the_last_word() -> None:
-    async with beside_a_socket() as (end, peer):
-        end.stop()
-        await end.line.send([b"goodbye"])
-        peer.send(framed([b"too late"]))
-        for _ in range(5):
-            await anyio.lowlevel.checkpoint()
-        assert end.heard == []
-        await anyio.wait_readable(peer)
-        assert peer.recv(100) == framed([b"goodbye"])
 
 
 async def test_the_last_word_waits_until_it_is_written_or_the_connection_is_lost() -> None:
@@ -673,20 +573,6 @@ async def test_bytes_that_came_before_the_connection_was_lost_are_read_first() -
             ends[0].ended.set()
 
 
-async def test_what_was_read_of_the_frames_is_handled_before_what_has_arrived_meanwhile() -> None:
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            one, two = framed([b"one"]), framed([b"two"])
-            peer.send(one[3:] + two)
-            await until(lambda: ends and ends[0].line._early)
-            ends[0].line.begin(FrameReader(), one[:3])
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(ends[0].run)
-                await until(lambda: len(ends[0].heard) == 2)
-                assert ends[0].heard == [b"one", b"two"]
-                ends[0].stop()
-
-
 class Noting(FrameReader):
     """A form that notes what it is to discard, and expects the end of the peer."""
 
@@ -695,25 +581,6 @@ class Noting(FrameReader):
 
     def discard(self, data: bytes) -> None:
         self.discarded += data
-
-
-@pytest.mark.usefixtures("patient")
-async def test_what_was_read_before_it_ran_is_not_discarded_again_at_the_end() -> None:
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            peer.send(framed([b"one"]))
-            await until(lambda: ends and ends[0].line._early)
-            line, noting = ends[0].line, Noting()
-            line.begin(noting, b"")
-            ends[0].stop()
-            await ends[0].run()
-            assert ends[0].heard == [b"one"]
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(line.aclose)
-                peer.send(b"two")
-                await until(lambda: noting.discarded)
-                peer.close()
-            assert noting.discarded == b"two"
 
 
 async def test_a_line_is_closed_also_by_who_is_being_canceled() -> None:
@@ -753,7 +620,7 @@ async def test_a_connection_that_fails_ends_no_other(caplog: pytest.LogCaptureFi
     async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(accept, listener.listeners[0], FrameReader, serve, tasks)
-            address = listener.extra(SocketAttribute.local_address)
+            address: Any = listener.extra(SocketAttribute.local_address)
             for count in (1, 2):
                 with socket.create_connection(address):
                     await until(lambda count=count: len(served) == count)  # type: ignore[misc]  # bound here, for now
@@ -766,22 +633,6 @@ async def test_small_messages_are_sent_at_once_by_both_ends() -> None:
         for end in (one, other):
             made = end.line._transport.get_extra_info("socket")
             assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-
-
-async def test_a_peer_is_named_by_its_address_if_it_has_one(tmp_path: Path) -> None:
-    async with listening() as ((host, port), ends):
-        line = await dial_tcp(host, port, FrameReader(), "tcp://robot:7400")
-        assert line.peer == "tcp://robot:7400"
-        await until(lambda: ends)
-        here = line._transport.get_extra_info("sockname")
-        assert ends[0].line.peer == f"127.0.0.1:{here[1]}"
-        await line.aclose()
-    async with listening(path=tmp_path / "socket") as (_, ends):
-        line = await dial_unix(tmp_path / "socket", FrameReader(), "unix://socket")
-        assert line.peer == "unix://socket"
-        await until(lambda: ends)
-        assert ends[0].line.peer == "a local process"
-        await line.aclose()
 
 
 async def test_a_peer_that_has_left_before_it_was_looked_at_has_no_name() -> None:
@@ -902,30 +753,6 @@ async def test_addresses_of_a_name_are_tried_at_once_unless_tasks_begin_at_once(
         line = await dial_tcp(name, port, FrameReader(), "the server")
         await line.aclose()
     assert given == [settings]
-
-
-async def test_callbacks_know_that_they_are_asyncios_also_where_only_asyncio_was_started() -> None:
-    libraries: list[str] = []
-
-    async def main() -> None:
-        async with pair() as (one, other):
-
-            def on_frames(frames: list[bytes]) -> None:
-                libraries.append(sniffio.current_async_library())
-
-            other.on_frames = on_frames
-            one.say(b"1")
-            await until(lambda: libraries)
-
-    await anyio.to_thread.run_sync(asyncio.run, main())
-    assert libraries == ["asyncio"] * len(libraries)
-
-
-async def test_without_sniffio_nothing_has_to_be_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "sniffio", None)
-    async with pair() as (one, other):
-        one.say(b"1")
-        await until(lambda: other.heard)
 
 
 @pytest.mark.parametrize("turns", range(12))

@@ -39,17 +39,6 @@ async def test_more_than_a_socket_holds_arrives_whole(
     assert arrived == bytes(range(256)) * (LARGE // 256)
 
 
-async def test_the_end_of_one_direction_leaves_the_other(
-    ends: tuple[socket.socket, socket.socket],
-) -> None:
-    ours, theirs = (SocketStream(end) for end in ends)
-    await ours.send_eof()
-    with pytest.raises(anyio.EndOfStream):
-        await theirs.receive()
-    await theirs.send(b"more")
-    assert await ours.receive() == b"more"
-
-
 async def test_a_stream_that_waits_ends_when_it_is_closed(
     ends: tuple[socket.socket, socket.socket],
 ) -> None:
@@ -68,15 +57,6 @@ async def test_a_stream_that_waits_ends_when_it_is_closed(
         await ours.aclose()
         await ours.aclose()
     assert ends[0].fileno() == -1
-
-
-async def test_a_socket_that_was_given_up_stays_open(
-    ends: tuple[socket.socket, socket.socket],
-) -> None:
-    ours = SocketStream(ends[0])
-    assert ours.detach() is ends[0]
-    await ours.aclose()
-    assert ends[0].fileno() >= 0
 
 
 async def test_a_peer_has_its_address_until_it_has_reset_the_connection() -> None:

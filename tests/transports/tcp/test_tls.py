@@ -40,13 +40,6 @@ from tests.transports.tcp.servers import Named, new_server, tls_server, works
 pytestmark = pytest.mark.asyncio
 
 
-async def test_a_client_that_knows_the_authority_is_served_over_tls() -> None:
-    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
-        assert url == f"tls://127.0.0.1:{port_of(url)}"
-        assert await works(url, tls=TlsFiles(ca=pems().ca))
-        assert await works(f"{url}?ca={pems().ca}")
-
-
 async def test_a_host_with_several_addresses_is_served_over_tls_at_each_of_them() -> None:
     try:
         addresses = {str(one[4][0]) for one in socket.getaddrinfo("localhost", 0)}
@@ -143,16 +136,6 @@ async def test_a_server_hears_why_a_client_refuses_it(heard: Hearing) -> None:
         await heard.until(": no TLS: it rejected our certificate: unknown ca")
 
 
-async def test_a_server_with_a_context_of_its_own_refuses_a_client_without_a_word() -> None:
-    strict = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=pems().ca)
-    strict.load_cert_chain(pems().cert)
-    strict.verify_mode = ssl.CERT_REQUIRED
-    async with serve(new_server(), TcpTransport(port=0, tls=strict)) as (url,):
-        with anyio.fail_after(30), pytest.raises(ConnectionLost):
-            async with connect(url, tls=TlsFiles(ca=pems().ca), reconnect=False):
-                raise AssertionError("the block must not run")
-
-
 async def test_who_is_refused_and_does_not_go_is_not_waited_for_long(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
@@ -200,14 +183,6 @@ async def test_what_a_server_says_instead_of_its_first_message_is_a_refusal_or_a
     with pytest.raises(kind, match=text) as caught:
         await TlsChannel(stream, "robot", FrameReader()).receive()
     assert type(caught.value) is kind
-    assert caught.value.__cause__ is error
-
-
-async def test_a_connection_that_is_lost_below_tls_is_a_loss() -> None:
-    error = ConnectionResetError("reset")
-    stream: Any = _Failing(socket.AF_INET, None, error)
-    with pytest.raises(ConnectionLost, match="the connection to robot broke") as caught:
-        await TlsChannel(stream, "robot", FrameReader()).receive()
     assert caught.value.__cause__ is error
 
 
@@ -260,18 +235,6 @@ async def test_a_plain_client_at_a_tls_server_is_told_so_and_gives_up(
         assert said.endswith(": no TLS: it does not speak TLS")
 
 
-async def test_a_peer_that_begins_with_tls_and_is_refused_hears_an_alert_and_nothing_else() -> None:
-    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
-        hello = b"\x16\x03\x01\x00\x04\x01\x00\x00\x00"  # too short for what it says to be
-        await peer.stream.send(hello)
-        with anyio.fail_after(30):
-            heard = await peer.stream.receive()
-            assert heard[0] == 0x15
-            assert len(heard) == 7
-            with pytest.raises(anyio.EndOfStream):
-                await peer.stream.receive()
-
-
 @pytest.mark.parametrize("reconnect", [True, False])
 async def test_a_tls_client_at_a_plain_server_is_told_so_and_gives_up(reconnect: bool) -> None:
     async with serve(new_server(), "tcp://127.0.0.1:0") as (url,):
@@ -307,31 +270,6 @@ async def test_a_flood_of_unfinished_handshakes_ends_none_of_another_address(
         await heard.until("no TLS: it took too long while 2 others began")
         assert all(line.startswith("127.0.0.2:") for line in heard.warnings)
         assert await works(f"{url}?ca={pems().ca}")
-
-
-async def test_clients_that_begin_and_say_nothing_keep_no_other_out(heard: Hearing) -> None:
-    limits = Limits(connections=2)
-    transport = TcpTransport(port=0, tls=TlsFiles(cert=pems().cert), limits=limits)
-    async with serve(new_server(), transport) as (url,), AsyncExitStack() as silent:
-        for _ in range(3):
-            await silent.enter_async_context(raw(url))
-        assert await works(f"{url}?ca={pems().ca}")
-        lines = [
-            line
-            for line in heard.warnings
-            if "no TLS: it took too long while 2 others began" in line
-        ]
-        assert len(lines) == 2
-
-
-async def test_who_hangs_up_while_shaking_hands_is_said_to_have_done_so(heard: Hearing) -> None:
-    transport = tls_server(cert=pems().cert)
-    async with serve(new_server(), transport) as (url,):
-        async with raw(url) as peer:
-            await peer.stream.send(b"\x16\x03\x01")  # how TLS begins
-        said = "no TLS: it hung up while shaking hands: it may not trust our certificate"
-        await heard.until(f"{peer.name}: {said}")
-        assert len(heard.warnings) == 1
 
 
 @pytest.mark.parametrize(
@@ -370,14 +308,6 @@ async def test_a_server_can_stop_while_somebody_begins_with_tls(
                 await stack.enter_async_context(raw(url))
                 await begun.wait()
     assert heard.warnings == []
-
-
-async def test_plain_text_at_a_tls_port_ends_the_connection() -> None:
-    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
-        await peer.say(b"hello?")
-        with anyio.fail_after(10), pytest.raises((anyio.EndOfStream, anyio.BrokenResourceError)):
-            while True:
-                await peer.stream.receive()
 
 
 async def test_a_client_whose_handshake_fails_closes_its_socket() -> None:
@@ -443,16 +373,6 @@ async def test_the_next_connection_of_a_client_resumes_its_session(newest: ssl.T
         for resumed in range(3):
             assert await works(transport)
             assert context.session_stats()["hits"] == resumed
-
-
-async def test_a_server_that_does_not_know_the_session_is_talked_to_like_a_new_one() -> None:
-    first, second = counting(), counting()
-    async with serve(new_server(), TcpTransport(port=0, tls=first)) as (url,):
-        transport = TcpTransport(port=port_of(url), tls=TlsFiles(ca=pems().ca))
-        assert await works(transport)
-    async with serve(new_server(), TcpTransport(port=port_of(url), tls=second)):
-        assert await works(transport)
-        assert second.session_stats()["hits"] == 0
 
 
 async def test_after_a_handshake_that_has_failed_no_session_is_resumed() -> None:

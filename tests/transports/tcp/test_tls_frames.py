@@ -85,11 +85,6 @@ def test_a_large_frame_comes_out_both_ways(size: int) -> None:
         assert fed(other, [data]) == [bytes(size), b"behind it"]
 
 
-def test_what_is_sent_cannot_be_read_on_the_way() -> None:
-    client, _ = pair()
-    assert b"secret" not in client.encode([b"secret"])
-
-
 def test_a_piece_of_a_record_is_not_a_frame_and_part_of_a_frame_is_known() -> None:
     client, server = pair()
     data = client.encode([b"x" * 20_000])
@@ -98,12 +93,6 @@ def test_a_piece_of_a_record_is_not_a_frame_and_part_of_a_frame_is_known() -> No
     assert server.feed(data[100:17_000]) == []
     assert server.is_within_frame
     assert server.feed(data[17_000:]) == [b"x" * 20_000]
-
-
-def test_the_limit_of_a_frame_holds_inside_tls() -> None:
-    client, server = pair(FrameReader(10))
-    with pytest.raises(ProtocolError, match="frame of 11 bytes exceeds the limit of 10"):
-        server.feed(client.encode([b"x" * 11]))
 
 
 @pytest.mark.parametrize("newest", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
@@ -121,15 +110,6 @@ def test_each_side_says_that_it_closes_and_then_nothing_more_is_expected(
     assert not client.is_closed
     client.discard(server.goodbye())
     assert client.is_closed
-
-
-def test_who_hears_the_close_of_the_other_after_its_own_has_nothing_more_to_say() -> None:
-    client, server = pair()
-    lasts = client.goodbye(), server.goodbye()
-    for framing, last in zip((server, client), lasts, strict=True):
-        framing.discard(last)
-        assert framing.is_closed
-        assert framing.goodbye() == b""
 
 
 def test_frames_before_a_close_are_handed_over_first() -> None:
@@ -160,16 +140,6 @@ def test_bytes_that_are_changed_on_the_way_end_the_connection_with_an_alert() ->
     with pytest.raises(ConnectionLost, match="the connection to robot broke"):
         client.encode([b"too late"])
     client.goodbye()
-
-
-def test_what_comes_behind_the_end_is_not_kept() -> None:
-    client, server = pair()
-    last = client.goodbye()
-    for _ in range(3):
-        with pytest.raises(ConnectionLost, match=CLOSED):
-            server.feed(last)
-        server.discard(last)
-    assert server._incoming.pending == 0
 
 
 def test_what_tls_has_to_say_by_itself_is_sent_and_is_bounded_if_nobody_reads_it() -> None:
@@ -226,13 +196,6 @@ def test_the_form_inside_has_its_own_answer_and_goodbye_and_end() -> None:
     assert inside.discarded == framed([b"one"])
     with pytest.raises(ProtocolError, match="exceeds the limit"):
         client.feed(server.goodbye())
-
-
-def test_what_is_incomplete_inside_is_forgotten_with_the_line() -> None:
-    client, server = pair()
-    server.feed(client._encrypted(framed([b"whole"])[:-1]))
-    server.close()
-    assert not server.is_within_frame
 
 
 @pytest.mark.asyncio

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import socket
-import ssl
 import stat
 from collections.abc import AsyncGenerator
 from errno import EMFILE
@@ -121,13 +120,6 @@ async def test_a_host_whose_name_cannot_be_is_no_place_to_listen_at() -> None:
             raise AssertionError("the block must not run")
 
 
-async def test_a_setting_that_there_is_not_is_a_type_error() -> None:
-    with pytest.raises(TypeError, match="speed"):
-        TcpTransport.from_url("tcp://", speed=3)
-    with pytest.raises(TypeError, match="speed"):
-        UnixTransport.from_url("unix:///x", speed=3)
-
-
 async def test_with_port_0_the_url_has_the_port_that_was_found() -> None:
     async with serve(new_server(), "tcp://127.0.0.1:0", "tcp://localhost:0") as (one, other):
         assert 0 != port_of(one) != port_of(other) != 0
@@ -154,12 +146,6 @@ async def test_an_address_in_use_is_refused() -> None:
                 raise AssertionError("the block must not run")
         assert str(caught.value).lower() == f"address already in use: {url}"
         assert await works(url)
-
-
-@pytest.mark.parametrize("url", ["tcp://robot:99999", "tcp://robot:port", "unix://x/y", "unix://"])
-async def test_a_url_without_a_place_is_refused(url: str) -> None:
-    with pytest.raises(TransportError):
-        connect(url)
 
 
 async def test_two_actions_of_one_name_are_refused() -> None:
@@ -274,18 +260,6 @@ def test_unix_sockets_are_served_on_trio_too(tmp_path: Path) -> None:
             assert await works(url)
 
     anyio.run(main, backend="trio")
-
-
-async def test_a_client_with_the_right_authority_is_served_over_tls() -> None:
-    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
-        assert await works(url, tls=TlsFiles(ca=pems().ca))
-    context = ssl.create_default_context(cafile=pems("other.test").ca)
-    serving = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    serving.load_cert_chain(pems().cert)
-    async with serve(new_server(), TcpTransport(port=0, tls=serving)) as (url,):
-        with pytest.raises(AuthenticationFailed):
-            async with connect(url, tls=context):
-                raise AssertionError("the block must not run")
 
 
 async def test_a_server_that_hangs_up_in_the_handshake_is_a_transport_error() -> None:
@@ -420,12 +394,6 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
     assert "the server asks for a token, and the client gave none" in caplog.text
 
 
-async def test_a_server_with_an_empty_token_is_refused() -> None:
-    for tokens in ({}, {"": "anybody"}):
-        with pytest.raises(ValueError, match="needs at least one, and none empty"):
-            TcpTransport(tokens=tokens)
-
-
 async def test_a_token_that_cannot_be_sent_is_refused_before_anything_is() -> None:
     with pytest.raises(TransportError, match=r"^tcp://robot: token is not valid text") as caught:
         connect("tcp://robot", FIBONACCI, token="secret \udcff")
@@ -531,16 +499,6 @@ async def test_a_permission_that_cannot_be_found_out_is_none(
             with anyio.fail_after(30), pytest.raises(ServerFailed, match="failed: OSError"):
                 await client.call(Goal(1))
     assert "no directory" in caplog.text
-
-
-async def test_what_says_yes_must_say_true(heard: Hearing) -> None:
-    def authorize(peer: Peer, action: str, verb: Permission) -> Any:
-        return "yes"
-
-    async with serve(new_server(), TcpTransport(port=0, authorize=authorize)) as (url,):
-        async with connect(url, FIBONACCI) as client:
-            with anyio.fail_after(30), pytest.raises(AuthenticationFailed):
-                await client.call(Goal(1))
 
 
 async def test_the_log_names_the_peer(heard: Hearing, tmp_path: Path) -> None:
