@@ -14,7 +14,7 @@ from msgspec import inspect as types
 from page_parts import table
 
 from fibaction.types.action import ActionInfo
-from fibaction.wire import codec
+from fibaction.wire import messages
 from fibaction.wire.settings import Limits
 
 GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "support" / "golden.py"
@@ -60,7 +60,7 @@ An entry with the name of a message overrides the docstring."""
 
 def messages_part() -> str:
     """Return the section on every message: its form, its fields, and the bytes of an example."""
-    client, server = get_args(codec.FromClient), get_args(codec.FromServer)
+    client, server = get_args(messages.FromClient), get_args(messages.FromServer)
     groups = {
         "From either side": [kind for kind in client if kind in server],
         "From the client": [kind for kind in client if kind not in server],

@@ -42,7 +42,7 @@ from fibaction import CancelCode, GoalStatus, connect, serve
 from fibaction.border.urls import GROUP
 from fibaction.server.life import LIFE
 from fibaction.testing import ScriptedServer
-from fibaction.wire import codec, messages
+from fibaction.wire import messages
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.words.statuses import TRANSITIONS
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
@@ -317,7 +317,7 @@ def test_the_generated_parts_of_a_page_are_as_the_code_makes_them(name: str) -> 
 # The protocol
 
 MESSAGES = sorted(
-    {*get_args(codec.FromClient), *get_args(codec.FromServer)},
+    {*get_args(messages.FromClient), *get_args(messages.FromServer)},
     key=lambda kind: kind.__struct_config__.tag,
 )
 

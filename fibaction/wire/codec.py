@@ -5,82 +5,14 @@ Sans-I/O. The messages are in `messages`; `session` and `calls` know when each m
 
 from __future__ import annotations
 
-from typing import TypeAlias, get_args
+from typing import get_args
 
 import msgspec
 
 from fibaction._runtime.text import excerpt
-from fibaction.wire.messages import (
-    Actions,
-    AskPeers,
-    AskPlaces,
-    AwaitServer,
-    CancelAnswered,
-    CancelGoals,
-    Close,
-    Credit,
-    Done,
-    Ended,
-    Failed,
-    Feedback,
-    FeedbackBatch,
-    Finished,
-    Follow,
-    Following,
-    GoalChanged,
-    Goodbye,
-    Hello,
-    ListActions,
-    Peers,
-    Ping,
-    Places,
-    Received,
-    Rejected,
-    SendGoal,
-    StatusChanged,
-    Watching,
-    WatchStatus,
-    Welcome,
-)
+from fibaction.wire.messages import FromClient, FromServer, Ping
 from fibaction.words.errors import ProtocolError
 from fibaction.words.goals import GoalID
-
-FromClient: TypeAlias = (
-    Hello
-    | SendGoal
-    | Follow
-    | CancelGoals
-    | WatchStatus
-    | AwaitServer
-    | ListActions
-    | Credit
-    | Close
-    | Received
-    | AskPeers
-    | AskPlaces
-    | Ping
-    | Goodbye
-)
-FromServer: TypeAlias = (
-    Welcome
-    | Following
-    | Rejected
-    | Failed
-    | Feedback
-    | FeedbackBatch
-    | StatusChanged
-    | Ended
-    | CancelAnswered
-    | GoalChanged
-    | Done
-    | Finished
-    | Actions
-    | Watching
-    | Peers
-    | Places
-    | Ping
-    | Goodbye
-)
 
 
 def _plain(value: object) -> bytes:

@@ -20,9 +20,17 @@ import pytest
 from anyio.abc import SocketStream
 
 from fibaction import Action, ActionServer, GoalHandle, Limits, Schedule, serve
-from fibaction.wire.codec import FromClient, encode
+from fibaction.wire.codec import encode
 from fibaction.wire.frames import UNCOUNTED, framed, header
-from fibaction.wire.messages import VERSION, CancelGoals, Follow, Hello, SendGoal, WatchStatus
+from fibaction.wire.messages import (
+    VERSION,
+    CancelGoals,
+    Follow,
+    FromClient,
+    Hello,
+    SendGoal,
+    WatchStatus,
+)
 from fibaction.wire.settings import DEFAULT_LIMITS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -17,7 +17,7 @@ from anyio.abc import TaskGroup
 
 from fibaction import GoalID
 from fibaction.wire.auth import Permission
-from fibaction.wire.codec import FromClient, encode
+from fibaction.wire.codec import encode
 from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.messages import (
     VERSION,
@@ -28,6 +28,7 @@ from fibaction.wire.messages import (
     Close,
     Credit,
     Follow,
+    FromClient,
     Goodbye,
     Hello,
     ListActions,

@@ -14,7 +14,7 @@ import anyio
 from fibaction import GoalID
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.auth import Permission
-from fibaction.wire.codec import FromClient, FromServer, decode_from_server, encode
+from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import MAX_FRAME, FrameReader, framed
 from fibaction.wire.messages import (
     AskPeers,
@@ -27,6 +27,8 @@ from fibaction.wire.messages import (
     Feedback,
     Follow,
     Following,
+    FromClient,
+    FromServer,
     GoalChanged,
     Goodbye,
     ListActions,

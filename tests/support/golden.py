@@ -6,7 +6,6 @@ The format is pinned by this table: `tests/wire/test_messages.py` checks the cod
 from __future__ import annotations
 
 from fibaction.types.action import ActionInfo
-from fibaction.wire.codec import FromClient, FromServer
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
@@ -24,6 +23,8 @@ from fibaction.wire.messages import (
     Finished,
     Follow,
     Following,
+    FromClient,
+    FromServer,
     GoalChanged,
     Goodbye,
     Hello,

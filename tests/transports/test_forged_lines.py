@@ -18,7 +18,7 @@ import pytest
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction import ActionServer, serve
-from fibaction.wire.codec import FromServer, decode_from_client, encode
+from fibaction.wire.codec import decode_from_client, encode
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.messages import (
     VERSION,
@@ -26,6 +26,7 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Following,
+    FromServer,
     Goodbye,
     Hello,
     Rejected,

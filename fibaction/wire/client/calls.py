@@ -12,9 +12,8 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from fibaction._runtime.notify import Notifier
-from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
-from fibaction.wire.messages import Close, Credit, Failed
+from fibaction.wire.messages import Close, Credit, Failed, FromClient
 from fibaction.words.errors import ActionError, ProtocolError, copy_of
 from fibaction.words.goals import GoalID
 

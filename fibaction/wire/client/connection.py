@@ -47,7 +47,7 @@ from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.reconnect import Reconnector
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses
-from fibaction.wire.codec import FromServer, decode_from_server, encode
+from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.errors import error_of_goodbye
 from fibaction.wire.link import FIRST_PING, Link, close_line, naming
 from fibaction.wire.messages import (
@@ -61,6 +61,7 @@ from fibaction.wire.messages import (
     Done,
     Ended,
     Follow,
+    FromServer,
     Goodbye,
     Hello,
     ListActions,

@@ -31,7 +31,7 @@ from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.calls import Call, PendingRequest, unfitting
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch, info_of
-from fibaction.wire.codec import FromClient, encode
+from fibaction.wire.codec import encode
 from fibaction.wire.errors import error_of
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
@@ -42,6 +42,7 @@ from fibaction.wire.messages import (
     Failed,
     Finished,
     Follow,
+    FromClient,
     GoalChanged,
     Places,
     SendGoal,

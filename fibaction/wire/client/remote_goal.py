@@ -43,7 +43,6 @@ from fibaction._runtime.text import shortened
 from fibaction.border.abc import FeedbackItem, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
 from fibaction.wire.client.unread_feedback import UnreadFeedback
-from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     LONGEST_TIMEOUT,
@@ -54,6 +53,7 @@ from fibaction.wire.messages import (
     FeedbackBatch,
     Follow,
     Following,
+    FromClient,
     Received,
     Rejected,
     SendGoal,

@@ -34,12 +34,12 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import LENGTH, excerpt, shortened
 from fibaction.border.abc import StatusStream
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
-from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     Close,
     Failed,
     Finished,
+    FromClient,
     GoalChanged,
     Watching,
     WatchStatus,

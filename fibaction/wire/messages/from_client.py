@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import TypeAlias, final
 
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages.fields import (
@@ -11,8 +11,10 @@ from fibaction.wire.messages.fields import (
     Count,
     FrameSize,
     GoalBytes,
+    Goodbye,
     LabelFields,
     PastFields,
+    Ping,
     Seconds,
     Stamp,
     Timeout,
@@ -174,3 +176,22 @@ class AskPlaces(WireMessage, tag=27):
     action: str
     most: Count
     """Most goals to be told in the answer."""
+
+
+FromClient: TypeAlias = (
+    Hello
+    | SendGoal
+    | Follow
+    | CancelGoals
+    | WatchStatus
+    | AwaitServer
+    | ListActions
+    | Credit
+    | Close
+    | Received
+    | AskPeers
+    | AskPlaces
+    | Ping
+    | Goodbye
+)
+"""A message that a client may send."""

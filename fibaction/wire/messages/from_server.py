@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, final
+from typing import Annotated, TypeAlias, final
 
 import msgspec
 
@@ -14,7 +14,9 @@ from fibaction.wire.messages.fields import (
     AttemptNumber,
     FrameSize,
     GoalBytes,
+    Goodbye,
     ParentFields,
+    Ping,
     Seconds,
     Stamp,
     WireMessage,
@@ -244,3 +246,26 @@ class Places(WireMessage, tag=46):
     id: ID
     goals: list[tuple[GoalBytes, Stamp, Stamp]]
     """ID, place and length of the queue of each goal."""
+
+
+FromServer: TypeAlias = (
+    Welcome
+    | Following
+    | Rejected
+    | Failed
+    | Feedback
+    | FeedbackBatch
+    | StatusChanged
+    | Ended
+    | CancelAnswered
+    | GoalChanged
+    | Done
+    | Finished
+    | Actions
+    | Watching
+    | Peers
+    | Places
+    | Ping
+    | Goodbye
+)
+"""A message that a server may send."""

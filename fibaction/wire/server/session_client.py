@@ -9,9 +9,8 @@ from hmac import compare_digest
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
 from fibaction.wire.auth import Peer, Permission
-from fibaction.wire.codec import FromClient
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
-from fibaction.wire.messages import VERSION, Hello
+from fibaction.wire.messages import VERSION, FromClient, Hello
 from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import AuthenticationFailed, ProtocolError, ServerNotFound
 from fibaction.words.goals import GoalID, Sender, digest_of

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from fibaction import GoalStatus, Peer, Permission
-from fibaction.wire.codec import FromClient, decode_from_client, decode_from_server, encode
+from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.messages import (
     AwaitServer,
     Close,
@@ -21,6 +21,7 @@ from fibaction.wire.messages import (
     Feedback,
     Finished,
     Follow,
+    FromClient,
     GoalChanged,
     Received,
     Watching,

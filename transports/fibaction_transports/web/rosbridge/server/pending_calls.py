@@ -8,7 +8,7 @@ from typing import TypeAlias, cast
 
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
-from fibaction.wire.codec import FromServer, encode
+from fibaction.wire.codec import encode
 from fibaction.wire.errors import sendable
 from fibaction.wire.messages import (
     Actions,
@@ -18,6 +18,7 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
+    FromServer,
     ListActions,
     Received,
     Rejected,

@@ -34,7 +34,7 @@ import msgspec
 from fibaction.border.abc import Endpoint, Notifier
 from fibaction.border.peer_text import excerpt
 from fibaction.schema.payload import PayloadError
-from fibaction.wire.codec import FromServer, encode
+from fibaction.wire.codec import encode
 from fibaction.wire.messages import (
     Close,
     Credit,
@@ -43,6 +43,7 @@ from fibaction.wire.messages import (
     Failed,
     Feedback,
     Finished,
+    FromServer,
     GoalChanged,
     Received,
     Watching,
