@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import ast
 import errno
 import logging
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 
 from fibaction.cli import app
@@ -32,22 +29,11 @@ def test_help_lists_every_verb_with_what_it_is_for(invoke: Invoke) -> None:
     assert "FIBACTION_URL" in out
 
 
-def test_a_verb_also_answers_to_its_hyphenated_spelling(invoke: Invoke) -> None:
-    assert invoke("send-goal", "--help").output == invoke("send_goal", "--help").output
-
-
 def test_a_misspelt_verb_suggests_the_near_one(invoke: Invoke) -> None:
     result = invoke("send_gaol")
 
     assert result.exit_code == ExitCode.USAGE
     assert "Did you mean 'send_goal'?" in result.output
-
-
-def test_an_unknown_option_before_the_verb_is_a_usage_error(invoke: Invoke) -> None:
-    result = invoke("--nonsense", "list")
-
-    assert result.exit_code == ExitCode.USAGE
-    assert "No such option '--nonsense'" in result.output
 
 
 @pytest.mark.parametrize("verb", app.VERBS)
@@ -56,22 +42,6 @@ def test_the_help_of_a_verb_has_an_example(invoke: Invoke, verb: str) -> None:
 
     assert "Example" in out
     assert f"  fibaction {verb}" in out
-
-
-def test_help_needs_a_few_times_what_python_needs_to_start() -> None:
-    def seconds(*arguments: str) -> float:
-        began = time.perf_counter()
-        subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
-        return time.perf_counter() - began
-
-    start = min(seconds("-c", "import asyncio") for _ in range(3))
-    assert min(seconds("-m", "fibaction", "--help") for _ in range(3)) < 20 * start
-
-
-def test_an_unknown_verb_is_not_completed() -> None:
-    context = click.Context(app.cli, resilient_parsing=True)
-
-    assert app.cli.resolve_command(context, ["nonsense", "x"]) == (None, None, ["x"])
 
 
 # Errors
@@ -161,15 +131,6 @@ def test_a_verb_handles_ctrl_c_by_itself(invoke: Invoke) -> None:
 
 
 # How it is built
-
-
-def test_no_verb_is_imported_before_it_is_used() -> None:
-    tree = ast.parse(Path(app.__file__).read_text(encoding="utf-8"))
-    imported = {
-        node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module
-    }
-
-    assert not imported & {f"fibaction.cli.{module}" for module, _, _ in app.VERBS.values()}
 
 
 def test_the_log_of_the_command_is_on_stderr_from_warnings_on(

@@ -11,7 +11,7 @@ import pytest
 from fibaction import GoalID, connect, serve
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs.attach import attach
-from tests.cli.conftest import Invoke, Open, Run, Start, detached, interrupt
+from tests.cli.conftest import Run, Start, detached, interrupt
 from tests.cli.served import counter
 from tests.support.processes import ended, lines_until
 
@@ -51,26 +51,6 @@ def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, here: Run, tcp: str) ->
 
     assert (code, err) == (ExitCode.INTERRUPTED, f"The goal {goal_id} was left as it is.\n")
     assert f"{goal_id}  EXECUTING" in here("goals", "wait", url=tcp).out
-
-
-@pytest.mark.parametrize("columns", [80, 160])
-def test_on_a_terminal_there_is_a_bar(terminal: Open, here: Run, tcp: str, columns: int) -> None:
-    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
-    shown = terminal("attach", goal_id, url=tcp, columns=columns)
-    shown.until("step: step")
-    shown.press("\x03")
-
-    assert shown.ends() == ExitCode.INTERRUPTED
-    assert shown.text.endswith(f"The goal {goal_id} was left as it is.")
-    assert not shown.cursor_hidden
-
-
-def test_a_goal_that_nobody_knows_is_one_sentence(invoke: Invoke, tcp: str) -> None:
-    for words in (["attach", "dddd"], ["attach", str(ID), "wait"], ["attach", "x"]):
-        result = invoke(*words, url=tcp)
-        assert result.exit_code == ExitCode.USAGE
-        assert result.stderr.startswith("Error: ")
-        assert result.stderr.count("\n") == 1
 
 
 @pytest.mark.asyncio

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
-import subprocess
-import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -27,8 +24,6 @@ from fibaction_transports.inprocess import InProcessTransport
 from tests.cli.conftest import Invoke, Run, Start, eventually
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.processes import PATIENCE, ended, lines_until
-
-ROOT = Path(__file__).resolve().parents[2]
 
 # bridge, as a process
 
@@ -52,36 +47,6 @@ def test_a_bridge_serves_all_that_there_is_until_a_signal_comes(
 
     assert code == 0
     assert "Traceback" not in err
-
-
-@pytest.mark.parametrize("names", [(), ("pick",), ("/arm/pick",)], ids=" ".join)
-def test_a_bridge_serves_a_namespace_and_names_relative_to_it(
-    tmp_path: Path, started: Start, here: Run, tcp: str, names: tuple[str, ...]
-) -> None:
-    near = f"unix://{tmp_path}/socket"
-    bridge = started("bridge", tcp, near, *names, "-n", "/arm")
-    lines_until(f"bridging /arm/pick from {tcp}", bridge)
-
-    assert here("list", url=near).lines == ["/arm/pick"]
-
-
-def test_programs_of_rosbridge_find_a_bridge_in_place_of_their_server(
-    started: Start, tcp: str
-) -> None:
-    bridge = started("bridge", tcp, "http://0.0.0.0:0?insecure=true", "fibonacci")
-    (said,) = lines_until("", bridge)
-    found = re.search(r"http://0\.0\.0\.0:(\d+)", said)
-    assert found is not None
-    program = ROOT / "tests/transports/web/rosbridge/programs/short_program.py"
-    client = subprocess.Popen(
-        [sys.executable, str(program), f"ws://127.0.0.1:{found[1]}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    finished = ended(client)
-
-    assert finished.lines[-1:] == ["{'sequence': [0]}"], finished.err
 
 
 def test_a_bridge_waits_for_what_is_named_and_survives_the_server(
@@ -333,12 +298,8 @@ async def test_where_actions_stay_the_same_changes_are_not_followed(
     ("options", "expected"),
     [
         (("--into", "/robot1", "-n", "/arm"), ["/robot1/pick"]),
-        (("--into", "/", "-n", "arm"), ["/pick"]),
-        (("fibonacci", "--into", "/robot1"), ["/robot1/fibonacci"]),
         (("fibonacci", "arm/pick", "--rename", "arm/pick=grasp"), ["/fibonacci", "/grasp"]),
-        (("pick", "-n", "/arm", "--rename", "pick:=grasp"), ["/arm/grasp"]),
         (("pick", "-n", "/arm", "--into", "/a", "--rename", "pick=b/grasp"), ["/a/b/grasp"]),
-        (("pick", "-n", "/arm", "--into", "/a", "--rename", "/arm/pick=/b"), ["/b"]),
     ],
 )
 def test_actions_get_the_names_that_the_options_say(

@@ -99,14 +99,6 @@ async def test_an_action_that_is_missing_for_a_moment_stays() -> None:
     assert end.calls == ["+a"]
 
 
-async def test_an_action_that_comes_back_with_other_types_is_served_anew() -> None:
-    actions, end = bridged()
-    await actions.take([ActionInfo("a")])
-    await actions.take([ActionInfo("a", "a/action/B")])
-    assert end.calls == ["+a", "-a", "+a"]
-    assert actions.endpoints[0].info.type_name == "a/action/B"
-
-
 async def test_what_cannot_be_used_is_left_out_and_told_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

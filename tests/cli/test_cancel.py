@@ -9,14 +9,12 @@ import anyio
 import pytest
 
 from fibaction import (
-    CancelAnswer,
-    CancelCode,
     ConnectionLost,
     GoalID,
     connect,
     serve,
 )
-from fibaction.cli.process.exit_codes import ExitCode, reason_of
+from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import cancel
 from fibaction.cli.verbs.cancel import cancel_many
 from tests.cli.conftest import Invoke, Run, detached
@@ -53,16 +51,6 @@ def test_the_beginning_of_an_id_is_enough_to_cancel(here: Run, url: str) -> None
     )
 
 
-def test_a_goal_that_has_ended_is_not_canceled(here: Run, url: str) -> None:
-    goal_id = detached(here, url, "fibonacci", "order: 1")
-    here("attach", goal_id, url=url)
-    done = here("cancel", goal_id, url=url)
-
-    assert done.code == ExitCode.ABORTED
-    assert done.out == ""
-    assert done.err == f"The goal {goal_id} of /fibonacci is not canceled: it has ended already\n"
-
-
 def test_all_goals_are_canceled_and_rejections_are_reported(here: Run, url: str) -> None:
     first, second = (detached(here, url, "wait") for _ in range(2))
     third = detached(here, url, "stubborn", "{seconds: 3}")
@@ -87,21 +75,6 @@ def test_with_before_later_goals_go_on(here: Run, url: str) -> None:
     assert done.json == [{"action": "wait", "goal_id": early, "canceling": True, "reason": ""}]
     when = datetime.datetime.fromtimestamp(stamp(late) / 1e9 + 1).isoformat()
     assert late in here("cancel", "--before", when, url=url).out
-
-
-def test_a_rejected_cancel_as_json_says_why(here: Run, tcp: str) -> None:
-    goal_id = detached(here, tcp, "stubborn", "{seconds: 3}")
-    done = here("cancel", goal_id, "--json", url=tcp)
-
-    assert (done.code, done.err) == (ExitCode.ABORTED, "")
-    assert done.json == [
-        {
-            "action": "stubborn",
-            "goal_id": goal_id,
-            "canceling": False,
-            "reason": "it is never canceled",
-        }
-    ]
 
 
 def test_no_goal_to_cancel_is_what_was_wanted(invoke: Invoke, tcp: str) -> None:
@@ -161,8 +134,3 @@ def test_a_stamp_is_nanoseconds_or_a_time() -> None:
     assert stamp("1970-01-01T00:00:02.5Z") == 2_500_000_000
     local = datetime.datetime(2026, 1, 31, 12)
     assert stamp("2026-01-31T12:00") == int(local.timestamp()) * 10**9
-
-
-def test_a_server_that_gives_no_reason_is_said_to_give_none() -> None:
-    assert reason_of(CancelAnswer(CancelCode.REJECTED)) == "the server does not say why"
-    assert reason_of(CancelAnswer(CancelCode.REJECTED, reason="no")) == "no"

@@ -48,20 +48,9 @@ def test_verbs_options_actions_and_types_are_completed(
     assert complete(here, words, tcp) == offered
 
 
-def test_the_url_on_the_command_line_counts(fibaction: Run, tcp: str, nobody: str) -> None:
-    assert complete(fibaction, f"fibaction -u {tcp} info fib", nobody) == ["fibonacci"]
-    assert complete(fibaction, f"fibaction info -u {tcp} fib", nobody) == ["fibonacci"]
-
-
 def test_where_no_server_is_nothing_is_completed(here: Run, nobody: str) -> None:
     assert complete(here, "fibaction info fib", nobody) == []
     assert complete(here, "fibaction info fib", "nonsense") == []
-
-
-def test_click_has_a_script_for_each_shell(here: Run) -> None:
-    for shell in ("bash", "zsh", "fish"):
-        _, out, err = here(env={"_FIBACTION_COMPLETE": f"{shell}_source"})
-        assert "_FIBACTION_COMPLETE" in out, err
 
 
 def test_a_server_that_does_not_answer_is_not_waited_for() -> None:
@@ -74,22 +63,6 @@ def test_a_server_that_does_not_answer_is_not_waited_for() -> None:
             return [info.name for info in await completion.actions_at(listening[0], 0.05)]
 
     assert anyio.run(silence) == []
-
-
-def test_names_are_completed_as_they_are_begun(
-    monkeypatch: pytest.MonkeyPatch, tcp: str, nobody: str
-) -> None:
-    monkeypatch.setenv("FIBACTION_URL", nobody)
-    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
-
-    def offered(words: list[str], incomplete: str) -> list[str]:
-        return [item.value for item in shell.get_completions(["-u", tcp, *words], incomplete)]
-
-    assert offered(["info"], "w") == ["wait", "words"]
-    assert offered(["info"], "/w") == ["/wait", "/words"]
-    assert offered(["find"], "arm/action/W") == ["arm/action/Wait"]
-    assert offered(["send_goal", "arm/pick"], "arm") == ["arm/action/Pick"]
-    assert offered(["send_goal", "many"], "x") == []
 
 
 def test_a_goal_to_fill_in_is_offered_quoted_as_the_shell_needs_it(
@@ -184,8 +157,3 @@ def test_the_names_of_many_actions_are_offered_in_part() -> None:
     many = [ActionInfo(f"a{number}") for number in range(completion.MOST + 1)]
 
     assert completion.plain(many) == many[:-1]
-
-
-def test_what_is_reachable_is_listed(tcp: str) -> None:
-    assert "wait" in {info.name for info in completion.reachable(tcp)}
-    assert completion.reachable("nonsense") == []

@@ -9,7 +9,7 @@ import urllib.error
 import urllib.request
 import webbrowser
 from pathlib import Path
-from signal import SIGKILL, SIGTERM
+from signal import SIGTERM
 from typing import Any
 
 import anyio
@@ -20,7 +20,7 @@ from fibaction._runtime.notify import Notifier
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import console
 from fibaction.words.errors import TransportError
-from tests.cli.conftest import Invoke, Run, Start, eventually
+from tests.cli.conftest import Invoke, Run, Start
 from tests.cli.served import Served, counter
 from tests.support.processes import PATIENCE, ended, lines_until
 
@@ -55,29 +55,6 @@ def test_the_page_and_the_actions_are_served_until_a_signal_comes(
     done = here("send_goal", "fibonacci", "order: 4", url=f"{url}?token={token}")
     assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
     process.send_signal(number)
-    assert ended(process).code == 0
-
-
-def test_actions_come_and_go_and_the_server_may_be_away(
-    tmp_path: Path, folder: Path, started: Start
-) -> None:
-    far = f"unix://{tmp_path}/far"
-    server = started("serve", "robot:several", far)
-    lines_until("serving", server)
-    process = started("console", far, "--no-open")
-    found = ADDRESS.search(lines_until("console of", process)[-1])
-    assert found is not None
-    _, url, token = found.groups()
-    server.send_signal(SIGKILL)
-    server.wait(PATIENCE)
-    server = started("serve", "robot:server", far)
-    lines_until("serving", server)
-
-    def names() -> list[str]:
-        return [info["name"] for info in json.loads(fetched(f"{url}/actions", token)[1])]
-
-    eventually(lambda: names() == ["count"])
-    process.send_signal(SIGTERM)
     assert ended(process).code == 0
 
 

@@ -12,9 +12,8 @@ import anyio
 import pytest
 
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
-from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import echo as echo_module
-from fibaction.cli.verbs.echo import EchoPrinter, EventPrinter, echo, print_events
+from fibaction.cli.verbs.echo import EchoPrinter, EventPrinter, echo
 from fibaction.client.events import GoalFeedback
 from tests.cli.conftest import Open, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
@@ -50,35 +49,6 @@ def test_echo_shows_feedback_and_statuses_until_ctrl_c(started: Start, here: Run
     assert lines[first + 1 : first + 4] == ["    progress: 0.0\n", "    step: step 0\n", "\n"]
 
 
-def test_echo_as_json_is_an_object_a_line(started: Start, here: Run, tcp: str) -> None:
-    process = started("echo", "/wait", "--json", url=tcp)
-    begun(process, here, tcp, "wait")
-    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
-    lines = lines_until(f'{goal_id}","number":2', process)
-    here("cancel", goal_id, url=tcp)
-    process.terminate()
-    assert ended(process).code == 0
-
-    events = [event for event in map(json.loads, lines) if event["goal_id"] == goal_id]
-    assert [event["event"] for event in events[:3]] == ["status", "status", "feedback"]
-    assert [event["status"] for event in events[:2]] == ["ACCEPTED", "EXECUTING"]
-    assert events[2] == {
-        "event": "feedback",
-        "goal_id": goal_id,
-        "number": 1,
-        "feedback": {"progress": 0.0, "step": "step 0"},
-    }
-
-
-def test_ctrl_c_in_a_terminal_ends_echo(terminal: Open, here: Run, tcp: str) -> None:
-    shown = terminal("echo", "stubborn", url=tcp)
-    goal_id = detached(here, tcp, "stubborn", "{seconds: 0.5}")
-    shown.until(f"Goal {goal_id}: SUCCEEDED")
-    shown.press("\x03")
-
-    assert shown.ends() == 0
-
-
 def test_in_a_terminal_feedback_that_tells_the_progress_has_a_bar(
     terminal: Open, here: Run, tcp: str
 ) -> None:
@@ -89,25 +59,6 @@ def test_in_a_terminal_feedback_that_tells_the_progress_has_a_bar(
     shown.press("\x03")
 
     assert shown.ends() == 0
-
-
-def test_a_closed_output_ends_echo(started: Start, here: Run, tcp: str) -> None:
-    process = started("echo", "wait", url=tcp)
-    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
-    lines_until("feedback", process)
-    assert process.stdout is not None
-    process.stdout.close()
-
-    assert process.wait(30) == 1
-    here("cancel", goal_id, url=tcp)
-
-
-def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
-    assert here("echo", "fibonaci", url=tcp) == (
-        ExitCode.UNREACHABLE,
-        "",
-        "Error: the action /fibonaci is not served; did you mean /fibonacci?\n",
-    )
 
 
 async def echoed(verb: Callable[[], object], until: str) -> list[str]:
@@ -135,19 +86,6 @@ async def test_each_change_is_printed() -> None:
         await echoed(partial(echo, url, "one", full=True, as_json=True), "EXECUTING")
 
     assert words == [f"Goal {ID}: EXECUTING\n"]
-
-
-@pytest.mark.asyncio
-async def test_without_a_name_all_actions_are_printed() -> None:
-    server, printed = counter("one"), Heard()
-    async with serve(server, "inproc://echo"), connect("inproc://echo") as connection:
-        await connection.client(server.action).send_goal(1, goal_id=ID)
-        with printed.on_stdout():
-            async with anyio.create_task_group() as tasks:
-                printer = EventPrinter(False)
-                tasks.start_soon(partial(print_events, connection, None, printer, feedback=False))
-                await printed.until(lambda all: f"{ID}  EXECUTING" in all[-1])
-                tasks.cancel_scope.cancel()
 
 
 def test_nothing_is_printed_twice_and_an_action_that_was_away_comes_back(
@@ -206,12 +144,10 @@ def test_echo_cuts_what_is_long_unless_all_is_wanted() -> None:
     assert said[0].startswith(f"Goal {ID}: feedback 3\n    - 0\n")
     assert "... and 872 more" in said[0]
     assert "- 999\n" in said[1]
-    assert json.loads(said[2])["feedback"] == list(range(1000))
+    assert json.loads(said[2]) == {
+        "event": "feedback",
+        "goal_id": str(ID),
+        "number": 3,
+        "feedback": list(range(1000)),
+    }
     assert json.loads(said[3])["event"] == "status"
-
-
-def test_a_status_as_json_has_all_that_is_known(capsys: pytest.CaptureFixture[str]) -> None:
-    EventPrinter(as_json=True).on_event("one", GoalInfo(ID, 1, GoalStatus.ACCEPTED))
-
-    told = json.loads(capsys.readouterr().out)
-    assert told["status"] == "ACCEPTED"

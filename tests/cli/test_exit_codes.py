@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import errno
 import importlib.util
-import signal
-import socket
 import sys
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import anyio
 import click
@@ -28,7 +25,6 @@ from fibaction import (
     StoreError,
     TransportError,
     UnknownGoal,
-    connect,
 )
 from fibaction.cli.output.escape import clean_lines
 from fibaction.cli.process import exit_codes
@@ -39,11 +35,7 @@ from fibaction.cli.process.exit_codes import (
     message_of,
     report_errors,
 )
-from fibaction.wire.codec import encode
-from fibaction.wire.frames import framed
-from fibaction.wire.messages import Goodbye
 from tests.cli.conftest import Invoke
-from tests.cli.robot import WAIT
 
 
 def run(verb: Callable[[], Awaitable[int]]) -> None:
@@ -105,16 +97,6 @@ def test_a_verb_that_serves_runs_on_uvloop_where_that_is_installed(
     assert found[0].startswith(loop)
 
 
-def test_what_a_verb_returns_is_the_exit_code() -> None:
-    async def verb(code: int, *, more: int) -> int:
-        return code + more
-
-    with pytest.raises(click.exceptions.Exit) as exit:
-        exit_codes.run(verb, 2, more=3)
-
-    assert exit.value.exit_code == 5
-
-
 SAID = "no\x1b[2J\nGoal finished with status: SUCCEEDED"
 CLEANED = "no\\x1b[2J Goal finished with status: SUCCEEDED"
 QUOTED = "no\\x1b[2J\\x0aGoal finished with status: SUCCEEDED"
@@ -146,58 +128,11 @@ def test_nor_can_it_in_a_traceback(
     assert "\x1b" not in shown
 
 
-def test_the_last_words_of_a_server_are_one_clean_line(invoke: Invoke) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor() as threads:
-
-        def say_goodbye() -> None:
-            with listener.accept()[0] as connection:
-                connection.recv(1)
-                connection.sendall(framed([encode(Goodbye(SAID))]))
-                connection.shutdown(socket.SHUT_WR)
-                while connection.recv(4096):  # a close with something unread would reset the line
-                    pass
-
-        said = threads.submit(say_goodbye)
-        result = invoke("list", url=f"tcp://127.0.0.1:{listener.getsockname()[1]}")
-        said.result()
-
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert QUOTED in result.stderr
-    assert result.stderr.count("\n") == 1
-
-
-@pytest.mark.asyncio
-async def test_the_advice_for_python_code_is_replaced(nobody: str) -> None:
-    for url, told in (
-        (nobody, f"no server listens at {nobody} (Connect call failed"),
-        (
-            "inproc://empty",
-            "the action 'wait' is not served at inproc://empty: start its server in",
-        ),
-    ):
-        async with connect(url, WAIT) as client:
-            with pytest.raises(ServerNotFound, match=r"wait_for_server\(\)$") as caught:
-                await client.goals()
-        assert message_of(caught.value).startswith(told)
-        assert message_of(caught.value).endswith(("start the server", "in this process"))
-        assert failure_of(caught.value, "or else").message.endswith(", or else")
-
-
 def test_how_python_spells_a_setting_is_left_out() -> None:
     error = TransportError(
         "use tls://, or append ?insecure=true to the URL (in code insecure=True)"
     )
     assert message_of(error) == "use tls://, or append ?insecure=true to the URL"
-
-
-def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:
-    async def verb() -> int:
-        raise KeyboardInterrupt
-
-    with pytest.raises(click.exceptions.Exit) as exit:
-        run(verb)
-
-    assert exit.value.exit_code == 130
 
 
 def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
@@ -224,18 +159,3 @@ def test_of_the_errors_of_a_group_that_for_the_user_comes_out(
 ) -> None:
     with pytest.raises(expected), report_errors():
         raise ExceptionGroup("tasks", [ExceptionGroup("tasks", errors)])
-
-
-def test_ctrl_c_exits_at_once_where_nothing_has_to_be_cleaned_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    codes: list[int] = []
-    monkeypatch.setattr("os._exit", codes.append)
-
-    async def verb() -> int:
-        signal.raise_signal(signal.SIGINT)
-        return 0
-
-    with pytest.raises(click.exceptions.Exit):
-        exit_codes.run(verb)
-    assert codes == [ExitCode.INTERRUPTED]

@@ -74,20 +74,6 @@ async def test_a_list_for_programs_has_the_parents_and_the_children(
 
 
 @pytest.mark.asyncio
-async def test_a_list_for_people_has_a_column_of_steps_and_children(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    async with fetched() as (mission, _, _):
-        await list_goals(URL)
-
-    heading, fetch, shelf, dock = capsys.readouterr().out.splitlines()
-    at = heading.index("PARENT, CHILDREN")
-    assert fetch[at:].startswith("2 children  ")
-    assert shelf[at:].startswith(f"to the shelf of {mission}  ")
-    assert dock[at:].startswith(f"to the dock of {mission}  ")
-
-
-@pytest.mark.asyncio
 @pytest.mark.parametrize("as_json", [False, True])
 async def test_attach_says_which_step_a_goal_is(
     as_json: bool, capsys: pytest.CaptureFixture[str]

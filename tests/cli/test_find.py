@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from tests.cli.conftest import Invoke, Run
-
-
-def test_find_prints_the_actions_of_a_type(here: Run, url: str) -> None:
-    assert here("find", "arm/action/Wait", url=url).lines == ["/wait"]
+from tests.cli.conftest import Invoke
 
 
 def test_find_as_json_has_the_names_that_the_servers_gave(invoke: Invoke, tcp: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs.list_goals import Form, list_goals
-from tests.cli.conftest import ROOT, Open, Run, Start, detached, interrupt
+from tests.cli.conftest import ROOT, Run, Start, detached
 from tests.support.nats_server import IS_LEFT_OUT, nats_server
 from tests.support.processes import ended, lines_until
 
@@ -94,45 +94,6 @@ def test_goals_of_all_workers_are_listed_and_canceled(
     everything = here("cancel", "wait", "--all", url=fleet)
     assert everything.code == 0
     assert all(goal_id in everything.out for goal_id in goals[1:])
-
-
-def test_a_goal_is_attached_to_until_it_is_canceled(started: Start, here: Run, fleet: str) -> None:
-    goal_id = detached(here, fleet, *GOAL)
-    process = started("attach", goal_id[:8], url=fleet)
-    lines = lines_until("step: step", process)
-    here("cancel", goal_id, url=fleet)
-    code, out, err = ended(process)
-    assert (code, err) == (ExitCode.CANCELED, "")
-    assert lines[0] == f"Goal accepted with ID: {goal_id}\n"
-    assert out.endswith("Goal finished with status: CANCELED (asked to stop)\n")
-
-
-def test_echo_shows_goals_of_all_workers(started: Start, here: Run, fleet: str) -> None:
-    process = started("echo", "wait", url=fleet)
-    first = detached(here, fleet, "wait", "{seconds: 0.01}")
-    lines_until(first, process)
-    for _ in range(2):
-        goal_id = detached(here, fleet, *GOAL)
-        lines_until(f"^Goal {goal_id}: feedback 2$", process)
-        here("cancel", goal_id, url=fleet)
-        lines_until(f"^Goal {goal_id}: CANCELED", process)
-    interrupt(process)
-    assert ended(process).code == 0
-
-
-def test_top_shows_follows_and_cancels_a_goal(terminal: Open, here: Run, fleet: str) -> None:
-    goal_id = detached(here, fleet, *GOAL)
-    shown = terminal("top", url=fleet)
-    shown.until(rf"{goal_id[:8]} +/wait +EXECUTING +\d+% .* step: ")
-    shown.press("\x1b[A" * 10)
-    shown.press("f")
-    shown.until(f"/wait {goal_id} EXECUTING")
-    shown.press("c")
-    shown.until(rf"Cancel the goal {goal_id[:8]} of /wait\?")
-    shown.press("y")
-    shown.until(rf"{goal_id[:8]} +/wait +CANCELED")
-    shown.press("q")
-    assert shown.ends() == 0
 
 
 class Old(msgspec.Struct):

@@ -21,13 +21,6 @@ def expected() -> str:
     return (FILES / "pick_up_types.py").read_text(encoding="utf-8")
 
 
-def test_a_module_is_written_to_stdout(here: Run, expected: str) -> None:
-    done = here("gen", PICK_UP)
-
-    assert (done.code, done.err) == (0, "")
-    assert done.out == expected
-
-
 def test_a_module_is_written_to_a_file(invoke: Invoke, tmp_path: Path, expected: str) -> None:
     file = tmp_path / "types.py"
     done = invoke("gen", PICK_UP, "--output", str(file))
@@ -42,21 +35,6 @@ def test_the_name_the_type_and_the_search_path_can_be_given(invoke: Invoke) -> N
     assert done.exit_code == 0
     assert 'ARM_TALLY = Action(\n    "arm/tally",' in done.output
     assert 'type_name="a/action/Count"' in done.output
-
-
-def test_a_malformed_file_is_one_sentence_and_writes_nothing(
-    fibaction: Run, tmp_path: Path
-) -> None:
-    path, file = tmp_path / "Lift.action", tmp_path / "lift.py"
-    path.write_text("int32 order\nstring<=0 name\n---\n---\n")
-    done = fibaction("gen", str(path), "-o", str(file))
-
-    assert (done.code, done.out) == (2, "")
-    assert done.err == (
-        f"Error: {path}:2: expected a type like 'int32', 'string<=10', 'float64[3]' or"
-        " 'geometry_msgs/Pose', found 'string<=0'\n"
-    )
-    assert not file.exists()
 
 
 @pytest.mark.parametrize(
@@ -76,10 +54,6 @@ def test_an_error_is_one_of_usage_and_says_what_is_wrong(
 
     assert done.exit_code == 2
     assert error in done.stderr
-
-
-def test_the_help_has_an_example(invoke: Invoke) -> None:
-    assert "fibaction gen Fibonacci.action > fibonacci_types.py" in invoke("gen", "--help").output
 
 
 def test_typescript_is_written_of_a_file_a_module_and_a_server(
@@ -112,13 +86,6 @@ def test_typescript_that_cannot_be_written_is_one_sentence(
 
     assert done.exit_code in (2, 6)
     assert done.stderr.startswith(f"Error: {error}")
-
-
-def test_without_a_server_another_url_is_advised_and_no_option(invoke: Invoke, nobody: str) -> None:
-    done = invoke("gen", "--ts", nobody)
-
-    assert done.stderr.startswith(f"Error: no server listens at {nobody} ")
-    assert done.stderr.endswith(": start the server, or give another URL\n")
 
 
 def test_a_server_without_actions_has_no_types(

@@ -167,41 +167,6 @@ def test_a_sorted_list_ends_with_the_greatest_and_begins_with_what_is_not_known(
     assert found(3) == (order[1:], 1)
 
 
-def test_a_choice_tells_what_its_goals_are() -> None:
-    assert GoalChoice(sort="ran", limit=3).adjective == ""
-    statuses = GoalQuery(frozenset([GoalStatus.ABORTED]))
-    assert GoalChoice(("aborted", "ended"), statuses).adjective == "aborted or ended "
-    assert GoalChoice(("aborted",), statuses._replace(since=1)).adjective == "matching "
-
-
-@pytest.mark.asyncio
-async def test_several_actions_are_named_and_each_of_them_is_served() -> None:
-    served = Served(counter("one"), counter("other"), counter("third"))
-
-    assert list(await ActionClients(served.connection, "third", "/one").now()) == ["third", "one"]
-    with pytest.raises(Failure, match="/two is not served"):
-        await ActionClients(served.connection, "one", "two").now()
-
-
-@pytest.mark.asyncio
-async def test_many_that_could_be_meant_are_not_all_listed() -> None:
-    one = counter("one")
-    async with one:
-        clients = await ActionClients(Served(one).connection).now()
-        for number in range(7):
-            await clients["one"].send_goal(1, goal_id=GoalID(bytes([0xAA] * 15 + [number])))
-        with pytest.raises(Failure, match=r"7 goals .*, [.]{3}$"):
-            await find_goal(clients, "aa")
-
-
-@pytest.mark.asyncio
-async def test_a_whole_id_of_a_known_action_needs_no_looking() -> None:
-    one = counter("one")
-    clients = {"one": ActionClient(one, one.action)}
-
-    assert await find_goal(clients, str(A)) == ("one", A)
-
-
 @pytest.mark.parametrize("text", ["", "-", "fibonacci", "0" * 33])
 def test_text_that_is_not_an_id_is_rejected(text: str) -> None:
     with pytest.raises(Failure, match="32 hexadecimal digits") as failure:

@@ -59,14 +59,6 @@ def test_columns_have_names_and_numbers_stand_to_the_right() -> None:
     ]
 
 
-def test_the_action_is_left_out_where_it_is_known() -> None:
-    assert in_columns([row()], actions=False, now=2.0) == [
-        "ID                                STATUS       AGE  FEEDBACK  CLIENT",
-        f"{A}  EXECUTING  1.0 s         -  -",
-    ]
-    assert " d " in in_columns([row()], actions=False)[1]
-
-
 def test_with_little_room_ids_are_cut_then_clients_then_actions() -> None:
     rows = [row(client="somebody at 127.0.0.1:5"), row(C)]
 
@@ -238,15 +230,6 @@ def test_a_row_of_csv_has_times_spans_and_the_result() -> None:
         "result": '{"cup":[-1]}',
         "labels": '{"order":"17"}',
         "worker": "gpu-3",
-    }
-
-
-def test_what_is_not_known_is_empty_in_csv() -> None:
-    cells = csv_row(row())
-    empty = {name for name, cell in cells.items() if not cell}
-    assert empty == {
-        *("began_at", "ended_at", "waited", "ran", "client", "parent", "step", "reason", "result"),
-        *("labels", "worker"),
     }
 
 

@@ -70,11 +70,6 @@ def test_what_cannot_be_served_is_one_sentence(
     assert result.stderr == f"Error: {error.format(folder=folder)}\n"
 
 
-@pytest.mark.parametrize("target", ["robot:server", "robot:nested.server", "robot:several"])
-def test_servers_are_found(folder: Path, target: str) -> None:
-    assert import_target.import_servers(target)[0].action.name == "count"
-
-
 def test_a_function_that_is_an_action_is_a_server(folder: Path, invoke: Invoke) -> None:
     (folder / "functions.py").write_text(
         "from fibaction import action\n"
@@ -96,12 +91,6 @@ def test_the_current_folder_is_looked_at_first_and_once(folder: Path) -> None:
 
     assert sys.path[0] == str(folder)
     assert sys.path.count(str(folder)) == 1
-
-
-def test_a_function_may_give_the_servers(folder: Path) -> None:
-    assert [server.action.name for server in import_target.import_servers("robot:make")] == [
-        "arm/tell"
-    ]
 
 
 def test_a_callable_that_does_not_say_what_it_takes_is_called(folder: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from fibaction import serve
 from fibaction._api import ClientConnection
 from fibaction.border.abc import Connection
-from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.exit_codes import Failure
 from fibaction.cli.verbs.info import print_info
 from fibaction.words.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run
@@ -21,14 +21,6 @@ def test_info_has_the_lines_that_ros_prints(here: Run, url: str) -> None:
 
     assert (code, err) == (0, "")
     assert re.fullmatch(r"Action: /fibonacci\nAction clients: \d+\nAction servers: \d+\n", out)
-
-
-def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
-    assert here("info", "fibonaci", url=tcp) == (
-        ExitCode.UNREACHABLE,
-        "",
-        "Error: the action /fibonaci is not served; did you mean /fibonacci?\n",
-    )
 
 
 def test_info_as_json_has_the_schemas(invoke: Invoke, tcp: str) -> None:
@@ -72,22 +64,6 @@ async def test_info_names_the_clients_and_the_servers(
         "Goal:",
         "    seconds: 3600.0  # a number, optional",
         "    steps: 1  # a whole number, optional",
-    ]
-
-
-@pytest.mark.asyncio
-async def test_info_counts_without_names(
-    peers: dict[str, ActionPeers], capsys: pytest.CaptureFixture[str]
-) -> None:
-    peers["wait"] = ActionPeers(servers=("/robot",), clients=("/a", "/b"))
-
-    async with serve(servers(), "inproc://info"):
-        await print_info("inproc://info", "/wait", show_types=False, count=True, as_json=False)
-
-    assert capsys.readouterr().out.splitlines() == [
-        "Action: /wait",
-        "Action clients: 2",
-        "Action servers: 1",
     ]
 
 

@@ -25,18 +25,6 @@ def test_the_command_says_its_version(fibaction: Run) -> None:
     assert (code, out, err) == (0, f"fibaction {version('fibaction')}\n", "")
 
 
-def test_main_runs_the_command_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["fibaction", "--version"])
-
-    with pytest.raises(SystemExit) as exit:
-        fibaction_main()
-
-    assert exit.value.code == 0
-    assert capsys.readouterr().out.startswith("fibaction ")
-
-
 def fibaction_main() -> None:
     _command.main()
 
@@ -102,14 +90,6 @@ def test_the_handler_of_a_verb_that_has_ended_stays(monkeypatch: pytest.MonkeyPa
     fibaction_main()
 
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-
-
-def test_ctrl_c_without_a_verb_exits_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    codes: list[int] = []
-    monkeypatch.setattr(os, "_exit", codes.append)
-    exit_at_once(signal.SIGINT, None)
-
-    assert codes == [INTERRUPTED]
 
 
 @pytest.mark.parametrize("module", ["anyio", "msgspec", "click", "difflib"])

@@ -7,9 +7,7 @@ import io
 import json
 import signal
 from collections.abc import AsyncGenerator, Callable
-from contextlib import redirect_stderr
 from functools import partial
-from pathlib import Path
 
 import anyio
 import pytest
@@ -21,18 +19,15 @@ from fibaction import (
     ActionServer,
     ConnectionLost,
     GoalHandle,
-    GoalHistory,
     GoalID,
     GoalInfo,
     GoalStatus,
-    SqliteStore,
     connect,
     serve,
 )
 from fibaction.cli.arguments.goal_lookup import STATUS_WORDS, GoalChoice
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.output.goal_table import GoalRow, picture
-from fibaction.cli.output.lines import note
 from fibaction.cli.output.outcomes import MOST_ENDS, Outcomes
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import list_goals
@@ -70,33 +65,6 @@ def test_goals_lists_those_of_all_actions_or_of_one(here: Run, url: str) -> None
     assert line.split()[1] == "SUCCEEDED"
     assert line.endswith("  sequence: [0, 1, 1, 2, 3, 5]")
     assert running not in fibonacci.out
-
-
-def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
-    goal_id = detached(here, url, "arm/pick", "object_name: cup")
-    found = here("goals", "arm/pick", "--json", url=url)
-    (goal,) = (goal for goal in found.json if goal["goal_id"] == goal_id)
-
-    assert goal.pop("stamp") > 1_700_000_000 * 10**9
-    assert goal.pop("client")
-    assert goal.pop("began_at") <= goal.pop("ended_at")
-    assert (goal.pop("waited") >= 0, goal.pop("ran") >= 0) == (True, True)
-    assert goal.pop("result")["goal"]["object_name"] == "cup"
-    assert goal == {
-        "reason": "",
-        "action": "arm/pick",
-        "goal_id": goal_id,
-        "status": "SUCCEEDED",
-        "feedback_count": 4,
-        "place": 0,
-        "queue_length": 0,
-        "attempt": 1,
-        "has_worker": True,
-        "worker": "",
-        "parent": None,
-        "labels": {},
-        "children": [],
-    }
 
 
 def row(number: int, status: GoalStatus) -> GoalRow:
@@ -141,26 +109,6 @@ def test_goals_lists_those_of_a_status(here: Run, url: str) -> None:
     assert none.err == "There are no canceling or aborted goals of /fibonacci.\n"
 
 
-def test_goals_tells_how_many_goals_it_leaves_out(here: Run, url: str) -> None:
-    for _ in range(3):
-        detached(here, url, "fibonacci", "order: 1")
-    found = here("goals", "/fibonacci", "--limit", "1", "--json", url=url)
-
-    assert len(found.json) == 1
-    assert found.err.endswith(" more goals are not listed: --limit 0 lists all.\n")
-
-
-@pytest.mark.parametrize("option", [("--status", "active"), ("--limit", "5")])
-def test_a_list_that_is_watched_has_no_choice(here: Run, url: str, option: tuple[str, str]) -> None:
-    found = here("goals", "--watch", *option, url=url)
-
-    assert found.code == ExitCode.USAGE
-    assert found.err == (
-        "Error: --watch shows all goals: leave out the options that choose or sort them, such as"
-        " --status and --limit\n"
-    )
-
-
 def test_goals_lists_those_of_a_span_of_time_and_of_several_actions(here: Run, url: str) -> None:
     early = detached(here, url, "fibonacci", "order: 1")
     late = detached(here, url, "arm/pick", "object_name: cup")
@@ -202,21 +150,6 @@ def test_goals_are_found_by_the_labels_with_which_they_were_sent(here: Run, url:
     assert dict(zip(heading, cells, strict=True))["labels"] == '{"order":"18"}'
 
 
-def test_goals_as_csv_has_a_heading_and_a_line_for_each(here: Run, url: str) -> None:
-    goal_id = detached(here, url, "fibonacci", "order: 5")
-    here("attach", goal_id, url=url)  # waits for the end
-    listed = here("goals", "fibonacci", "--csv", "--limit", "0", url=url).lines
-    heading, *goals = csv.reader(listed)
-    (goal,) = (goal for goal in goals if goal[1] == goal_id)
-    cells = dict(zip(heading, goal, strict=True))
-
-    assert cells["action"] == "fibonacci"
-    assert cells["status"] == "SUCCEEDED"
-    assert cells["result"] == '{"sequence":[0,1,1,2,3,5]}'
-    assert cells["accepted_at"] <= cells["began_at"] <= cells["ended_at"]
-    assert here("goals", "--csv", "--until", "2026-01-31", url=url).out == f"{','.join(heading)}\n"
-
-
 @pytest.mark.parametrize(
     ("options", "text"),
     [
@@ -241,35 +174,6 @@ def test_options_that_mean_nothing_are_one_sentence(
     assert text in found.err.splitlines()[-1]
 
 
-@pytest.mark.asyncio
-async def test_goals_of_the_past_are_listed_with_their_results(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store = SqliteStore(tmp_path / "goals.db", history=GoalHistory())
-    server = counter("count", ["twelve"])
-    server.keep_in(store)
-    with anyio.fail_after(30):
-        async with serve(server, "tcp://127.0.0.1:0") as (url,):
-            async with connect(url, server.action) as client:
-                goal = await client.send_goal(1)
-                await goal.outcome()
-                past = GoalChoice(past=True)
-                await list_goals.list_goals(url, choice=past, form=Form.JSON)
-    (line,) = capsys.readouterr().out.splitlines()
-    told = json.loads(line)
-    assert (told["goal_id"], told["result"]) == (str(goal.goal_id), "twelve")
-
-
-def test_goals_limits_itself_to_a_namespace(here: Run, url: str) -> None:
-    inside = detached(here, url, "arm/pick", "object_name: cup")
-    outside = detached(here, url, "fibonacci", "order: 1")
-    found = here("goals", "--namespace", "/arm", url=url)
-
-    assert inside in found.out
-    assert outside not in found.out
-    assert {line.split()[1] for line in found.lines[1:]} == {"/arm/pick"}
-
-
 def test_a_name_is_relative_to_the_namespace_unless_it_has_a_slash(here: Run, tcp: str) -> None:
     inside = detached(here, tcp, "arm/pick", "object_name: cup")
     outside = detached(here, tcp, "fibonacci", "order: 1")
@@ -278,20 +182,6 @@ def test_a_name_is_relative_to_the_namespace_unless_it_has_a_slash(here: Run, tc
     assert outside in here("goals", "/fibonacci", "-n", "arm", url=tcp).out
     error = here("goals", "fibonacci", "-n", "arm", url=tcp).err
     assert error.startswith("Error: the action /arm/fibonacci is not served; did you mean ")
-
-
-@pytest.mark.parametrize("columns", [80, 160])
-def test_on_a_terminal_the_list_fits_and_is_colored(
-    terminal: Open, here: Run, tcp: str, columns: int
-) -> None:
-    goal_id = detached(here, tcp, "wait")
-    shown = terminal("goals", url=tcp, columns=columns, lines=60)
-    assert shown.ends() == 0
-
-    (line,) = (line for line in shown.text.splitlines() if line.startswith(goal_id[:8]))
-    assert line.split()[0] == (goal_id if columns == 160 else goal_id[:8])
-    assert ":" in line.split()[-1], "the client is not cut off"
-    assert b"\x1b[1;32mEXECUTING" in shown.raw.replace(b"\x1b[0m", b"")
 
 
 @pytest.mark.parametrize("columns", [80, 160])
@@ -311,18 +201,6 @@ def test_a_watched_list_is_kept_up_to_date_where_it_is(
     assert screen[0].startswith("ID ")
     assert shown.text.count("FEEDBACK") == 1
     assert not shown.cursor_hidden
-
-
-def test_piped_each_change_is_a_line(started: Start, here: Run, tcp: str) -> None:
-    process = started("goals", "--watch", url=tcp)
-    goal_id = detached(here, tcp, "wait")
-    lines_until(f"{goal_id}  EXECUTING  /wait", process)
-    here("cancel", goal_id, url=tcp)
-    lines_until(f"{goal_id}  CANCELED ", process)
-    interrupt(process)
-
-    code, _, err = ended(process)
-    assert (code, err) == (0, "")
 
 
 def test_a_server_that_dies_and_one_that_stops_are_told_of(
@@ -410,21 +288,6 @@ async def test_a_list_for_programs_has_the_results_of_more_goals_than_a_screen(
     assert err == ""
 
 
-@pytest.mark.asyncio
-async def test_without_goals_in_a_namespace_there_is_a_remark(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    list_those = partial(list_goals.list_goals, "inproc://goals")
-    async with serve([counter("robot1/one"), counter("robot2/one")], "inproc://goals"):
-        async with connect("inproc://goals", counter("robot2/one").action) as client:
-            await client.send_goal(1)
-            assert await list_those((), Namespace("/robot1")) == 0
-            assert await list_those(("/robot1/one",), Namespace("/robot1")) == 0
-
-    err = capsys.readouterr().err
-    assert err == "There are no goals in /robot1.\nThere are no goals of /robot1/one.\n"
-
-
 @pytest.fixture
 def screen(monkeypatch: pytest.MonkeyPatch) -> Console:
     """A terminal of 80 columns and 10 lines."""
@@ -477,30 +340,6 @@ async def test_a_watched_list_lives_through_silence_and_errors(
         served.error = None
         await pictures.until(lambda all: "1 active, 0 ended" in all[-1])
         tasks.cancel_scope.cancel()
-
-
-@pytest.mark.asyncio
-async def test_remarks_that_go_to_a_file_are_not_on_the_screen(
-    screen: Console, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    errors, scope, told = io.StringIO(), anyio.CancelScope(), Heard()
-
-    def remark(*arguments: object, **settings: object) -> object:
-        note("a remark")
-        if told:
-            scope.cancel()
-        told("a remark")
-        return picture(*arguments, **settings)  # type: ignore[arg-type]  # as they came
-
-    monkeypatch.setattr(list_goals, "picture", remark)
-    server = counter("one")
-    async with server:
-        with scope, redirect_stderr(errors):
-            await list_goals._watch_screen(Served(server).connection, None)
-
-    assert "a remark\n" in errors.getvalue()
-    assert "0 active" in drawn(screen)
-    assert "a remark" not in drawn(screen)
 
 
 @pytest.mark.asyncio

@@ -9,7 +9,7 @@ import re
 import pytest
 
 from fibaction import GoalID
-from fibaction.cli.process.logs import CleanFormatter, log_connection, log_events, log_with_time
+from fibaction.cli.process.logs import CleanFormatter, log_events, log_with_time
 from fibaction.words.goals import CurrentGoal, current_goal
 
 
@@ -56,14 +56,6 @@ def test_events_are_logged_with_their_time_and_the_log_is_restored(
 
     assert (root.level, root.handlers, files.level) == (*before, logging.NOTSET)
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} an event\\x1b", line)
-
-
-def test_the_connection_is_logged_on_demand() -> None:
-    log = logging.getLogger("fibaction.wire")
-    log.setLevel(logging.NOTSET)
-    log_connection()
-
-    assert log.isEnabledFor(logging.INFO)
 
 
 def test_records_are_json_objects_with_their_goal_if_that_is_wanted(

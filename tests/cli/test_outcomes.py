@@ -5,7 +5,7 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from fibaction import ActionClient, GoalAborted, GoalStatus, Outcome, UnknownGoal
+from fibaction import ActionClient, GoalAborted, GoalStatus, UnknownGoal
 from fibaction.cli.arguments.goal_lookup import goals_of
 from fibaction.cli.output.outcomes import Outcomes
 from fibaction.observe.monitor import AnyClient
@@ -36,25 +36,6 @@ async def test_goals_that_have_ended_have_a_reason_or_a_result() -> None:
 
         newest = await Outcomes(1).of(clients, rows)
         assert [row.outcome is not None for row in newest] == [False, False, True, False]
-
-
-async def test_a_result_of_another_type_is_told_in_place_of_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async with counter("count", ["done"]) as server:
-        client = ActionClient(server, server.action)
-        await client.call(1)
-        rows = await goals_of({"count": client})
-        for reason, told in (("", ""), ("worn", "worn; ")):
-
-            async def another(goal_id: object, reason: str = reason) -> Outcome[bytes]:
-                return Outcome(GoalStatus.ABORTED, b"\x05", reason)
-
-            monkeypatch.setattr(server, "get_result", another)
-            (row,) = await Outcomes().of({"count": client}, rows)
-            assert row.end.startswith(f"{told}its result cannot be read: ")
-            assert row.outcome is not None
-            assert row.outcome.result is None
 
 
 async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list() -> None:

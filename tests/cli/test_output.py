@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import csv
 import io
 import json
 import logging
@@ -30,33 +29,12 @@ def test_a_value_beyond_json_is_an_error_in_one_sentence() -> None:
     assert failure.value.exit_code == ExitCode.ABORTED
 
 
-def test_a_value_is_printed_as_a_line_of_json(capsys: pytest.CaptureFixture[str]) -> None:
-    lines.say_json({"a": b"hi"})
-
-    assert capsys.readouterr().out == '{"a":"aGk="}\n'
-
-
-def test_lines_go_to_stdout_and_remarks_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
-    lines.say("line")
-    lines.say()
-    lines.note("remark")
-
-    assert capsys.readouterr() == ("line\n\n", "remark\n")
-
-
 def test_a_remark_with_text_of_a_server_stays_on_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     lines.note("it is away: gone\n\x1b[2J")
 
     assert capsys.readouterr().err == "it is away: gone\\x0a\\x1b[2J\n"
-
-
-def test_rows_of_csv_are_read_back_as_they_were(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = [["reason", "result"], ['he said "no", twice', '{"a":[1,2]}'], ["", ""]]
-    lines.say_csv(rows)
-
-    assert list(csv.reader(capsys.readouterr().out.splitlines())) == rows
 
 
 def test_the_log_goes_to_the_stderr_of_that_moment() -> None:

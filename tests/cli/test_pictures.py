@@ -24,20 +24,6 @@ def test_what_is_in_the_terminal_is_in_the_picture(tcp: str, colors: Colors) -> 
     assert {part.get("fill") for part in drawn.iter(f"{SVG}text")} == {colors["text"]}
 
 
-def test_colours_and_faint_letters_are_in_the_picture(tcp: str) -> None:
-    with closing(Drawn("goals", "fibonacci", url=tcp)) as terminal:
-        terminal.ends()
-        terminal._stream.feed(
-            b"\x1b[2;31mfaint\x1b[22m not \x1b[0;7mreverse\x1b[0;48;2;1;2;3mbehind\x1b[m"
-        )
-        parts = {part.text: part for part in ElementTree.fromstring(terminal.svg(DARK)).iter()}
-
-    assert parts["faint"].attrib.items() >= {("fill", DARK["red"]), ("opacity", "0.6")}
-    assert parts["not"].get("opacity") is None
-    assert parts["reverse"].get("fill") == DARK["background"]
-    assert "#010203" in {part.get("fill") for part in parts.values()}
-
-
 def test_the_pictures_of_the_documentation_are_of_both_widths() -> None:
     pictures = sorted(path.stem.rpartition("_")[::2] for path in FOLDER.glob("*.svg"))
 

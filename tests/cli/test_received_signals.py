@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
 from signal import SIGINT, SIGTERM
 from typing import Any
 
 import anyio
 import pytest
 
-from fibaction.cli.process.signals import MOST_WAITING_SIGNALS, ReceivedSignals, handle_with
+from fibaction.cli.process.signals import MOST_WAITING_SIGNALS, ReceivedSignals
 from tests.support.processes import PATIENCE
 
 
@@ -40,15 +39,6 @@ async def test_each_signal_is_received_and_its_handler_is_called_at_once() -> No
 
 
 @pytest.mark.asyncio
-@pytest.mark.usefixtures("system")
-async def test_behind_the_block_the_handlers_are_as_before() -> None:
-    before = signal.getsignal(SIGTERM)
-    with ReceivedSignals(lambda *_: None):
-        assert signal.getsignal(SIGTERM) != before
-    assert signal.getsignal(SIGTERM) == before
-
-
-@pytest.mark.asyncio
 async def test_signals_that_nothing_takes_need_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
     def not_there(*_: object) -> Any:
         raise NotImplementedError
@@ -67,14 +57,3 @@ async def test_signals_that_nothing_takes_need_no_room(monkeypatch: pytest.Monke
 
     assert none_left.cancelled_caught
     assert len(told) == MOST_WAITING_SIGNALS + 3
-
-
-def test_all_signals_get_the_handler() -> None:
-    before: list[Any] = [signal.getsignal(SIGINT), signal.getsignal(SIGTERM)]
-    handler: Callable[[int, object], None] = lambda *_: None  # noqa: E731
-    try:
-        handle_with(handler)
-        assert signal.getsignal(SIGINT) is signal.getsignal(SIGTERM) is handler
-    finally:
-        for number, restored in zip((SIGINT, SIGTERM), before, strict=True):
-            signal.signal(number, restored)

@@ -74,22 +74,6 @@ def test_what_is_missing_in_a_recording_is_shown_too(folder: Path, invoke: Invok
     }
 
 
-def test_a_whole_recording_is_shown_with_its_ends(folder: Path, invoke: Invoke) -> None:
-    records = [
-        Record(1, "accepted", "count", "a"),
-        Record(2, "status", "count", "a", "EXECUTING"),
-        Record(2, "feedback", "count", "a", number=1),
-        Record(3, "end", "count", "a", "SUCCEEDED"),
-        Record(4, "rejected", "count", "b"),
-    ]
-    file = folder / "today.jsonl"
-    file.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
-
-    lines = invoke("show", str(file)).stdout.splitlines()
-    assert lines[0].endswith(", 2 goals")
-    assert lines[1:] == ["/count: 1 SUCCEEDED, 1 REJECTED; 1 feedback message"]
-
-
 class Said(Heard):
     """What a command says; as soon as it serves, it gets SIGTERM."""
 
@@ -202,18 +186,6 @@ def test_a_recording_that_cannot_be_exported_is_one_sentence(
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     result = invoke("export", str(file), str(folder / "today.mcap"))
     assert result.stderr == "Error: an MCAP file needs mcap: pip install 'fibaction[mcap]'\n"
-
-
-def test_the_messages_that_are_exported_are_counted(folder: Path, invoke: Invoke) -> None:
-    file = folder / "today.jsonl"
-    records = [
-        Record(1, "server", "count", info=counter("count").info),
-        Record(2, "accepted", "count", "a", "ACCEPTED", data=3),
-        Record(3, "end", "count", "a", "SUCCEEDED", data=3),
-    ]
-    file.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
-    result = invoke("export", str(file), str(folder / "today.mcap"))
-    assert result.stdout == f"{folder}/today.mcap has 2 messages\n"
 
 
 def test_a_server_that_is_not_there_leaves_no_file(folder: Path, invoke: Invoke) -> None:

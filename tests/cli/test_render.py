@@ -30,33 +30,6 @@ COUNT: Action[int, int, str] = Action("count", goal=int, feedback=int, result=st
 PLAIN = Action.untyped(COUNT.info)
 
 
-def test_in_words_it_reads_as_ros_prints_it(capsys: pytest.CaptureFixture[str]) -> None:
-    words = goal_printer(feedback=True, as_json=False, full=False)
-    words.sending({"order": 1})
-    words.accepted(GOAL_ID, 5)
-    words.status(GoalStatus.EXECUTING)
-    words.feedback(1, {"partial_sequence": [0]})
-    words.ended(Outcome(GoalStatus.SUCCEEDED, {"sequence": [0, 1]}))
-
-    assert capsys.readouterr().out.splitlines() == [
-        "Sending goal:",
-        "    order: 1",
-        "",
-        "Goal accepted with ID: 0123456789abcdef0123456789abcdef",
-        "",
-        "Feedback:",
-        "    partial_sequence:",
-        "    - 0",
-        "",
-        "Result:",
-        "    sequence:",
-        "    - 0",
-        "    - 1",
-        "",
-        "Goal finished with status: SUCCEEDED",
-    ]
-
-
 def test_in_words_reasons_are_told_and_cleaned(capsys: pytest.CaptureFixture[str]) -> None:
     words = TextPrinter()
     words.rejected(GoalRejected("too hot\x1b"))
@@ -70,15 +43,6 @@ def test_in_words_reasons_are_told_and_cleaned(capsys: pytest.CaptureFixture[str
         "Goal finished with status: ABORTED (no\\x0away)",
         f"Goal finished with status: UNKNOWN ({UNKNOWN_OUTCOME.reason})",
     ]
-
-
-def test_in_full_nothing_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
-    TextPrinter(full=True).feedback(1, list(range(1000)))
-    TextPrinter(full=False).feedback(1, list(range(1000)))
-
-    out = capsys.readouterr().out
-    assert out.count("- 999\n") == 1
-    assert "... and 872 more" in out
 
 
 def test_in_json_each_event_is_an_object(capsys: pytest.CaptureFixture[str]) -> None:

@@ -179,18 +179,6 @@ def test_windows_locks_the_folder_by_a_call_of_its_own(
         assert asked == [(2, 1)]
 
 
-def test_a_folder_of_another_broker_is_one_sentence(invoke: Invoke, program: Any) -> None:
-    program("exit 1")
-    folder = Path("data")
-    folder.mkdir()
-    with run_broker.locked(folder):
-        done = invoke("broker", "--data", "data")
-
-    assert done.exit_code == ExitCode.USAGE
-    text = f"Error: another broker uses {folder.absolute()}: give --data DIR\n"
-    assert done.output == text
-
-
 @pytest.mark.parametrize("version", ["2.9.10", "2.10.29"])
 def test_a_version_that_is_too_old_is_one_sentence(
     invoke: Invoke, program: Any, version: str

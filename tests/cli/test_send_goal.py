@@ -79,27 +79,6 @@ def test_a_goal_with_feedback_prints_what_ros_prints(here: Run, url: str) -> Non
     ]
 
 
-def test_as_json_each_event_is_a_line(here: Run, url: str) -> None:
-    done = here("send_goal", "arm/pick", "object_name: cup", "-f", "--json", url=url)
-
-    assert (done.code, done.err) == (0, "")
-    kinds = [event["event"] for event in done.json]
-    assert kinds == ["accepted", "status", *["feedback"] * 4, "result"]
-    assert done.json[0]["stamp"] > 1_700_000_000 * 10**9
-    assert done.json[2] == {
-        "event": "feedback",
-        "number": 1,
-        "feedback": {"progress": 0.25, "step": "step 1"},
-    }
-    assert done.json[-1]["result"]["goal"]["object_name"] == "cup"
-
-
-def test_the_type_is_taken_as_ros_users_give_it(here: Run, tcp: str) -> None:
-    type_name = "arduinobot_msgs/action/Fibonacci"
-
-    assert here("send_goal", "/fibonacci", type_name, "{order: 1}", url=tcp).code == 0
-
-
 def test_ctrl_c_cancels_waits_and_says_how_it_ended(started: Start, tcp: str) -> None:
     process = started("send_goal", "wait", "--json", url=tcp)
     lines_until("EXECUTING", process)
@@ -151,17 +130,6 @@ def test_who_reads_no_more_cancels_the_goal(started: Start, tcp: str) -> None:
     assert anyio.run(outcome) is GoalStatus.CANCELED
 
 
-def test_detach_prints_the_goal_id_and_leaves_the_goal_running(fibaction: Run, tcp: str) -> None:
-    code, out, err = fibaction("send_goal", "wait", "--detach", url=tcp)
-
-    async def cancel() -> bool:
-        async with connect(tcp, WAIT) as client:
-            return (await client.cancel_goals(GoalID.parse(out.strip()))).accepted
-
-    assert (code, err) == (0, "")
-    assert anyio.run(cancel), "it runs on, so that it can be canceled"
-
-
 def test_utf_8_is_shown_as_it_is_or_as_numbers(fibaction: Run, tcp: str) -> None:
     plain = fibaction("send_goal", "words", "{words: füñf 鳥}", "-f", url=tcp)
     latin = fibaction(
@@ -191,17 +159,6 @@ def test_on_a_terminal_there_is_a_bar_and_it_is_gone_in_the_end(
     assert not shown.cursor_hidden
 
 
-def test_ctrl_c_in_a_terminal_cancels(terminal: Open, tcp: str) -> None:
-    shown = terminal("send_goal", "wait", "-f", url=tcp)
-    shown.until("step: step 0")
-    shown.press("\x03")
-
-    assert shown.ends() == ExitCode.CANCELED
-    assert "\nCanceling goal... (Ctrl-C again leaves it running)\n" in shown.text
-    assert shown.text.endswith("Goal finished with status: CANCELED (asked to stop)")
-    assert not shown.cursor_hidden
-
-
 def test_the_log_is_above_the_line_that_changes(
     terminal: Open, start_robot: Callable[[], Robot]
 ) -> None:
@@ -219,17 +176,6 @@ def test_the_log_is_above_the_line_that_changes(
     assert f"\nfibaction: {robot.tcp} closed its side\nCanceling goal..." in shown.text
     assert "was left, and may continue." in shown.text
     assert "step 0" not in shown.text
-
-
-def test_no_color_means_none(terminal: Open, tcp: str) -> None:
-    shown = terminal(
-        *("send_goal", "wait", "{seconds: 1, steps: 4}", "-f"), url=tcp, env={"NO_COLOR": "1"}
-    )
-    shown.until("step: step 2")
-    shown.ends()
-
-    assert b"\x1b[38" not in shown.raw
-    assert b"\x1b[3" not in shown.raw.replace(b"\x1b[3m", b"")
 
 
 def test_a_terminal_that_cannot_redraw_gets_lines(terminal: Open, tcp: str) -> None:
@@ -368,15 +314,6 @@ def test_50_000_numbers_and_5_megabytes_are_cut_unless_all_is_wanted(
     assert len(full.output) > 5_000_000
     result = json.loads(events.output.splitlines()[-1])
     assert len(result["result"]["text"]) == 5_000_000
-
-
-def test_detach_as_json_has_the_stamp_too(invoke: Invoke, tcp: str) -> None:
-    result = invoke("send_goal", "fibonacci", "order: 1", "--detach", "--json", url=tcp)
-
-    assert result.exit_code == 0
-    assert json.loads(result.output)["event"] == "accepted"
-    plain = invoke("send_goal", "fibonacci", "order: 1", "--detach", url=tcp)
-    assert len(plain.output) == 33
 
 
 # The keys and the clock, with a server that does as it is told
@@ -595,21 +532,6 @@ async def test_ctrl_c_before_the_answer_withdraws_the_goal(
 
 
 @pytest.mark.asyncio
-async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
-
-    async with executing(server, same_signal=0) as codes:
-        signal.raise_signal(signal.SIGINT)
-        await until(server, GoalStatus.CANCELING)
-        signal.raise_signal(signal.SIGINT)
-
-    assert codes == [ExitCode.INTERRUPTED]
-    assert "Canceling goal..." in capsys.readouterr().err
-
-
-@pytest.mark.asyncio
 async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -731,23 +653,6 @@ async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
 
 async def closed(*_: object, **__: object) -> None:
     raise BrokenPipeError
-
-
-@pytest.mark.asyncio
-async def test_an_output_that_is_closed_cancels_the_goal(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    server = waiting()
-    monkeypatch.setattr(send_goal, "print_goal", closed)
-    async with serve(server, "inproc://keys"):
-        with pytest.raises(BrokenPipeError):
-            await send_here()
-        with await server.status() as statuses, anyio.fail_after(20):
-            while (info := await statuses.receive()) and info.status.is_active:
-                pass
-
-    assert info is not None
-    assert info.status is GoalStatus.CANCELED
 
 
 @pytest.mark.asyncio

@@ -13,7 +13,6 @@ import weakref
 from contextlib import suppress
 from pathlib import Path
 from signal import SIGINT, SIGTERM
-from threading import Thread
 
 import pytest
 
@@ -22,7 +21,7 @@ from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import serve
 from fibaction_transports.inprocess import InProcessTransport
-from tests.cli.conftest import Invoke, Open, Run, Start, detached, eventually
+from tests.cli.conftest import Invoke, Open, Run, Start, detached
 from tests.cli.robot_module import MODULE
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.processes import ended, lines_until
@@ -103,13 +102,6 @@ def test_a_second_ctrl_c_ends_at_once_and_quietly(
 # serve, in this process
 
 
-def test_a_wrong_module_is_one_sentence_of_a_process(folder: Path, fibaction: Run) -> None:
-    code, out, err = fibaction("serve", "robt:server")
-
-    assert (code, out) == (2, "")
-    assert err == "Error: there is no module 'robt'; did you mean robot?\n"
-
-
 def test_a_used_address_is_one_sentence_and_nothing_else(folder: Path, invoke: Invoke) -> None:
     with socket.create_server(("127.0.0.1", 0)) as used:
         url = f"tcp://127.0.0.1:{used.getsockname()[1]}"
@@ -167,27 +159,6 @@ def test_urls_of_this_process_alone_are_rejected(
     assert lines_until("", both) == [
         f"serving /count at unix://{folder}/socket, inproc://robot, Ctrl-C stops it\n"
     ]
-
-
-def test_a_signal_ends_it_with_code_0_and_the_log_is_as_before(
-    folder: Path, invoke: Invoke
-) -> None:
-    root = logging.getLogger()
-    before = (root.level, root.handlers[:])
-
-    def stop_it() -> None:
-        eventually((folder / "socket").exists)
-        os.kill(os.getpid(), SIGTERM)
-
-    thread = Thread(target=stop_it)
-    thread.start()
-    result = invoke("serve", "robot:make", f"unix://{folder}/socket")
-    thread.join()
-
-    assert result.exit_code == 0
-    assert result.stdout == f"serving /arm/tell at unix://{folder}/socket, Ctrl-C stops it\n"
-    assert "action server 'arm/tell' has stopped" in result.stderr
-    assert (root.level, root.handlers) == before
 
 
 def test_names_that_an_address_remaps_are_printed_with_it() -> None:

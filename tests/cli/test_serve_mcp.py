@@ -5,14 +5,12 @@ from __future__ import annotations
 import importlib.util
 import io
 import json
-import os
 import re
 import signal
 import sys
 import urllib.error
 import urllib.request
-from pathlib import Path
-from signal import SIGINT, SIGKILL, SIGTERM
+from signal import SIGINT, SIGTERM
 from typing import Any
 
 import anyio
@@ -23,8 +21,6 @@ from mcp_types import CallToolResult, ElicitResult, TextContent
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import serve_mcp
 from fibaction.cli.verbs.serve_mcp import named_servers, url_of_http
-from fibaction.observe.followed_servers import FollowedServers
-from fibaction_transports.mcp import McpStdioTransport
 from tests.cli.conftest import Invoke, Start, command, environment
 from tests.support.processes import PATIENCE, ended, lines_until
 
@@ -85,24 +81,6 @@ async def test_a_client_that_cannot_ask_sends_what_the_command_line_permits(tcp:
             assert not done.is_error
 
 
-@pytest.mark.asyncio
-async def test_the_server_is_killed_and_comes_back_at_the_same_address(
-    tmp_path: Path, folder: Path, started: Start
-) -> None:
-    far = f"unix://{tmp_path}/far"
-    server = started("serve", "robot:server", far)
-    lines_until("serving", server)
-    with anyio.fail_after(LONG):
-        async with client(far, "--unasked", "*") as made:
-            assert not (await made.call_tool("count", {"goal": 1})).is_error
-            server.send_signal(SIGKILL)
-            await anyio.to_thread.run_sync(server.wait)
-            server = started("serve", "robot:server", far)
-            await anyio.to_thread.run_sync(lines_until, "serving", server)
-            # The call waits for the connection, which comes back.
-            assert not (await made.call_tool("count", {"goal": 1})).is_error
-
-
 @pytest.mark.parametrize("number", [SIGINT, SIGTERM])
 def test_a_signal_ends_it_while_it_waits_for_a_line(
     started: Start, tcp: str, number: signal.Signals
@@ -124,31 +102,6 @@ def test_the_end_of_stdin_ends_it_and_nothing_else_is_on_stdout(
     assert result.stdout == ""
     assert "serving the tools send_goal, goal_status, cancel_goal over" in result.stderr
     assert "; the server cannot be reached yet: no server listens at" in result.stderr
-
-
-def test_a_signal_ends_it_in_this_process(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    read, write = os.pipe()
-
-    def note_and_stop(_: str) -> None:
-        signal.raise_signal(SIGTERM)
-
-    monkeypatch.setattr(serve_mcp, "note", note_and_stop)
-
-    class Waits:
-        """An input that nobody writes to, until the bridge has ended."""
-
-        def begin(self) -> None:
-            os.close(write)
-
-    async def run() -> int:
-        waits: Any = Waits()
-        with os.fdopen(read, "rb") as raw, io.TextIOWrapper(raw) as stdin:
-            monkeypatch.setattr(sys, "stdin", stdin)
-            return await serve_mcp.serve_mcp(
-                FollowedServers({"": nobody}), McpStdioTransport(), "", waits
-            )
-
-    assert anyio.run(run) == ExitCode.SUCCEEDED
 
 
 # Over HTTP

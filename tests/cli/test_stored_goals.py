@@ -83,18 +83,6 @@ def test_the_newest_goals_of_a_store_are_listed_and_the_others_counted(
     assert (len(everything.json), everything.err) == (3, "")
 
 
-def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> None:
-    found = here("goals", "/paint", "--store", str(path), "--json")
-
-    assert [(goal["action"], goal["status"]) for goal in found.json] == [("paint", "SUCCEEDED")] * 2
-    assert found.json[0]["feedback_count"] == 1
-    assert found.json[0]["attempt"] == 1
-    assert [(goal["reason"], goal["result"]) for goal in found.json] == [
-        ("", "done 1"),
-        ("", "done 3"),
-    ]
-
-
 def test_a_goal_that_runs_again_tells_its_attempt_and_its_parent(here: Run, tmp_path: Path) -> None:
     anyio.run(begin_twice, tmp_path / "goals.db")
     [goal] = here("goals", "--store", str(tmp_path / "goals.db"), "--json").json
@@ -154,12 +142,6 @@ def test_the_history_of_a_store_is_listed_without_a_server(
 def test_a_store_without_a_history_has_no_past(here: Run, path: Path) -> None:
     listed = here("goals", "--past", "--store", str(path), "--json").json
     assert listed == here("goals", "--store", str(path), "--json").json
-
-
-def test_a_store_without_goals_of_an_action_says_so(here: Run, path: Path) -> None:
-    found = here("goals", "clean", "--store", str(path))
-
-    assert (found.code, found.out, found.err) == (0, "", "There are no goals of /clean.\n")
 
 
 def test_a_file_that_is_not_there_is_an_error(here: Run, tmp_path: Path) -> None:

@@ -95,19 +95,6 @@ def test_sigterm_leaves_the_terminal_as_it_was(terminal: Open, tcp: str) -> None
     assert b"\x1b[?1049l" in shown.raw
 
 
-def test_a_connection_that_is_lost_for_good_ends_it(
-    terminal: Open, start_robot: Callable[[], Robot]
-) -> None:
-    robot = start_robot()
-    shown = terminal("top", url=f"{robot.tcp}?reconnect=false")
-    shown.until("/fibonacci")
-    robot.process.kill()
-
-    assert shown.ends() == ExitCode.UNREACHABLE
-    assert "Error: " in shown.text
-    assert "Traceback" not in shown.text
-
-
 def test_a_server_that_does_not_run_is_an_error_before_the_screen_is_taken(
     terminal: Open, nobody: str
 ) -> None:
@@ -147,13 +134,6 @@ def test_without_textual_it_says_how_to_get_it(
 
     assert result.exit_code == ExitCode.USAGE
     assert result.stderr == "Error: fibaction top needs textual: pip install 'fibaction[tui]'\n"
-
-
-def test_the_help_has_an_example_and_the_keys(invoke: Invoke) -> None:
-    out = invoke("top", "--help").output
-
-    assert "  fibaction top\n" in out
-    assert "c cancels the goal under the cursor" in out
 
 
 # Here

@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 from fibaction.cli.process.exit_codes import ExitCode
-from tests.cli.conftest import Invoke, Run
-
-
-def test_type_prints_the_type(here: Run, url: str) -> None:
-    code, out, err = here("type", "fibonacci", url=url)
-
-    assert (code, out, err) == (0, "arduinobot_msgs/action/Fibonacci\n", "")
+from tests.cli.conftest import Invoke
 
 
 def test_a_type_that_the_server_does_not_say(invoke: Invoke, tcp: str) -> None:

@@ -6,7 +6,7 @@ import anyio
 import pytest
 
 from fibaction import AuthenticationFailed, serve
-from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import wait as module
 from fibaction.cli.verbs.wait import wait
 from tests.cli.conftest import Run
@@ -54,10 +54,3 @@ async def test_a_server_that_rejects_the_client_is_not_waited_for() -> None:
     served.error = AuthenticationFailed("wrong token")
     with pytest.raises(AuthenticationFailed):
         await module._served(served.connection)
-
-
-@pytest.mark.asyncio
-async def test_no_more_is_waited_for_than_what_is_missing() -> None:
-    async with serve(counter("count"), "inproc://waited"):
-        with pytest.raises(Failure, match=r"^/other: not served within 0\.01 s$"):
-            await wait("inproc://waited", ["count", "other"], 0.01)

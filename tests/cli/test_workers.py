@@ -55,19 +55,6 @@ def test_workers_are_told_in_columns() -> None:
 
 
 @pytest.mark.asyncio
-async def test_workers_are_printed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with_workers(monkeypatch, WORKERS)
-    assert await list_workers("nats://broker/robots?token=secret", as_json=False) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
-        "WORKER",
-        "arm-1",
-        "idle",
-    ]
-
-
-@pytest.mark.asyncio
 async def test_workers_as_json_are_one_value_a_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

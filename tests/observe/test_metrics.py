@@ -12,7 +12,6 @@ from typing import Any
 
 import anyio
 import pytest
-from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from fibaction import (
     ActionClient,
@@ -28,7 +27,6 @@ from fibaction import (
     serve,
 )
 from fibaction.observe.metrics import Metrics
-from fibaction.observe.metrics_formats import CONTENT_TYPE, OPENMETRICS_CONTENT_TYPE
 from fibaction.words.errors import AuthenticationFailed
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -219,19 +217,3 @@ async def test_promtool_finds_nothing_to_say_about_the_series() -> None:
     )
 
     assert (checked.returncode, checked.stdout, checked.stderr) == (0, "", "")
-
-
-def test_the_answer_is_in_the_format_that_is_asked_for() -> None:
-    metrics = Metrics()
-    metrics.missed("drive", None, 3)  # type: ignore[arg-type]  # the goal is not looked at
-
-    kind, text = metrics.answer("application/openmetrics-text;version=1.0.0, text/plain;q=0.5")
-
-    assert kind == OPENMETRICS_CONTENT_TYPE
-    parse: Any = text_string_to_metric_families  # it has no types
-    families = {one.name: one for one in parse(text.decode())}
-    samples = {one.name: one.value for one in families["fibaction_feedback_dropped"].samples}
-    assert samples["fibaction_feedback_dropped_total"] == 3
-    kind, text = metrics.answer()
-    assert (kind, text.endswith(b"# EOF\n")) == (CONTENT_TYPE, False)
-    assert text == metrics.text()

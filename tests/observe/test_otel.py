@@ -16,7 +16,6 @@ from opentelemetry import baggage, context
 from opentelemetry.sdk.trace import ReadableSpan, Span, SpanProcessor, TracerProvider
 from opentelemetry.sdk.trace.export import (
     BatchSpanProcessor,
-    SimpleSpanProcessor,
     SpanExporter,
     SpanExportResult,
 )
@@ -212,16 +211,6 @@ async def test_the_span_of_a_block_has_the_end_of_a_goal_whose_outcome_was_not_r
         assert len([item async for item in goal.feedback]) == 2
 
     assert facts(spans.named(CLIENT)) == {"goal.status": "SUCCEEDED"}
-
-
-@asynchronous
-async def test_a_goal_that_was_awaited_ends_its_span_with_the_outcome(spans: Spans) -> None:
-    async with reached(spans) as client:
-        goal = await client.send_goal(Goal(3))
-        await goal.outcome()
-        await goal.outcome()
-
-        assert facts(spans.named(CLIENT)) == {"goal.status": "SUCCEEDED"}
 
 
 @asynchronous
@@ -544,21 +533,6 @@ async def test_an_exporter_that_hangs_disturbs_no_goal(spans: Spans) -> None:
         processor.force_flush()
 
     assert len(spans.ended) == 42
-
-
-@asynchronous
-@pytest.mark.parametrize("processor", [SimpleSpanProcessor, BatchSpanProcessor])
-async def test_an_exporter_that_fails_disturbs_no_goal(
-    spans: Spans, processor: Callable[[SpanExporter], SpanProcessor]
-) -> None:
-    exporter = Exporter(hangs=False)
-    spans.provider.add_span_processor(processor(exporter))
-    async with reached(spans) as client:
-        assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
-    spans.provider.shutdown()
-
-    assert exporter.reached.is_set()
-    assert len(spans.ended) == 2
 
 
 @asynchronous

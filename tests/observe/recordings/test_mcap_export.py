@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import AsyncGenerator
 from pathlib import Path
 from typing import Any
@@ -130,11 +129,3 @@ def test_a_file_that_is_not_a_recording_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="text has no servers: is it a recording"):
         export_mcap(tmp_path / "text", tmp_path / "recording.mcap")
     assert not (tmp_path / "recording.mcap").exists()
-
-
-def test_without_mcap_the_error_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(ImportError, match=r"pip install 'fibaction\[mcap\]'"):
-        export_mcap(tmp_path / "recording.jsonl", tmp_path / "recording.mcap")

@@ -209,16 +209,6 @@ async def test_thousands_of_feedback_messages_are_recorded_without_a_loss(path: 
     assert [one.data for one in found] == list(range(5000))
 
 
-def test_feedback_that_has_not_reached_the_recorder_is_counted_in_the_recording(
-    path: Path,
-) -> None:
-    with Recorder(path) as recording:
-        recording.add_dropped(3)
-
-    assert recording.dropped == 3
-    assert [(one.event, one.number) for one in read_records(path)] == [("dropped", 3)]
-
-
 async def test_the_parent_and_the_step_of_a_goal_are_recorded_once(path: Path) -> None:
     parent, payload = GoalID(bytes([7]) * 16), FIBONACCI.goal.encode
     meta = {"parent": str(parent), "step": "count"}

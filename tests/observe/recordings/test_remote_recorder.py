@@ -28,7 +28,6 @@ from fibaction.observe.recordings import remote_recorder
 from fibaction.observe.recordings.recorder import Recorder
 from fibaction.observe.recordings.recording_file import Record, read_records
 from fibaction.observe.recordings.remote_recorder import record_from
-from fibaction.observe.recordings.replay import replayed
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, TransportError, UnknownGoal
 from fibaction.words.goals import GoalID
@@ -157,19 +156,6 @@ async def test_goals_of_other_clients_are_recorded_from_their_first_feedback_on(
         assert found[-1] == ("end", GoalStatus.SUCCEEDED.name)
 
 
-async def test_what_is_recorded_from_outside_is_replayed(robot: RunRobot, path: Path) -> None:
-    async with robot() as one:
-        one.record()
-        goal = await one.client.send_goal(Goal(2))
-        await one.lines.until("accepted")
-        one.gated.go_on.set()
-        await goal.outcome()
-        await one.lines.until("end")
-
-    async with serve(replayed(path), URL), connect(URL, FIBONACCI) as client:
-        assert await client.call(Goal(2)) == Result([2])
-
-
 async def test_a_goal_that_had_ended_before_is_left_out(robot: RunRobot) -> None:
     async with robot() as one:
         one.gated.go_on.set()
@@ -235,14 +221,6 @@ async def ends_with_its_error(connection: ClientConnection, recorder: Recorder) 
 
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
-
-
-async def test_a_full_disk_ends_the_recording_with_its_error(robot: RunRobot) -> None:
-    async with robot() as one, anyio.create_task_group() as tasks:
-        tasks.start_soon(ends_with_its_error, one.observer, one.recorder)
-        await one.lines.until("server")
-        one.recorder.error = FULL
-        await one.client.send_goal(Goal(1))
 
 
 @pytest.mark.usefixtures("soon")
