@@ -149,7 +149,7 @@ def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
 @pytest.mark.parametrize(
     ("errors", "expected"),
     [
-        ([ZeroDivisionError(), Failure("it is wrong", ExitCode.USAGE)], Failure),
+        ([ZeroDivisionError(), Failure("it is wrong")], Failure),
         ([ZeroDivisionError(), ValueError()], ZeroDivisionError),
         ([BrokenPipeError(errno.EPIPE, "closed"), ZeroDivisionError()], BrokenPipeError),
     ],

@@ -224,14 +224,14 @@ def test_without_a_parent_an_error_is_the_callers() -> None:
     with reload.started_by(None):
         pass
     with pytest.raises(Failure), reload.started_by(None):
-        raise Failure("it is wrong", ExitCode.USAGE)
+        raise Failure("it is wrong")
 
 
 def test_with_a_parent_an_error_is_printed_with_a_remark(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(click.exceptions.Exit) as exit, reload.started_by(os.getppid()):
-        raise Failure("it is wrong", ExitCode.USAGE)
+        raise Failure("it is wrong")
 
     assert exit.value.exit_code == ExitCode.USAGE
     assert capsys.readouterr().err == (

@@ -10,7 +10,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from fibaction.cli.arguments.action_names import nearest
-from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.exit_codes import Failure
 from fibaction.words.plain_data import is_map
 
 TABLE = "addresses"
@@ -57,14 +57,13 @@ def addresses() -> dict[str, str]:
     except FileNotFoundError:
         return {}
     except OSError as exc:
-        raise Failure(f"{path}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"{path}: {exc.strerror}") from exc
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
-        raise Failure(f"{path} is not TOML: {exc}", ExitCode.USAGE) from exc
+        raise Failure(f"{path} is not TOML: {exc}") from exc
     found: object = config.get(TABLE, {})
     if not is_map(found) or not all(isinstance(url, str) for url in found.values()):
         raise Failure(
-            f'{path}: [{TABLE}] has a URL for each name, such as robot = "tcp://robot:7400"',
-            ExitCode.USAGE,
+            f'{path}: [{TABLE}] has a URL for each name, such as robot = "tcp://robot:7400"'
         )
     return found
 
@@ -85,4 +84,4 @@ def address_of(name: str) -> str:
         text += f"; it has {', '.join(sorted(known))}"
     else:
         text += f': write it below [{TABLE}] as {name} = "tcp://{name}:7400"'
-    raise Failure(text, ExitCode.USAGE)
+    raise Failure(text)

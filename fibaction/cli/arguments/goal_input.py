@@ -13,7 +13,7 @@ from typing import Any, NoReturn, cast
 import yaml
 
 from fibaction.border.abc import Meta
-from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.exit_codes import Failure
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.words.goal_query import Labels
 from fibaction.words.meta import trace_meta, with_labels
@@ -113,4 +113,4 @@ def _parse(text: str) -> Any:
 
 
 def _unusable(text: str) -> Failure:
-    return Failure(text, ExitCode.USAGE)
+    return Failure(text)

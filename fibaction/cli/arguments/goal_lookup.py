@@ -14,7 +14,7 @@ from fibaction.cli.arguments.action_names import action_of, shown
 from fibaction.cli.arguments.options import TimeType, labels_option
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.lines import note
-from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of
+from fibaction.cli.process.exit_codes import Failure, message_of
 from fibaction.observe.monitor import AnyClient, newest_active_first
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError
@@ -133,7 +133,7 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
         **others: Any,
     ) -> None:
         if since is not None and until is not None and since > until:
-            raise Failure("--since is later than --until: no goal is between them", ExitCode.USAGE)
+            raise Failure("--since is later than --until: no goal is between them")
         statuses = frozenset[GoalStatus]().union(*(STATUS_WORDS[word] for word in words))
         wanted = GoalQuery(statuses, client, since, until, labels)
         function(choice=GoalChoice(words, wanted, limit, sort or "", past), **others)
@@ -246,8 +246,7 @@ def goal_digits(text: str) -> str:
     digits = text.replace("-", "").lower()
     if not digits or len(digits) > 32 or set(digits) - set("0123456789abcdef"):
         raise Failure(
-            f"a goal ID has 32 hexadecimal digits, or is the beginning of one, unlike {text!r}",
-            ExitCode.USAGE,
+            f"a goal ID has 32 hexadecimal digits, or is the beginning of one, unlike {text!r}"
         )
     return digits
 
@@ -266,11 +265,9 @@ async def find_goal(clients: Mapping[str, AnyClient], digits: str) -> tuple[str,
         found = [row for row in found if row.info.status.is_active] or found
     if not found:
         where = f"the server of {shown(next(iter(clients)))}" if len(clients) == 1 else "any server"
-        raise Failure(f"there is no goal {digits} at {where}", ExitCode.USAGE)
+        raise Failure(f"there is no goal {digits} at {where}")
     if len(found) > 1:
         ids = ", ".join(row.goal_id for row in found[:5])
         more = ", ..." if len(found) > 5 else ""
-        raise Failure(
-            f"{len(found)} goals have an ID that begins with {digits}: {ids}{more}", ExitCode.USAGE
-        )
+        raise Failure(f"{len(found)} goals have an ID that begins with {digits}: {ids}{more}")
     return found[0].action, found[0].info.goal_id

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias
 
 from fibaction.cli.arguments.action_names import nearest
-from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.exit_codes import Failure
 from fibaction.server import ActionServer, FunctionAction
 
 AnyServer: TypeAlias = ActionServer[Any, Any, Any]
@@ -42,7 +42,7 @@ def parse(target: str) -> Target:
         return Target(module, attribute)
     near = f"{module}:{attribute or 'server'}"
     hint = f"; did you mean {near}?" if all(map(str.isidentifier, module.split("."))) else ""
-    raise Failure(f"{target!r} is not written as module:server{hint}", ExitCode.USAGE)
+    raise Failure(f"{target!r} is not written as module:server{hint}")
 
 
 def import_servers(target: str) -> list[AnyServer]:
@@ -97,7 +97,7 @@ def no_module(name: str) -> Failure:
         text += f"; did you mean {'.'.join([*parents, near])}?"
     elif not parents:
         text += f" in {Path.cwd()}, nor installed"
-    return Failure(text, ExitCode.USAGE)
+    return Failure(text)
 
 
 def _attribute(target: Target, module: ModuleType) -> Any:
@@ -111,7 +111,7 @@ def _attribute(target: Target, module: ModuleType) -> Any:
                 text += f"; did you mean {target.module}:{near}?"
             elif servers:
                 text += f"; there is {', '.join(servers)}"
-            raise Failure(text, ExitCode.USAGE)
+            raise Failure(text)
         value = getattr(value, name)
     return value
 
@@ -152,7 +152,7 @@ def _no_server(target: Target, module: ModuleType, text: str) -> Failure:
     """Return the error for a value that is not a server, with the names of those that there are."""
     others = [f"{target.module}:{name}" for name in _servers_of(module)]
     there = f"; there is {', '.join(others)}" if others else ""
-    return Failure(f"{target} {text}{there}", ExitCode.USAGE)
+    return Failure(f"{target} {text}{there}")
 
 
 def _broken(target: Target, error: Exception) -> Failure:
@@ -170,4 +170,4 @@ def _broken(target: Target, error: Exception) -> Failure:
     with suppress(ValueError):
         file = str(Path(file).relative_to(Path.cwd()))
     said = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    return Failure(f"{target}: {file}, line {line}: {said}", ExitCode.USAGE)
+    return Failure(f"{target}: {file}, line {line}: {said}")

@@ -43,7 +43,7 @@ class Namespace(NamedTuple):
         """
         if not _PATH.fullmatch(text):
             text = f"a namespace is like /robot1 or /robot1/arm, unlike {excerpt(text)!r}"
-            raise Failure(text, ExitCode.USAGE)
+            raise Failure(text)
         return cls(f"/{text.strip('/')}")
 
     def holds(self, name: str) -> bool:

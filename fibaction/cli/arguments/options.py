@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.exit_codes import Failure
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
@@ -46,8 +46,7 @@ def reject_inproc(*urls: str) -> None:
 
         raise Failure(
             f"{without_settings(urls[0])} is for clients in the process of the server:"
-            f" between processes, use tcp:// or unix://",
-            ExitCode.USAGE,
+            f" between processes, use tcp:// or unix://"
         )
 
 

@@ -12,7 +12,7 @@ from fibaction.border.abc import Endpoint, ForwardingEndpoint
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.output.escape import excerpt
-from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.exit_codes import Failure
 from fibaction.types.action import ActionInfo
 
 _RENAME = re.compile(r"([\w/~]+):?=(/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*)", re.ASCII)
@@ -42,10 +42,10 @@ class Renames(NamedTuple):
             match = _RENAME.fullmatch(rule)
             if match is None:
                 text = f"a rename is like OLD=NEW, for example pick=grasp, unlike {excerpt(rule)!r}"
-                raise Failure(text, ExitCode.USAGE)
+                raise Failure(text)
             old = shown(source.absolute(match[1]))
             if old in found:
-                raise Failure(f"the action {old} is renamed twice", ExitCode.USAGE)
+                raise Failure(f"the action {old} is renamed twice")
             found[old] = shown((source if target is None else target).absolute(match[2]))
         return cls(source, target, found)
 
@@ -78,7 +78,7 @@ class Renames(NamedTuple):
             new = shown(self.new_name(name))
             other = owners.setdefault(new, name)
             if other != name and (self.names or self.target is not None):
-                raise Failure(clash(new, name, other), ExitCode.USAGE)
+                raise Failure(clash(new, name, other))
 
     def endpoint(self, endpoint: Endpoint) -> Endpoint:
         """Return an endpoint under its new name."""

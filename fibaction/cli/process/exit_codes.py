@@ -80,7 +80,7 @@ class Failure(click.ClickException):
     The sentence is on one line, and text of a server in it cannot control the terminal.
     """
 
-    def __init__(self, message: str, code: ExitCode) -> None:
+    def __init__(self, message: str, code: ExitCode = ExitCode.USAGE) -> None:
         super().__init__(clean(" ".join(line.strip() for line in message.splitlines())))
         self.exit_code = code  # type: ignore[misc]  # click, too, looks at the instance
 

@@ -46,10 +46,10 @@ def run_reloading(
         click.exceptions.Exit: A signal came.
     """
     if find_spec("watchfiles") is None:
-        raise Failure("--reload needs watchfiles: pip install 'fibaction[reload]'", ExitCode.USAGE)
+        raise Failure("--reload needs watchfiles: pip install 'fibaction[reload]'")
     if not hasattr(os, "fork"):
         needs = "--reload needs Linux or macOS: stop and start the server instead"
-        raise Failure(needs, ExitCode.USAGE)
+        raise Failure(needs)
     import watchfiles
 
     folder = folder_of(parse(target).module)
@@ -105,7 +105,7 @@ def folder_of(module: str) -> Path:
     if spec.has_location and spec.origin is not None:
         folders.append(str(Path(spec.origin).parent))
     if not folders:
-        raise Failure(f"the module {top!r} has no folder that could change", ExitCode.USAGE)
+        raise Failure(f"the module {top!r} has no folder that could change")
     return Path(folders[0])
 
 

@@ -78,7 +78,7 @@ def bridge_command(
     once.
     """
     if from_url == to_url:
-        raise Failure("FROM_URL and TO_URL are the same: a bridge needs two", ExitCode.USAGE)
+        raise Failure("FROM_URL and TO_URL are the same: a bridge needs two")
     reject_inproc(from_url)
     reject_inproc(to_url)
     renames = Renames.parse(rules, namespace, into)
@@ -97,7 +97,7 @@ def _check_names(names: Sequence[str], renames: Renames) -> None:
     """
     if old := renames.unknown(names):
         text = f"the action {old} is renamed, and is not among those to bridge: name it as well"
-        raise Failure(text, ExitCode.USAGE)
+        raise Failure(text)
     renames.check(dict.fromkeys(map(shown, names)))
 
 

@@ -93,7 +93,7 @@ def cancel_command(
         try:
             digits = goal_digits(words[-1])
         except Failure as exc:
-            raise Failure(f"{exc.message}; --all means all", ExitCode.USAGE) from exc
+            raise Failure(f"{exc.message}; --all means all") from exc
         run(cancel_one, url, name, digits, namespace, as_json=as_json)
 
 

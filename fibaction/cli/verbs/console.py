@@ -86,9 +86,9 @@ def check_is_recording(path: str) -> None:
         record = next(read_records(path), None)
     except OSError as exc:
         advice = "name a file, or a URL as in tcp://127.0.0.1:7400"
-        raise Failure(f"{path} cannot be read: {exc.strerror}; {advice}", ExitCode.USAGE) from exc
+        raise Failure(f"{path} cannot be read: {exc.strerror}; {advice}") from exc
     if record is None:
-        raise Failure(f"{path} is not a recording of fibaction, or is empty", ExitCode.USAGE)
+        raise Failure(f"{path} is not a recording of fibaction, or is empty")
 
 
 def can_open(environment: Mapping[str, str], platform: str) -> bool:

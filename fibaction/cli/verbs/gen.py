@@ -107,8 +107,7 @@ def gen_command(
         if is_typescript or name or type_name or search:
             raise Failure(
                 "--ts, --name, --type and --search are not for --from-robot: name the folders of"
-                " interface files in FIBACTION_SEARCH",
-                ExitCode.USAGE,
+                " interface files in FIBACTION_SEARCH"
             )
         reject_inproc(url)
         run(write_types_of_robot, url, sources, output)
@@ -117,10 +116,7 @@ def gen_command(
     (source,) = sources
     if is_typescript and _is_server(source):
         if name or type_name or search:
-            raise Failure(
-                f"--name, --type and --search are for .action files, unlike {source}",
-                ExitCode.USAGE,
-            )
+            raise Failure(f"--name, --type and --search are for .action files, unlike {source}")
         run(write_types_of_server, source, output)
     _write_types_of_file(
         Path(source), output, is_typescript, name=name, type_name=type_name, search=search
@@ -137,9 +133,9 @@ def _write_types_of_file(
             text = _imported(action_source(file, **given))
         write(text, output)
     except OSError as exc:
-        raise Failure(f"{exc.filename or file}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"{exc.filename or file}: {exc.strerror}") from exc
     except ValueError as exc:
-        raise Failure(str(exc), ExitCode.USAGE) from exc
+        raise Failure(str(exc)) from exc
 
 
 def _is_server(source: str) -> bool:
@@ -160,11 +156,11 @@ async def write_types_of_server(source: str, output: Path | None) -> int:
     else:
         actions = [server.info for server in import_servers(source)]
     if not actions:
-        raise Failure(f"{source} serves no actions, so there are no types", ExitCode.USAGE)
+        raise Failure(f"{source} serves no actions, so there are no types")
     try:
         write(typescript_source(actions), output)
     except OSError as exc:
-        raise Failure(f"{exc.filename or output}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"{exc.filename or output}: {exc.strerror}") from exc
     return ExitCode.SUCCEEDED
 
 
@@ -194,13 +190,13 @@ async def write_types_of_robot(url: str, names: Sequence[str], output: Path | No
     for problem in problems:
         note(problem)
     if problems and (names or not source):
-        raise Failure("nothing is written, because types are not known", ExitCode.USAGE)
+        raise Failure("nothing is written, because types are not known")
     if not source:
         raise Failure(f"{without_settings(url)} serves no actions", ExitCode.UNREACHABLE)
     try:
         write(_imported(source.source()), output)
     except OSError as exc:
-        raise Failure(f"{exc.filename or output}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"{exc.filename or output}: {exc.strerror}") from exc
     return ExitCode.SUCCEEDED
 
 

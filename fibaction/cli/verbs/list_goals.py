@@ -112,11 +112,11 @@ def goals_command(
     With --watch the list is kept up to date on a terminal; elsewhere each change is a line.
     """
     if as_json and as_csv:
-        raise Failure("--json and --csv cannot be combined", ExitCode.USAGE)
+        raise Failure("--json and --csv cannot be combined")
     form = Form.JSON if as_json else Form.CSV if as_csv else Form.TABLE
     names = tuple(namespace.absolute(name) for name in names)
     if watch and store is not None:
-        raise Failure("--store lists what is in the file now: leave out --watch", ExitCode.USAGE)
+        raise Failure("--store lists what is in the file now: leave out --watch")
     if watch:
         _check_watched(names, choice, form)
         run(watch_goals, url, *names, namespace=namespace, as_json=as_json)
@@ -134,13 +134,12 @@ def _check_watched(names: tuple[str, ...], choice: GoalChoice, form: Form) -> No
     if choice != DEFAULT:
         raise Failure(
             "--watch shows all goals: leave out the options that choose or sort them, such as"
-            " --status and --limit",
-            ExitCode.USAGE,
+            " --status and --limit"
         )
     if form is Form.CSV:
-        raise Failure("--watch prints no CSV: use --json", ExitCode.USAGE)
+        raise Failure("--watch prints no CSV: use --json")
     if len(names) > 1:
-        raise Failure("--watch shows one action, or all: give one NAME or none", ExitCode.USAGE)
+        raise Failure("--watch shows one action, or all: give one NAME or none")
 
 
 async def list_stored(

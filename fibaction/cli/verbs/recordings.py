@@ -67,7 +67,7 @@ async def _record(connection: ClientConnection, url: str, file: str) -> None:
             say(f"recording {without_settings(url)} to {file}, Ctrl-C stops it")
             await record_from(connection, recorder)
     except OSError as exc:
-        raise Failure(f"cannot record to {file}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"cannot record to {file}: {exc.strerror}") from exc
 
 
 @click.command(
@@ -99,7 +99,7 @@ def replay_command(context: click.Context, file: str, urls: tuple[str, ...], spe
     try:
         servers = replayed(file, speed=speed)
     except RecordingError as exc:
-        raise Failure(str(exc), ExitCode.USAGE) from exc
+        raise Failure(str(exc)) from exc
     with log_with_time():
         run(replay, servers, where, file, uvloop=True)
 
@@ -163,7 +163,7 @@ def show_command(file: str, as_json: bool) -> None:
             found.active.discard(record.goal_id)
             found.ends[record.status or "REJECTED"] += 1
     if not actions:
-        raise Failure(f"{file} is not a recording of fibaction, or is empty", ExitCode.USAGE)
+        raise Failure(f"{file} is not a recording of fibaction, or is empty")
     if as_json:
         summaries = {name: found.json() for name, found in actions.items()}
         say_json({"first": first, "last": last, "dropped": dropped, "actions": summaries})
@@ -190,7 +190,7 @@ def export_command(recording: str, path: str) -> None:
     try:
         count = export_mcap(recording, path)
     except (ImportError, RecordingError) as exc:
-        raise Failure(str(exc), ExitCode.USAGE) from exc
+        raise Failure(str(exc)) from exc
     except OSError as exc:
-        raise Failure(f"cannot write {path}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"cannot write {path}: {exc.strerror}") from exc
     say(f"{path} has {count:,} messages")

@@ -91,8 +91,7 @@ def find_program() -> str:
     if program is None:
         raise Failure(
             f"{PROGRAM} is not installed: pip install 'fibaction[broker]', or"
-            f" https://docs.nats.io/running-a-nats-service/introduction/installation",
-            ExitCode.USAGE,
+            f" https://docs.nats.io/running-a-nats-service/introduction/installation"
         )
     return program
 
@@ -112,14 +111,13 @@ def check_version(program: str) -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as exc:
-        raise Failure(f"{program} cannot be run: {exc}", ExitCode.USAGE) from exc
+        raise Failure(f"{program} cannot be run: {exc}") from exc
     found = re.search(r"v(\d+)\.(\d+)\S*", done.stdout)
     if found is None or (int(found[1]), int(found[2])) < LEAST_VERSION:
         version = found[0] if found else "of no known version"
         raise Failure(
             f"{program} is {version}, and a fleet needs 2.11 or later: pip install"
-            f" 'fibaction[broker]' brings one",
-            ExitCode.USAGE,
+            f" 'fibaction[broker]' brings one"
         )
 
 
@@ -136,12 +134,12 @@ def locked(folder: Path) -> Generator[Path, None, None]:
         lock = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o600)
     except OSError as exc:
         text = exc.strerror or exc
-        raise Failure(f"--data {folder} cannot be used: {text}", ExitCode.USAGE) from exc
+        raise Failure(f"--data {folder} cannot be used: {text}") from exc
     try:
         _take(lock)
     except OSError as exc:
         os.close(lock)
-        raise Failure(f"another broker uses {folder}: give --data DIR", ExitCode.USAGE) from exc
+        raise Failure(f"another broker uses {folder}: give --data DIR") from exc
     try:
         yield folder
     finally:

@@ -151,9 +151,9 @@ def _text_from(text: str | None, from_stdin: bool, file: Path | None) -> str:
         if from_stdin:
             return sys.stdin.buffer.read().decode("utf-8-sig")
     except OSError as exc:
-        raise Failure(f"{file}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"{file}: {exc.strerror}") from exc
     except UnicodeDecodeError as exc:
-        raise Failure(f"{file or 'stdin'} is not UTF-8 text: {exc}", ExitCode.USAGE) from exc
+        raise Failure(f"{file or 'stdin'} is not UTF-8 text: {exc}") from exc
     return text or ""
 
 
@@ -183,8 +183,7 @@ def goal_for(info: ActionInfo, type_name: str, text: str) -> Any:
         note(f"the server of {shown(info.name)} does not say its type, so it is not checked")
     elif type_name and type_name != info.type_name:
         raise Failure(
-            f"the action {shown(info.name)} is of the type {info.type_name}, not {type_name}",
-            ExitCode.USAGE,
+            f"the action {shown(info.name)} is of the type {info.type_name}, not {type_name}"
         )
     return read_goal(text, info.goal)
 

@@ -99,11 +99,10 @@ def serve_command(
     `recovery` and `at_stop` say what becomes of active ones.
     """
     if sync is not None and store is None:
-        raise Failure("--sync is a setting of --store FILE", ExitCode.USAGE)
+        raise Failure("--sync is a setting of --store FILE")
     if history is not None and store is None:
         raise Failure(
-            "--history is a setting of --store FILE; in a fleet, append ?history_days=7 to the URL",
-            ExitCode.USAGE,
+            "--history is a setting of --store FILE; in a fleet, append ?history_days=7 to the URL"
         )
     where = urls or (url_of(context),)
     reject_inproc(*where)  # beside another one it is for clients in the module itself
@@ -244,13 +243,13 @@ async def metrics_of(servers: Sequence[AnyServer], address: str) -> AsyncGenerat
         counts = Metrics()
     except ImportError as exc:
         needs = "--metrics needs prometheus-client: pip install 'fibaction[metrics]'"
-        raise Failure(needs, ExitCode.USAGE) from exc
+        raise Failure(needs) from exc
     for server in servers:
         server.watch_by([counts])
     try:
         serving = serve_metrics(counts, address, servers)
     except ValueError as exc:
-        raise Failure(str(exc), ExitCode.USAGE) from exc
+        raise Failure(str(exc)) from exc
     async with serving as url:
         say(f"metrics at {url}")
         yield
@@ -266,7 +265,7 @@ def recorded(servers: Sequence[AnyServer], path: str) -> Generator[None, None, N
     try:
         recorder = Recorder(path)
     except OSError as exc:
-        raise Failure(f"cannot record to {path}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"cannot record to {path}: {exc.strerror}") from exc
     with recorder:
         for server in servers:
             server.watch_by([recorder])

@@ -97,9 +97,9 @@ def mcp_command(
     others go on at their server. A second signal ends it at once.
     """
     if find_spec("mcp") is None:
-        raise Failure("fibaction mcp needs mcp: pip install 'fibaction[mcp]'", ExitCode.USAGE)
+        raise Failure("fibaction mcp needs mcp: pip install 'fibaction[mcp]'")
     if http is None and (cert or key or insecure):
-        raise Failure("--cert, --key and --insecure are settings of --http", ExitCode.USAGE)
+        raise Failure("--cert, --key and --insecure are settings of --http")
     servers = named_servers(addresses or (url_of(context),))
     rules: dict[str, Any] = {
         "allow": allow or ("*",),
@@ -116,7 +116,7 @@ def mcp_command(
         url = STDIO if http is None else url_of_http(http, has_tls=bool(cert or key))
         transport = cast("GatewayTransport", transport_for(url, **rules))
     except (TransportError, ValueError) as exc:
-        raise Failure(str(exc), ExitCode.USAGE) from exc
+        raise Failure(str(exc)) from exc
     group = FollowedServers(servers)
     with log_with_time(), LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
         run(serve_mcp, group, transport, secret, last)
@@ -133,17 +133,16 @@ def named_servers(addresses: Sequence[str]) -> dict[str, str]:
         found = _NAMED.fullmatch(text)
         if found is None:
             shown = without_settings(text)
-            raise Failure(f"{shown!r} is not a URL, nor NAME=URL", ExitCode.USAGE)
+            raise Failure(f"{shown!r} is not a URL, nor NAME=URL")
         name, url = found["name"] or "", found["url"]
         reject_inproc(url)
         if len(addresses) > 1 and not name:
             shown = without_settings(url)
             raise Failure(
-                f"several servers need names, which become part of the tools: left={shown}",
-                ExitCode.USAGE,
+                f"several servers need names, which become part of the tools: left={shown}"
             )
         if name in servers:
-            raise Failure(f"two servers have the name {name}", ExitCode.USAGE)
+            raise Failure(f"two servers have the name {name}")
         servers[name] = url
     return servers
 
@@ -170,7 +169,7 @@ def token_and_its_source() -> tuple[str, str]:
         try:
             check_token(given)
         except ValueError as exc:
-            raise Failure(f"{TOKEN}: {exc}", ExitCode.USAGE) from exc
+            raise Failure(f"{TOKEN}: {exc}") from exc
         return given, f"the token in {TOKEN}"
     token = secrets.token_urlsafe(16)
     return token, f"the token {token}"
@@ -206,7 +205,7 @@ async def serve_mcp(
             await stop.wait()
             tasks.cancel_scope.cancel()
     except TransportError as exc:
-        raise Failure(str(exc), ExitCode.USAGE) from exc
+        raise Failure(str(exc)) from exc
     last.begin()
     return ExitCode.SUCCEEDED
 

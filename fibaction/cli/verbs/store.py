@@ -53,11 +53,11 @@ def backup_command(file: str, target: str | None) -> None:
     target = target or _dated(file)
     for name in (target, f"{target}-wal"):  # SQLite would take that for a part of the copy
         if os.path.lexists(name):
-            raise Failure(f"{name} exists: name a new file", ExitCode.USAGE)
+            raise Failure(f"{name} exists: name a new file")
     try:
         count = anyio.run(back_up, file, target)
     except OSError as exc:
-        raise Failure(f"cannot write {target}: {exc.strerror}", ExitCode.USAGE) from exc
+        raise Failure(f"cannot write {target}: {exc.strerror}") from exc
     say(f"{target} has {count:,} {'goal' if count == 1 else 'goals'}")
 
 
@@ -124,8 +124,7 @@ async def run_again(place: str, digits: str) -> int:
     if len(found) != 1:
         what = "no goal" if not found else f"{len(found)} goals"
         raise Failure(
-            f"{what} with an ID that begins with {digits} was given up at {_named(place)}",
-            ExitCode.USAGE,
+            f"{what} with an ID that begins with {digits} was given up at {_named(place)}"
         )
     action, old = found[0]
     if _is_url(place):
@@ -151,8 +150,7 @@ async def _given_up(place: str) -> list[tuple[str, StoredGoal]]:
         if urlsplit(place).scheme not in FLEETS:
             raise Failure(
                 f"{_named(place)} is one server: give the file of its store, such as goals.db, or"
-                f" the URL of a fleet, such as nats://127.0.0.1/robots",
-                ExitCode.USAGE,
+                f" the URL of a fleet, such as nats://127.0.0.1/robots"
             )
         async with transport_for(place).connect() as connection:
             found = await connection.given_up()

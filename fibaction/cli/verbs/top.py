@@ -42,12 +42,11 @@ feedback and its end; / filters; s sorts; q quits.""",
 def top_command(namespace: Namespace, url: str) -> None:
     """Watch all actions and goals on a live screen: progress, rates, the latest feedback, ends."""
     if find_spec("textual") is None:
-        raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'", ExitCode.USAGE)
+        raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'")
     # Textual draws on stderr.
     if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
         raise Failure(
-            "fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not",
-            ExitCode.USAGE,
+            "fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not"
         )
     run(top, url, namespace)
 

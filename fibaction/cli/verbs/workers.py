@@ -41,8 +41,7 @@ async def list_workers(url: str, *, as_json: bool) -> int:
     if urlsplit(url).scheme not in FLEETS:
         raise Failure(
             f"{without_settings(url)} is one server, and not a fleet with workers: give the URL of"
-            f" a fleet, such as nats://127.0.0.1/robots",
-            ExitCode.USAGE,
+            f" a fleet, such as nats://127.0.0.1/robots"
         )
     async with connect(url) as connection:
         workers = await connection.workers()
