@@ -250,7 +250,7 @@ def test_actions_that_come_later_are_bridged_and_those_that_leave_are_not(
     bridge.send_signal(SIGTERM)
     code, _, err = ended(bridge)
     assert code == 0
-    assert "has come, and is bridged as /lab/arm/" in err
+    assert "has come, and is served as /lab/arm/" in err
     assert "has gone" in err
 
 

@@ -139,12 +139,12 @@ async def test_changes_are_followed_and_told_while_the_server_may_be_away(
     await follow_to_the_end(actions, house)
     assert end.calls == ["+lab/a", "+lab/b\x1b", "-lab/b\x1b"]
     assert capsys.readouterr().err.splitlines() == [
-        "/b\\x1b has come, and is bridged as /lab/b\\x1b",
+        "/b\\x1b has come, and is served as /lab/b\\x1b",
         "/b\\x1b has gone",
     ]
     house = House(["c"])
     await follow_to_the_end(BridgedActions(house, AS_THEY_ARE, End()), house)
-    assert capsys.readouterr().err == "/c has come, and is bridged\n"
+    assert capsys.readouterr().err == "/c has come, and is served\n"
 
 
 async def test_an_action_that_comes_back_with_other_types_is_told(
@@ -155,7 +155,7 @@ async def test_an_action_that_comes_back_with_other_types_is_told(
     await actions.take(infos("a"))
     await follow_to_the_end(actions, house)
     assert end.calls == ["+a", "-a", "+a"]
-    assert capsys.readouterr().err == "/a has come with other types, and is bridged\n"
+    assert capsys.readouterr().err == "/a has come with other types, and is served\n"
 
 
 async def follow_to_the_end(actions: BridgedActions, house: House) -> None:

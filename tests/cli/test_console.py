@@ -10,19 +10,13 @@ import urllib.request
 import webbrowser
 from pathlib import Path
 from signal import SIGTERM
-from typing import Any
 
-import anyio
 import pytest
 
-from fibaction import ActionInfo
-from fibaction._runtime.notify import Notifier
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import console
-from fibaction.words.errors import TransportError
 from tests.cli.conftest import Invoke, Run, Start
-from tests.cli.served import Served, counter
-from tests.support.processes import PATIENCE, ended, lines_until
+from tests.support.processes import ended, lines_until
 
 ADDRESS = re.compile(r"console of (\S+) at (http://127\.0\.0\.1:\d+)/#token=(\S+) , Ctrl-C")
 
@@ -175,56 +169,3 @@ def test_a_file_that_is_not_a_recording_is_one_sentence(
     result = invoke("console", str(file))
     assert result.exit_code == ExitCode.USAGE
     assert told in result.stderr
-
-
-# The actions
-
-
-class Asked(Served):
-    """A connection that counts how often it was asked for its actions."""
-
-    def __init__(self, *servers: Any) -> None:
-        super().__init__(*servers)
-        self._times = 0
-        self._news = Notifier()
-
-    async def actions(self) -> list[ActionInfo]:
-        self._times += 1
-        self._news.notify()
-        return await super().actions()
-
-    async def asked_again(self) -> None:
-        """Wait until an answer from now on was taken, which is before the next question."""
-        wanted = self._times + 2
-        with anyio.fail_after(PATIENCE):
-            while self._times < wanted:
-                await self._news.wait()
-
-
-@pytest.mark.asyncio
-async def test_what_is_served_follows_what_can_be_reached(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    served = Asked(counter("one"))
-    found = console.ReachableActions(served)
-    found.take(await served.actions())
-    assert list(found.endpoints) == ["one"]
-    before = found.endpoints["one"]
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(found.follow, 0.001)
-        served.unusable.add("broken")
-        served.servers |= {name: counter(name) for name in ("other", "broken")}
-        await served.asked_again()
-        assert set(found.endpoints) == {"one", "other"}
-        assert found.endpoints["one"] is before
-        served.error = TransportError("it is away")
-        await served.asked_again()
-        assert set(found.endpoints) == {"one", "other"}
-        served.error = None
-        del served.servers["one"]
-        await served.asked_again()
-        assert set(found.endpoints) == {"other"}
-        tasks.cancel_scope.cancel()
-    text = capsys.readouterr().err
-    assert text.count("/broken is left out: the type of broken is not installed") == 1

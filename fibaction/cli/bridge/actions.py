@@ -73,7 +73,7 @@ class BridgedActions:
             new = shown(one.endpoint.info.name)
             renamed = "" if new == shown(name) else f" as {excerpt(new)}"
             types = " with other types" if name in before else ""
-            note(f"{excerpt(shown(name))} has come{types}, and is bridged{renamed}")
+            note(f"{excerpt(shown(name))} has come{types}, and is served{renamed}")
 
     async def take(self, infos: Sequence[ActionInfo]) -> None:
         """Serve these actions from now on, and stop serving others that are missing for long."""

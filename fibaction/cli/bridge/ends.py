@@ -11,7 +11,7 @@ import anyio
 from anyio.abc import TaskGroup, TaskStatus
 
 from fibaction._api import serve
-from fibaction.border.abc import Endpoint
+from fibaction.border.abc import Endpoint, Transport
 from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for
 from fibaction.wire.server.requests import ChangingEndpoints
@@ -66,8 +66,8 @@ class _SingleServers(BridgeEnd):
     Each server runs in a task of its own, since a block of `serve` must be left in its own task.
     """
 
-    def __init__(self, url: str, tasks: TaskGroup) -> None:
-        self._url = url
+    def __init__(self, address: str | Transport, tasks: TaskGroup) -> None:
+        self._address = address
         self._tasks = tasks
         self._stops: dict[str, anyio.Event] = {}
         self._ended: dict[str, anyio.Event] = {}
@@ -87,7 +87,7 @@ class _SingleServers(BridgeEnd):
         task_status: TaskStatus[Any] = anyio.TASK_STATUS_IGNORED,
     ) -> None:
         try:
-            async with serve(endpoint, self._url) as (where,):
+            async with serve(endpoint, self._address) as (where,):
                 task_status.started(where)
                 await stop.wait()
         finally:
@@ -110,8 +110,8 @@ class _FixedServer(BridgeEnd):
 
     can_change = False
 
-    def __init__(self, url: str, block: AsyncExitStack) -> None:
-        self._url = url
+    def __init__(self, address: str | Transport, block: AsyncExitStack) -> None:
+        self._address = address
         self._block = block
         self._endpoints: list[Endpoint] = []
 
@@ -122,18 +122,18 @@ class _FixedServer(BridgeEnd):
         self._endpoints = [one for one in self._endpoints if one.info.name != name]
 
     async def begin(self) -> None:
-        block = serve(self._endpoints, self._url)
+        block = serve(self._endpoints, self._address)
         (self.where,) = await self._block.enter_async_context(block)
 
 
 @asynccontextmanager
-async def open_end(url: str) -> AsyncGenerator[BridgeEnd, None]:
+async def open_end(where: str | Transport) -> AsyncGenerator[BridgeEnd, None]:
     """Open the serving end of a bridge, which serves nothing yet.
 
     Raises:
         TransportError: The address cannot be used.
     """
-    transport = transport_for(url)
+    transport = transport_for(where)
     if isinstance(transport, WireTransport):
         end = _WireEnd()
         async with (
@@ -143,7 +143,7 @@ async def open_end(url: str) -> AsyncGenerator[BridgeEnd, None]:
             yield end
     elif transport.shares_address:
         async with Background() as tasks:
-            servers = _SingleServers(url, tasks)
+            servers = _SingleServers(where, tasks)
             try:
                 yield servers
             finally:
@@ -151,4 +151,4 @@ async def open_end(url: str) -> AsyncGenerator[BridgeEnd, None]:
                     await servers.aclose()
     else:
         async with AsyncExitStack() as block:
-            yield _FixedServer(url, block)
+            yield _FixedServer(where, block)

@@ -23,21 +23,17 @@ import click
 from anyio import to_thread
 
 from fibaction._api import connect
-from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.abc import Transport
+from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for, without_settings
-from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.options import reject_inproc, url_of
-from fibaction.cli.output.lines import note, say
-from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
+from fibaction.cli.bridge.actions import BridgedActions
+from fibaction.cli.bridge.ends import open_end
+from fibaction.cli.bridge.renames import AS_THEY_ARE
+from fibaction.cli.output.lines import say
+from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.process.logs import log_with_time
 from fibaction.cli.process.signals import stop_signals
-from fibaction.types.action import ActionInfo
-from fibaction.wire.transport import WireTransport
-from fibaction.wire.wire_server import open_server
-from fibaction.words.errors import ActionError, TransportError
-
-PERIOD = 1.0
-"""Seconds between two looks for actions that have come or gone."""
 
 
 @click.command(
@@ -102,85 +98,41 @@ async def console(url: str, port: int, *, opens: bool) -> int:
     """Serve the actions of a server with the console, until a signal comes."""
     page, token = page_at(port)
     async with stop_signals() as stop, connect(url) as connection:
-        found = ReachableActions(connection)
-        found.take(await connection.actions())
-        async with (
-            open_server(found.endpoints, page.settings) as server,
-            page.accept_lines(server) as where,
-            anyio.create_task_group() as tasks,
-        ):
-            address = f"{where}/#token={token}"
-            say(f"console of {without_settings(url)} at {address} , Ctrl-C stops it")
-            tasks.start_soon(found.follow)
-            if opens:
-                tasks.start_soon(open_page, address)
-            await stop.wait()
-            tasks.cancel_scope.cancel()
+        infos = await connection.actions()
+        async with open_end(page) as end, Background() as tasks:
+            actions = BridgedActions(connection, AS_THEY_ARE, end)
+            await actions.take(infos)
+            tasks.start_soon(actions.follow)
+            where = f"{end.where}/#token={token}"
+            await show_page(without_settings(url), where, stop, opens=opens)
     return ExitCode.SUCCEEDED
 
 
 async def show_recording(path: str, port: int, *, opens: bool) -> int:
     """Serve a recording with the console, until a signal comes."""
     page, token = page_at(port, recording=path)
-    async with (
-        stop_signals() as stop,
-        open_server({}, page.settings) as server,
-        page.accept_lines(server) as where,
-        anyio.create_task_group() as tasks,
-    ):
-        address = f"{where}/?recording={quote(Path(path).name)}#token={token}"
-        say(f"console of {path} at {address} , Ctrl-C stops it")
-        if opens:
-            tasks.start_soon(open_page, address)
-        await stop.wait()
-        tasks.cancel_scope.cancel()
+    async with stop_signals() as stop, open_end(page) as end:
+        where = f"{end.where}/?recording={quote(Path(path).name)}#token={token}"
+        await show_page(path, where, stop, opens=opens)
     return ExitCode.SUCCEEDED
 
 
-def page_at(port: int, **settings: Any) -> tuple[WireTransport, str]:
+async def show_page(what: str, address: str, stop: anyio.Event, *, opens: bool) -> None:
+    """Tell the address of the page, and open it if that is wanted, until the event is set."""
+    say(f"console of {what} at {address} , Ctrl-C stops it")
+    async with Background() as tasks:
+        if opens:
+            tasks.start_soon(open_page, address)
+        await stop.wait()
+
+
+def page_at(port: int, **settings: Any) -> tuple[Transport, str]:
     """Return the server of the page at a port of this machine, and its token."""
     token = secrets.token_urlsafe(16)
-    page = transport_for(f"http://127.0.0.1:{port}", tokens={token: "console"}, **settings)
-    assert isinstance(page, WireTransport)
-    return page, token
+    url = f"http://127.0.0.1:{port}"
+    return transport_for(url, tokens={token: "console"}, **settings), token
 
 
 async def open_page(address: str) -> None:
     """Open an address in the browser, in a thread: some take their time to come back."""
     await to_thread.run_sync(webbrowser.open, address, abandon_on_cancel=True)
-
-
-class ReachableActions:
-    """The endpoints of all actions that can be reached now."""
-
-    def __init__(self, connection: Connection) -> None:
-        self.endpoints: dict[str, Endpoint] = {}
-        """The endpoints by the names of their actions."""
-        self._connection = connection
-        self._infos: dict[str, ActionInfo] = {}
-
-    def take(self, infos: list[ActionInfo]) -> None:
-        """Serve these actions from now on, and no others."""
-        named = {info.name: info for info in infos}
-        for name in self._infos.keys() - named.keys():
-            self.endpoints.pop(name, None)
-        for name, info in named.items():
-            if self._infos.get(name) != info:
-                self._add(info)
-        self._infos = named
-
-    def _add(self, info: ActionInfo) -> None:
-        try:
-            self.endpoints[info.name] = self._connection.endpoint(info)
-        except TransportError as exc:
-            note(f"{shown(info.name)} is left out: {message_of(exc)}")
-
-    async def follow(self, period: float = PERIOD) -> None:
-        """Look for actions that have come or gone, until canceled."""
-        while True:
-            await anyio.sleep(period)
-            try:
-                infos = await self._connection.actions()
-            except ActionError:
-                continue  # the server is away; its goals can be followed again when it is back
-            self.take(infos)

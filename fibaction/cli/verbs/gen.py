@@ -131,11 +131,11 @@ def _write_types_of_file(
             text = typescript_source([load_action(file, **given).info])
         else:
             text = _imported(action_source(file, **given))
-        write(text, output)
     except OSError as exc:
         raise Failure(f"{exc.filename or file}: {exc.strerror}") from exc
     except ValueError as exc:
         raise Failure(str(exc)) from exc
+    write(text, output)
 
 
 def _is_server(source: str) -> bool:
@@ -157,10 +157,7 @@ async def write_types_of_server(source: str, output: Path | None) -> int:
         actions = [server.info for server in import_servers(source)]
     if not actions:
         raise Failure(f"{source} serves no actions, so there are no types")
-    try:
-        write(typescript_source(actions), output)
-    except OSError as exc:
-        raise Failure(f"{exc.filename or output}: {exc.strerror}") from exc
+    write(typescript_source(actions), output)
     return ExitCode.SUCCEEDED
 
 
@@ -193,10 +190,7 @@ async def write_types_of_robot(url: str, names: Sequence[str], output: Path | No
         raise Failure("nothing is written, because types are not known")
     if not source:
         raise Failure(f"{without_settings(url)} serves no actions", ExitCode.UNREACHABLE)
-    try:
-        write(_imported(source.source()), output)
-    except OSError as exc:
-        raise Failure(f"{exc.filename or output}: {exc.strerror}") from exc
+    write(_imported(source.source()), output)
     return ExitCode.SUCCEEDED
 
 
@@ -220,8 +214,15 @@ def _imported(source: str) -> str:
 
 
 def write(text: str, output: Path | None) -> None:
-    """Write a text to a file, or to stdout."""
+    """Write a text to a file, or to stdout.
+
+    Raises:
+        Failure: The file cannot be written.
+    """
     if output is None:
         click.echo(text, nl=False)
-    else:
+        return
+    try:
         output.write_text(text, encoding="utf-8")
+    except OSError as exc:
+        raise Failure(f"{output}: {exc.strerror}") from exc
