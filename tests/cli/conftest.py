@@ -49,15 +49,6 @@ WARNINGS = ("-W", "error", "-W", "ignore:module 'sre_:DeprecationWarning")
 """Warnings are errors, but for what ROS imports."""
 
 
-@pytest.fixture(autouse=True)
-def signals_as_before() -> Iterator[None]:
-    """What runs until a signal comes is the last that a process does, and leaves its handlers."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
 def command(*arguments: str) -> list[str]:
     """The command line of the console script, with Python's warnings as errors."""
     script = Path(sys.executable).with_name("fibaction")

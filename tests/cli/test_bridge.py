@@ -196,17 +196,6 @@ async def test_what_is_named_is_waited_for_and_the_near_name_suggested(
 
 
 @pytest.mark.asyncio
-async def test_where_no_action_is_there_is_nothing_to_bridge(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async with serve([], "tcp://127.0.0.1:0") as (url,):
-        with pytest.raises(Failure, match="there is no action to bridge") as caught:
-            await bridge.bridge(url, "unix:///tmp/never", ())
-
-    assert caught.value.exit_code == ExitCode.UNREACHABLE
-
-
-@pytest.mark.asyncio
 async def test_a_bridge_that_is_stopped_while_it_looks_has_nothing_to_complain_about(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -77,21 +77,16 @@ def test_a_browser_is_opened_where_there_are_windows(
     assert console.can_open(environment, platform) is can
 
 
+@pytest.mark.parametrize("is_recording", [False, True])
 def test_no_browser_is_opened_where_none_is_wanted(
-    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+    is_recording: bool, tmp_path: Path, invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[str] = []
-
-    def tell_and_stop(text: str) -> None:
-        told.append(text)
-        signal.raise_signal(SIGTERM)
-
-    monkeypatch.setattr(console, "say", tell_and_stop)
-    monkeypatch.setattr(webbrowser, "open", told.append)
-    result = invoke("console", tcp, "--no-open")
-
+    file = tmp_path / "today.jsonl"
+    file.write_text('{"time":1,"event":"server","action":"count"}\n')
+    monkeypatch.setattr(console, "say", lambda _: signal.raise_signal(SIGTERM))
+    monkeypatch.setattr(webbrowser, "open", pytest.fail)
+    result = invoke("console", str(file) if is_recording else tcp, "--no-open")
     assert result.exit_code == ExitCode.SUCCEEDED
-    assert [ADDRESS.search(text) is not None for text in told] == [True]
 
 
 def test_the_browser_gets_the_address_with_the_token(
@@ -140,16 +135,6 @@ def test_a_recording_is_served_with_the_page_until_a_signal_comes(
     monkeypatch.setattr(webbrowser, "open", open_and_stop)
     assert invoke("console", str(file)).exit_code == 0
     assert ["/?recording=to%20day.jsonl#token=" in address for address in opened] == [True]
-
-
-def test_no_recording_is_served_and_no_browser_opened_where_none_is_wanted(
-    tmp_path: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "today.jsonl"
-    file.write_text('{"time":1,"event":"server","action":"count"}\n')
-    monkeypatch.setattr(console, "say", lambda _: signal.raise_signal(SIGTERM))
-    monkeypatch.setattr(webbrowser, "open", pytest.fail)
-    assert invoke("console", str(file), "--no-open").exit_code == ExitCode.SUCCEEDED
 
 
 @pytest.mark.parametrize(

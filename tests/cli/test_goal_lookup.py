@@ -35,23 +35,6 @@ C = GoalID.parse("cccccccc" + "0" * 24)
 
 
 @pytest.mark.asyncio
-async def test_goals_of_all_actions_come_in_the_order_of_their_acceptance() -> None:
-    one, other = counter("one"), counter("other")
-    async with one, other:
-        clients = await ActionClients(Served(one, other).connection).now()
-        await clients["other"].send_goal(1, goal_id=A)
-        await clients["one"].send_goal(1, goal_id=B)
-        await clients["other"].send_goal(1, goal_id=C)
-        rows = await goals_of(clients)
-
-    assert [(one.action, one.info.goal_id) for one in rows] == [
-        ("other", A),
-        ("one", B),
-        ("other", C),
-    ]
-
-
-@pytest.mark.asyncio
 async def test_clients_come_and_go_with_their_actions() -> None:
     one, other = counter("one"), counter("other")
     served = Served(one)
@@ -165,13 +148,6 @@ def test_a_sorted_list_ends_with_the_greatest_and_begins_with_what_is_not_known(
     assert found(0) == (order, 0)
     assert found(4) == (order, 0)
     assert found(3) == (order[1:], 1)
-
-
-@pytest.mark.parametrize("text", ["", "-", "fibonacci", "0" * 33])
-def test_text_that_is_not_an_id_is_rejected(text: str) -> None:
-    with pytest.raises(Failure, match="32 hexadecimal digits") as failure:
-        goal_digits(text)
-    assert failure.value.exit_code == ExitCode.USAGE
 
 
 def test_an_id_may_be_written_as_a_uuid_and_in_capitals() -> None:

@@ -25,7 +25,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.cli.arguments.goal_lookup import STATUS_WORDS, GoalChoice
+from fibaction.cli.arguments.goal_lookup import GoalChoice
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.output.goal_table import GoalRow, picture
 from fibaction.cli.output.outcomes import MOST_ENDS, Outcomes
@@ -33,7 +33,6 @@ from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import list_goals
 from fibaction.cli.verbs.list_goals import Form
 from fibaction.observe.monitor import AnyClient
-from fibaction.words.goal_query import GoalQuery
 from tests.cli.conftest import Open, Robot, Run, Start, detached, interrupt
 from tests.cli.served import Altered, Heard, Served, counter
 from tests.cli.test_echo import echoed
@@ -71,28 +70,12 @@ def row(number: int, status: GoalStatus) -> GoalRow:
     return GoalRow("count", GoalInfo(GoalID(bytes([number] * 16)), number, status))
 
 
-def choice_of(*words: str) -> GoalChoice:
-    statuses = [STATUS_WORDS[word] for word in words]
-    return GoalChoice(words, GoalQuery(frozenset[GoalStatus]().union(*statuses)))
-
-
 def test_active_goals_and_then_the_newest_are_chosen_and_stay_in_their_order() -> None:
     statuses = [GoalStatus.EXECUTING, GoalStatus.ABORTED, GoalStatus.SUCCEEDED, GoalStatus.ACCEPTED]
     rows = [row(number, status) for number, status in enumerate(statuses)]
     assert GoalChoice(limit=3).of(rows) == ([rows[0], rows[2], rows[3]], 1)
     assert GoalChoice(limit=4).of(rows) == (rows, 0)
     assert GoalChoice().of(rows) == (rows, 0)
-
-
-def test_goals_are_chosen_by_the_words_for_their_statuses() -> None:
-    rows = [row(number, status) for number, status in enumerate(GoalStatus)]
-
-    def chosen(*words: str) -> list[str]:
-        return [one.info.status.name for one in choice_of(*words).of(rows)[0]]
-
-    assert chosen("active") == ["ACCEPTED", "EXECUTING", "CANCELING"]
-    assert chosen("ended") == ["SUCCEEDED", "CANCELED", "ABORTED"]
-    assert chosen("aborted", "executing") == ["EXECUTING", "ABORTED"]
 
 
 def test_goals_lists_those_of_a_status(here: Run, url: str) -> None:

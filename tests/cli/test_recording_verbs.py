@@ -128,14 +128,6 @@ def test_a_file_that_is_not_a_recording_is_one_sentence(folder: Path, invoke: In
         assert result.stderr.count("\n") == 1
 
 
-def test_a_recording_that_cannot_be_written_is_one_sentence(folder: Path, invoke: Invoke) -> None:
-    file = folder / "missing" / "today.jsonl"
-    result = invoke("serve", "robot:make", f"unix://{folder}/socket", "--record", str(file))
-
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == f"Error: cannot record to {file}: No such file or directory\n"
-
-
 def test_a_server_that_runs_already_is_recorded_and_exported(
     folder: Path, started: Start, fibaction: Run, here: Run
 ) -> None:

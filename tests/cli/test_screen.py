@@ -12,6 +12,7 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable
 
 from fibaction import (
+    Action,
     ActionInfo,
     CancelAnswer,
     CancelCode,
@@ -20,6 +21,7 @@ from fibaction import (
     GoalInfo,
     Outcome,
 )
+from fibaction.border.abc import Endpoint
 from fibaction.cli.output import screen
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.screen import TopScreen
@@ -67,6 +69,27 @@ def lines(pilot: Pilot[None]) -> list[str]:
     return [text.rstrip() for text in texts]
 
 
+async def press(pilot: Pilot[None], *keys: str) -> None:
+    """Press keys, and wait until the screen has handled them."""
+    await pilot.press(*keys)
+    await pilot.pause()
+
+
+async def until(pilot: Pilot[None], text: str) -> None:
+    """Wait until the text is on the screen."""
+    with anyio.fail_after(PATIENCE):
+        while not any(text in line for line in lines(pilot)):
+            await pilot.pause()
+
+
+def watching(server: Endpoint) -> Monitor:
+    """A monitor that has found the action of a server."""
+    monitor = Monitor(summarize=FeedbackText.of)
+    client = Served(server).connection.client(Action.untyped(server.info))
+    monitor.on_action_found(server.info, client)
+    return monitor
+
+
 def find(pilot: Pilot[None], text: str) -> str:
     """The line that has the text."""
     return next(line for line in lines(pilot) if text in line)
@@ -97,8 +120,7 @@ async def test_everything_fits_the_width(columns: int) -> None:
 async def test_a_goal_is_followed_until_it_is_no_more(key: str) -> None:
     monitor = filled()
     async with shown(monitor) as pilot:
-        await pilot.press(key)
-        await pilot.pause()
+        await press(pilot, key)
         assert find(pilot, f"/arm/pick {FIRST} EXECUTING")
         assert find(pilot, "progress: 0.5")
         monitor.on_event("arm/pick", GoalInfo(FIRST, 2, GoalStatus.UNKNOWN))
@@ -107,27 +129,22 @@ async def test_a_goal_is_followed_until_it_is_no_more(key: str) -> None:
         pilot.app.draw()
         await pilot.pause()
         assert find(pilot, f"{FIRST} forgotten by the server")
-        await pilot.press("escape")
-        await pilot.pause()
+        await press(pilot, "escape")
         assert not [line for line in lines(pilot) if "progress: 0.5" in line]
-        await pilot.press(key)
-        await pilot.pause()
+        await press(pilot, key)
         assert find(pilot, "No feedback has come while this screen was open.")
-        await pilot.press(key)
-        await pilot.pause()
+        await press(pilot, key)
         assert not [line for line in lines(pilot) if "No feedback has come" in line]
 
 
 @pytest.mark.asyncio
 @pytest.mark.parametrize("name", ["[red]pick", "[/pick]", "[@click=app.quit]pick[/]", "pick\x1b"])
 async def test_an_action_may_have_any_name(name: str) -> None:
-    server = counter("pick")
-    monitor = Monitor(summarize=FeedbackText.of)
-    monitor.on_action_found(ActionInfo(name), Served(server).connection.client(server.action))
+    monitor = watching(counter("pick"))
+    monitor.on_action_found(ActionInfo(name), monitor._client(GoalKey("pick", FIRST)))
     monitor.on_event(name, GoalInfo(FIRST, 2, GoalStatus.EXECUTING))
     async with shown(monitor) as pilot:
-        await pilot.press("f")
-        await pilot.pause()
+        await press(pilot, "f")
         assert find(pilot, f"/{clean(name)} {FIRST} EXECUTING")
 
 
@@ -151,8 +168,7 @@ async def test_the_cursor_stays_at_its_goal() -> None:
 @pytest.mark.asyncio
 async def test_the_goal_under_the_cursor_is_canceled() -> None:
     server = counter("arm/pick")
-    monitor = Monitor(summarize=FeedbackText.of)
-    monitor.on_action_found(server.info, Served(server).connection.client(server.action))
+    monitor = watching(server)
     async with server, shown(monitor) as pilot:
         await pilot.press("c", "f")  # there is none
         goal = await Served(server).connection.client(server.action).send_goal(1, goal_id=FIRST)
@@ -179,8 +195,7 @@ async def test_what_is_not_canceled_is_told_of(error: ConnectionLost | None, tex
 
     server = counter("arm/pick")
     altered = Altered(server, cancel_goals=cancel)
-    monitor = Monitor(summarize=FeedbackText.of)
-    monitor.on_action_found(server.info, Served(altered).connection.client(server.action))
+    monitor = watching(altered)
     monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
     async with shown(monitor, 160) as pilot:
         await pilot.press("c", "y")
@@ -193,14 +208,12 @@ async def test_what_is_not_canceled_is_told_of(error: ConnectionLost | None, tex
 @pytest.mark.parametrize("key", ["n", "escape"])
 async def test_a_goal_is_left_when_the_question_is_answered_with_no(key: str) -> None:
     async with shown(filled()) as pilot:
-        await pilot.press("c")
-        await pilot.pause()
+        await press(pilot, "c")
         assert find(pilot, "Cancel the goal 11111111 of /arm/pick?")
         with anyio.fail_after(PATIENCE):
             while "y Yes, cancel it  n No  q Quit" not in lines(pilot)[-1]:
                 await pilot.pause()
-        await pilot.press("f", key, "y")  # neither follows nor cancels
-        await pilot.pause()
+        await press(pilot, "f", key, "y")  # neither follows nor cancels
         assert not [line for line in lines(pilot) if "Cancel the goal" in line]
         assert not pilot.app.query_one("#followed").display
         assert not pilot.app.workers
@@ -209,17 +222,14 @@ async def test_a_goal_is_left_when_the_question_is_answered_with_no(key: str) ->
 @pytest.mark.asyncio
 async def test_goals_are_filtered_while_the_words_are_typed() -> None:
     async with shown(filled(), 160) as pilot:
-        await pilot.press("slash", *"q2222")
-        await pilot.pause()
+        await press(pilot, "slash", *"q2222")
         assert "0 of 2 with “q2222”" in lines(pilot)[0]
-        await pilot.press("home", "delete", "enter")
-        await pilot.pause()
+        await press(pilot, "home", "delete", "enter")
         assert "1 of 2 with “2222”" in lines(pilot)[0]
         assert find(pilot, "22222222")
         assert not [line for line in lines(pilot) if "11111111" in line]
         assert not pilot.app.query_one("#filter").display
-        await pilot.press("escape")
-        await pilot.pause()
+        await press(pilot, "escape")
         assert "with" not in lines(pilot)[0]
         assert find(pilot, "11111111")
 
@@ -227,8 +237,7 @@ async def test_goals_are_filtered_while_the_words_are_typed() -> None:
 @pytest.mark.asyncio
 async def test_goals_are_sorted_in_the_next_order() -> None:
     async with shown(filled()) as pilot:
-        await pilot.press("s")
-        await pilot.pause()
+        await press(pilot, "s")
         assert lines(pilot)[0].endswith("  oldest first")
         ids = [line.split()[0] for line in lines(pilot) if "EXECUTING" in line]
         assert ids == ["22222222", "11111111"]
@@ -237,17 +246,13 @@ async def test_goals_are_sorted_in_the_next_order() -> None:
 @pytest.mark.asyncio
 async def test_a_goal_that_is_followed_shows_what_was_sent() -> None:
     server = counter("arm/pick")
-    client = Served(server).connection.client(server.action)
-    monitor = Monitor(summarize=FeedbackText.of)
-    monitor.on_action_found(server.info, client)
+    monitor = watching(server)
     async with server:
-        await client.send_goal(77, goal_id=FIRST)
+        await Served(server).connection.client(server.action).send_goal(77, goal_id=FIRST)
         monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
         async with shown(monitor) as pilot:
             await pilot.press("f")
-            with anyio.fail_after(PATIENCE):
-                while not any("77" in line for line in lines(pilot)):
-                    await pilot.pause()
+            await until(pilot, "77")
             assert find(pilot, "Goal:")
 
 
@@ -277,8 +282,7 @@ async def test_a_screen_that_is_being_taken_down_is_drawn_no_more() -> None:
 @pytest.mark.parametrize("key", ["q", "ctrl+c"])
 async def test_keys_quit(key: str) -> None:
     async with shown(filled()) as pilot:
-        await pilot.press(key)
-        await pilot.pause()
+        await press(pilot, key)
         assert pilot.app.return_code == 0
 
 
@@ -306,9 +310,7 @@ async def test_a_goal_that_has_ended_is_shown_with_its_reason_and_result() -> No
     monitor.on_event("arm/pick", GoalInfo(FIRST, 2, GoalStatus.ABORTED))
     async with shown(monitor) as pilot:
         await pilot.press("f")
-        with anyio.fail_after(PATIENCE):
-            while not any("  meters: 2" in line for line in lines(pilot)):
-                await pilot.pause()
+        await until(pilot, "  meters: 2")
         assert find(pilot, "Reason: stuck")
         assert find(pilot, "No feedback has come")
         assert monitor.asked == 1

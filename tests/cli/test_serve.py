@@ -136,15 +136,6 @@ def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invok
     assert invoke("serve", "slow:server").exit_code == ExitCode.INTERRUPTED
 
 
-def test_a_url_that_cannot_be_served_at_is_one_sentence(folder: Path, invoke: Invoke) -> None:
-    result = invoke("serve", "robot:make", "tcp://0.0.0.0:0")
-
-    assert result.exit_code == ExitCode.USAGE
-    assert "can be reached from other machines" in result.stderr
-    assert "append ?insecure=true to the URL" in result.stderr
-    assert "True" not in result.stderr
-
-
 def test_urls_of_this_process_alone_are_rejected(
     folder: Path, started: Start, invoke: Invoke
 ) -> None:
@@ -230,25 +221,33 @@ async def test_servers_that_have_a_store_keep_it(tmp_path: Path) -> None:
         assert (tmp_path / "goals.db").exists()
 
 
-def test_a_store_that_cannot_be_used_is_one_sentence(folder: Path, invoke: Invoke) -> None:
-    result = invoke("serve", "robot:make", f"unix://{folder}/socket", "--store", "none/goals.db")
-
-    assert result.exit_code == ExitCode.STORE
-    assert result.stdout == ""
-    assert result.stderr == (
-        f"Error: cannot keep goals in {folder}/none/goals.db: there is no folder {folder}/none;"
-        f" make it first\n"
-    )
-
-
-@pytest.mark.parametrize("option", [("--sync", "normal"), ("--history", "7")])
-def test_how_to_keep_goals_is_a_setting_of_a_store(
-    folder: Path, invoke: Invoke, option: tuple[str, str]
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (["tcp://0.0.0.0:0"], ExitCode.USAGE, "append ?insecure=true to the URL\n"),
+        (
+            ["--store", "none/goals.db"],
+            ExitCode.STORE,
+            "{folder}/none/goals.db: there is no folder {folder}/none; make it first\n",
+        ),
+        (["--sync", "normal"], ExitCode.USAGE, "Error: --sync is a setting of --store FILE\n"),
+        (["--history", "7"], ExitCode.USAGE, "Error: --history is a setting of --store FILE; in"),
+        (["--metrics", "here"], ExitCode.USAGE, "Error: an address for metrics is like 127.0.0.1:"),
+        (
+            ["--record", "none/a.jsonl"],
+            ExitCode.USAGE,
+            "Error: cannot record to {folder}/none/a.jsonl: No such file or directory\n",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(
+    folder: Path, invoke: Invoke, arguments: list[str], code: ExitCode, text: str
 ) -> None:
-    result = invoke("serve", "robot:make", *option)
+    result = invoke("serve", "robot:make", f"unix://{folder}/socket", *arguments)
 
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr.startswith(f"Error: {option[0]} is a setting of --store FILE")
+    assert (result.exit_code, result.stdout) == (code, "")
+    assert text.format(folder=folder) in result.stderr
+    assert "True" not in result.stderr
 
 
 @pytest.mark.asyncio

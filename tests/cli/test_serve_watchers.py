@@ -32,13 +32,6 @@ def test_metrics_of_goals_are_served_until_the_servers_stop(
     assert ended(server)[0] == 0
 
 
-def test_a_wrong_address_for_metrics_is_one_sentence(folder: Path, invoke: Invoke) -> None:
-    result = invoke("serve", "robot:make", f"unix://{folder}/socket", "--metrics", "here")
-
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr.startswith("Error: an address for metrics is like 127.0.0.1:9464")
-
-
 def test_without_prometheus_client_one_sentence_says_what_to_install(
     folder: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -260,17 +260,6 @@ async def test_a_timeout_is_an_error_of_the_client(spans: Spans, reads: bool) ->
     assert status(spans.named(CLIENT))[0] == "ERROR"
 
 
-@asynchronous
-async def test_a_lost_connection_is_an_error_of_the_client(spans: Spans) -> None:
-    async with serve(ActionServer(FIBONACCI, waits), "inproc://traced"):
-        async with connect("inproc://traced", FIBONACCI, tracing=spans.tracing) as client:
-            goal = await client.send_goal(Goal(1))
-        del goal
-        gc.collect()
-
-    assert facts(spans.named(CLIENT))["error.type"] == "ConnectionLost"
-
-
 @pytest.mark.parametrize("is_own", [True, False])
 def test_a_timeout_counts_more_than_the_outcome_of_its_cancel(spans: Spans, is_own: bool) -> None:
     class Stream:

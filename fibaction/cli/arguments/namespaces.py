@@ -58,12 +58,13 @@ class Namespace(NamedTuple):
         """Return the name of an action in this namespace without the namespace."""
         return name if self == ROOT else shown(name).removeprefix(f"{self.path}/")
 
-    def narrow(self, connection: ClientConnection) -> ClientConnection:
-        """Return the connection with the actions of this namespace only.
+    def narrow(self, connection: ClientConnection, *names: str | None) -> ClientConnection:
+        """Return the connection with the actions of this namespace only; with the `names` of
+        actions, which may be in others, the connection as it is.
 
         Its `actions` raises a `Failure` as long as there has been none.
         """
-        if self == ROOT:
+        if self == ROOT or any(names):
             return connection
         return ClientConnection(_NarrowConnection(connection, self))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -34,39 +33,11 @@ CODES = {
 """The exit code for each status of a goal that has ended."""
 
 
-class GoalPrinter(ABC):
-    """Prints the events of one goal."""
+class TextPrinter:
+    """Prints the events of one goal as lines, as `ros2 action send_goal` does."""
 
     wants_all = False
     """True if statuses are printed as well; for those the feedback has to be read, too."""
-
-    @abstractmethod
-    def sending(self, goal: Any) -> None:
-        """Print the goal, before it is sent."""
-
-    @abstractmethod
-    def accepted(self, goal_id: GoalID, stamp: int, parent: Parent | None = None) -> None:
-        """Print that the server has accepted it, and the goal whose step it is, if it is one."""
-
-    @abstractmethod
-    def rejected(self, error: GoalRejected) -> None:
-        """Print that the server has rejected it."""
-
-    @abstractmethod
-    def status(self, status: GoalStatus) -> None:
-        """Print its new status."""
-
-    @abstractmethod
-    def feedback(self, number: int, feedback: Any) -> None:
-        """Print a feedback message."""
-
-    @abstractmethod
-    def ended(self, outcome: Outcome[Any]) -> None:
-        """Print how it ended."""
-
-
-class TextPrinter(GoalPrinter):
-    """Prints lines as `ros2 action send_goal` does."""
 
     def __init__(self, *, full: bool = False, line: LiveLine | None = None) -> None:
         """Make a printer. With `line`, each feedback is shown there until the next one."""
@@ -74,26 +45,31 @@ class TextPrinter(GoalPrinter):
         self._line = line
 
     def sending(self, goal: Any) -> None:
+        """Print the goal, before it is sent."""
         self._say("Sending goal:", goal)
 
     def accepted(self, goal_id: GoalID, stamp: int, parent: Parent | None = None) -> None:
+        """Print that the server has accepted it, and the goal whose step it is, if it is one."""
         step = f"It is the step {step_of(parent)}\n" if parent else ""
         say(f"Goal accepted with ID: {goal_id}\n{step}")
 
     def rejected(self, error: GoalRejected) -> None:
+        """Print that the server has rejected it."""
         reason = clean(error.reason)
         say(f"Goal was rejected: {reason}" if reason else "Goal was rejected.")
 
     def status(self, status: GoalStatus) -> None:
-        pass  # the verb prints a remark when it causes a change
+        """Print nothing: the verb prints a remark when it causes a change."""
 
     def feedback(self, number: int, feedback: Any) -> None:
+        """Print a feedback message."""
         if self._line is not None:
             self._line.show(number, feedback)
         else:
             self._say("Feedback:", feedback)
 
     def ended(self, outcome: Outcome[Any]) -> None:
+        """Print how it ended."""
         if outcome.result is not None:
             self._say("Result:", outcome.result)
         reason = f" ({clean(outcome.reason)})" if outcome.reason else ""
@@ -103,12 +79,13 @@ class TextPrinter(GoalPrinter):
         say(f"{title}\n{as_yaml(value, full=self._full, indent=INDENT)}\n")
 
 
-class JsonPrinter(GoalPrinter):
-    """Prints each event as one JSON object, with nothing left out."""
+class JsonPrinter(TextPrinter):
+    """Prints each event of a goal as one JSON object, with nothing left out."""
 
     wants_all = True
 
     def __init__(self, *, feedback: bool) -> None:
+        super().__init__()
         self._feedback = feedback
 
     def sending(self, goal: Any) -> None:
@@ -133,13 +110,13 @@ class JsonPrinter(GoalPrinter):
         say_json({"event": "result"} | outcome.members)
 
 
-def goal_printer(*, feedback: bool, as_json: bool, full: bool) -> GoalPrinter:
+def goal_printer(*, feedback: bool, as_json: bool, full: bool) -> TextPrinter:
     """Return the printer for these options of a command."""
     return JsonPrinter(feedback=feedback) if as_json else TextPrinter(full=full)
 
 
 async def print_goal(
-    stream: GoalStream, action: Action[Any, Any, Any], printer: GoalPrinter, *, live: bool
+    stream: GoalStream, action: Action[Any, Any, Any], printer: TextPrinter, *, live: bool
 ) -> ExitCode:
     """Print the events of a goal until it ends, and return the exit code for its end.
 
@@ -167,8 +144,8 @@ async def print_goal(
 
 
 @contextmanager
-def _live_line(printer: GoalPrinter, wanted: bool) -> Generator[GoalPrinter, None, None]:
-    if not (wanted and isinstance(printer, TextPrinter) and on_terminal()):
+def _live_line(printer: TextPrinter, wanted: bool) -> Generator[TextPrinter, None, None]:
+    if printer.wants_all or not (wanted and on_terminal()):
         yield printer
         return
     from fibaction.cli.output.progress import LiveLine

@@ -29,28 +29,12 @@ SETTLING = 2
 are arrive one by one, and the user has not chosen one of them yet."""
 
 
-def _by_age(goal: GoalSnapshot) -> tuple[Any, ...]:
-    return not goal.info.status.is_active, goal.info.stamp
-
-
-def _by_action(goal: GoalSnapshot) -> tuple[Any, ...]:
-    return goal.action, newest_active_first(goal.info)
-
-
-def _by_status(goal: GoalSnapshot) -> tuple[Any, ...]:
-    return goal.info.status, -goal.info.stamp
-
-
-def _by_rate(goal: GoalSnapshot) -> tuple[Any, ...]:
-    return -goal.feedback_rate, newest_active_first(goal.info)
-
-
 ORDERS: Mapping[str, Callable[[GoalSnapshot], tuple[Any, ...]]] = {
     "newest first": lambda goal: newest_active_first(goal.info),
-    "oldest first": _by_age,
-    "by action": _by_action,
-    "by status": _by_status,
-    "by feedback rate": _by_rate,
+    "oldest first": lambda goal: (not goal.info.status.is_active, goal.info.stamp),
+    "by action": lambda goal: (goal.action, newest_active_first(goal.info)),
+    "by status": lambda goal: (goal.info.status, -goal.info.stamp),
+    "by feedback rate": lambda goal: (-goal.feedback_rate, newest_active_first(goal.info)),
 }
 """The orders of goals and their names, in the order in which the user meets them."""
 

@@ -61,8 +61,7 @@ async def attach(
     """
     codes = [ExitCode.INTERRUPTED]
     async with connect(url) as connection:
-        looked_at = namespace.narrow(connection) if name is None else connection
-        clients = await ActionClients(looked_at, name).now()
+        clients = await ActionClients(namespace.narrow(connection, name), name).now()
         action, goal_id = await find_goal(clients, digits)
         if await until_interrupted(
             partial(_attach, clients[action], goal_id, codes, full, as_json)

@@ -106,8 +106,7 @@ async def cancel_one(
         Failure, ActionError: There is no such goal, or the server cannot be asked.
     """
     async with connect(url) as connection:
-        looked_at = namespace.narrow(connection) if name is None else connection
-        clients = await ActionClients(looked_at, name).now()
+        clients = await ActionClients(namespace.narrow(connection, name), name).now()
         action, goal_id = await find_goal(clients, digits)
         answer = await clients[action].cancel_goals(goal_id)
     if answer.return_code is CancelCode.UNKNOWN_GOAL_ID:
@@ -142,8 +141,7 @@ async def cancel_many(
 
     limit = anyio.CapacityLimiter(ACTIONS_ASKED_AT_ONCE)
     async with connect(url) as connection:
-        looked_at = namespace.narrow(connection) if name is None else connection
-        clients = await ActionClients(looked_at, name).now()
+        clients = await ActionClients(namespace.narrow(connection, name), name).now()
         rows = await goals_of(clients)
         # Concurrently: a slow server must not delay the cancels at the others.
         async with anyio.create_task_group() as tasks:

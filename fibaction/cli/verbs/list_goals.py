@@ -174,8 +174,7 @@ async def list_goals(
         Failure: An action is not served, or the namespace has no actions.
     """
     async with connect(url) as whole:
-        connection = whole if names else namespace.narrow(whole)
-        clients = await ActionClients(connection, *names).now()
+        clients = await ActionClients(namespace.narrow(whole, *names), *names).now()
         found = await goals_of(clients)
         if choice.past:  # afterwards, so that what is forgotten meanwhile is in one of them
             found = await with_past(clients, found, choice.wanted)
@@ -201,7 +200,7 @@ async def watch_goals(
         Failure: The action is not served, or the namespace has no actions.
     """
     async with connect(url) as whole:
-        connection = namespace.narrow(whole) if name is None else whole
+        connection = namespace.narrow(whole, name)
         if as_json or not on_terminal():
             printer = EventPrinter(as_json)
             await until_interrupted(
