@@ -8,15 +8,13 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Generator
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from fibaction import GoalID
-from tests.tools import goal_way
-from tests.tools.goal_way import STORE, WAYS, Figures, Step, Way, recorded
+from tests.tools.goal_way import STORE, WAYS, Figures, recorded
 
 ROOT = Path(__file__).parent.parent
 
@@ -96,12 +94,6 @@ def test_a_figure_over_its_bound_and_a_bound_that_is_too_high_are_told() -> None
     assert lower == "TCP: lower the bound of modules from 20 to 18"
 
 
-def test_calls_modules_and_changes_are_counted() -> None:
-    way = Way(Step(module, "f", 0, begins=True) for module in "aabacc")
-    assert way.figures == Figures(calls=6, modules=3, changes=3)
-    assert Way().figures == Figures(0, 0, 0)
-
-
 def test_only_calls_inside_the_packages_are_recorded() -> None:
     before = sys.getprofile()
     with recorded() as way:
@@ -110,47 +102,3 @@ def test_only_calls_inside_the_packages_are_recorded() -> None:
     GoalID.random()
     assert [step[:3] for step in way] == [("fibaction/words/goals.py", "GoalID.random", 0)]
     assert sys.getprofile() is before
-
-
-def test_a_function_begins_once_and_resumes_after_that(monkeypatch: pytest.MonkeyPatch) -> None:
-    def numbers() -> Generator[int, None, None]:
-        yield 1
-        yield 2
-
-    monkeypatch.setattr(goal_way, "module_of", lambda file: "a.py" if file == __file__ else "")
-    with recorded() as way:
-        list(numbers())
-    mine = [step for step in way if step.function.endswith("numbers")]
-    assert [step.begins for step in mine if step.begins] == [True]
-    assert len(mine) >= 3  # the first value, the second, and the end
-
-
-def test_the_way_is_printed_with_the_callers_and_the_modules() -> None:
-    way = Way(
-        [
-            Step("a.py", "outer", 0, begins=True),
-            Step("a.py", "middle", 1, begins=True),
-            Step("b.py", "inner", 2, begins=False),
-            Step("b.py", "inner", 2, begins=True),
-            Step("a.py", "outer", 0, begins=False),
-        ]
-    )
-    assert list(way.lines()) == [
-        f"{'outer':<64}  a.py",
-        "  middle",
-        f"{'    inner':<64}  b.py",
-    ]
-    assert list(way.module_lines()) == ["   3  a.py", "   2  b.py"]
-
-
-def test_the_command_prints_the_figures_the_modules_or_the_calls(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    way = Way([Step("a.py", "outer", 0, begins=True)])
-    monkeypatch.setattr(goal_way, "way_of_a_goal", lambda _name: way)
-    first = "in-process: 1 calls, 1 modules, 0 changes of module"
-    for options, line in ((["--figures"], ""), (["--modules"], "   1  a.py"), ([], "outer")):
-        goal_way.main(options)
-        lines = capsys.readouterr().out.splitlines()
-        assert lines[0] == first
-        assert lines[1].startswith(line or "TCP: 1 calls")

@@ -18,7 +18,7 @@ import anyio
 
 from tests.soak.ends import CONNECTIONS
 from tests.support.ros_domain import own_domain
-from tests.tools.benchmarks.program import Program, program
+from tests.tools.benchmarks.program import Program, processor_of, program
 from tests.tools.benchmarks.suite import machine
 
 SAMPLES = 120
@@ -133,10 +133,7 @@ def _processors(loaders: list[int]) -> tuple[float, float]:
     ticks = os.sysconf("SC_CLK_TCK")
     numbers = [int(one) for one in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
     idle = numbers[3] + numbers[4]
-    own = sum(
-        sum(map(int, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]))
-        for pid in loaders
-    )
+    own = sum(map(processor_of, loaders)) * ticks
     return sum(numbers) / ticks, (sum(numbers) - idle - own) / ticks
 
 

@@ -64,13 +64,17 @@ class Program:
     @property
     def cpu_seconds(self) -> float:
         """The processor time of the process so far."""
-        path = Path(f"/proc/{self._process.pid}/stat")
-        fields = path.read_text(encoding="utf-8").rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return processor_of(self._process.pid)
 
     def _complaint(self) -> str:
         self._stderr.seek(0)
         return self._stderr.read().decode(errors="replace").strip()
+
+
+def processor_of(pid: int) -> float:
+    """Return the seconds of the processor that a process has had."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @asynccontextmanager

@@ -7,13 +7,11 @@ is measured, as its runs come at any moment, and their cost grows with all objec
 from __future__ import annotations
 
 import gc
-import os
-import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack
 from statistics import median
 from time import process_time
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import anyio
 
@@ -28,6 +26,7 @@ from fibaction import (
     serve,
 )
 from tests.fleet.servers import Servers, servers
+from tests.tools.benchmarks.program import processor_of
 
 TCP = "tcp://127.0.0.1:0"
 
@@ -61,37 +60,6 @@ Measured: TypeAlias = AsyncGenerator[Sequence[float | None], None]
 
 Work: TypeAlias = Callable[[int], Awaitable[object]]
 """A function that does its work so many times."""
-
-
-class Spent(NamedTuple):
-    """Seconds: those that have passed, and those of the processor."""
-
-    passed: float
-    here: float
-    broker: float
-
-
-class Clock:
-    """Measures what a part of the program costs here and at the brokers."""
-
-    def __init__(self, running: Servers) -> None:
-        self._pids = [one.pid for one in running.by_name.values()]
-        self._began = self._now()
-
-    def _now(self) -> Spent:
-        broker = sum(_processor(pid) for pid in self._pids)
-        return Spent(time.perf_counter(), time.process_time(), broker)
-
-    def spent(self) -> Spent:
-        """Return what was spent since the beginning."""
-        return Spent(*(now - began for now, began in zip(self._now(), self._began, strict=True)))
-
-
-def _processor(pid: int) -> float:
-    """Return the seconds of the processor that a process has had."""
-    with open(f"/proc/{pid}/stat") as stat:
-        fields = stat.read().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 async def work(goal: GoalHandle[int]) -> AsyncGenerator[int, None]:
@@ -270,16 +238,20 @@ async def fleet_cost(client: Client, running: Servers, times: int, *, at_once: b
     """Return the microseconds of a goal, here and at the broker."""
     found: list[float] = []
     for _ in range(ROUNDS + 1):
-        clock = Clock(running)
+        start = used(running)
         if at_once:
             async with anyio.create_task_group() as tasks:
                 for _ in range(times):
                     tasks.start_soon(client.call, 0)
         else:
             await goals_of(client)(times)
-        spent = clock.spent()
-        found.append((spent.here + spent.broker) / times * MICRO)
+        found.append((used(running) - start) / times * MICRO)
     return median(found[1:])
+
+
+def used(running: Servers) -> float:
+    """Return the processor's seconds of this process and of the brokers so far."""
+    return process_time() + sum(processor_of(one.pid) for one in running.by_name.values())
 
 
 async def at_once(sending: Sequence[Awaitable[object]]) -> list[object]:
