@@ -93,7 +93,7 @@ def _strings(line: SourceLine, kind: FieldType, text: str) -> Iterator[str]:
 
 
 class _ClosingQuotes:
-    """Where ROS sees the ends of the strings in a text that one quote begins.
+    """The ends of the strings in a text that one quote begins, as ROS sees them.
 
     After an escaped quote, ROS skips a character, and after a second one it counts from there.
     Such strings are not what their author meant, but they are the defaults that ROS builds. What it
