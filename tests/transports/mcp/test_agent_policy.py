@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
@@ -36,6 +37,12 @@ def test_by_default_everything_is_allowed_and_asked() -> None:
 def test_a_pattern_names_actions(pattern: str, server: str, action: str, matches: bool) -> None:
     assert AgentPolicy(allow=(pattern,)).allows(server, action) is matches
     assert AgentPolicy(unasked=(pattern,)).asks(server, action) is not matches
+
+
+def test_patterns_may_come_from_a_generator() -> None:
+    patterns: Any = (each for each in ("arm/*", "look"))
+    policy = AgentPolicy(allow=patterns)
+    assert [policy.allows("", each) for each in ("look", "arm/a", "leg")] == [True, True, False]
 
 
 @pytest.mark.parametrize("patience", [0, -1, math.inf, math.nan])

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import ClassVar
 
+import msgspec
+
 from fibaction.border.settings import TransportSettings
 
 
@@ -42,6 +44,8 @@ class AgentPolicy(TransportSettings, frozen=True, kw_only=True):
         Raises:
             ValueError: The patience is not a number of seconds, or a pattern is empty.
         """
+        for name in ("allow", "unasked"):  # an iterator would be used up by the check
+            msgspec.structs.force_setattr(self, name, tuple(getattr(self, name)))
         if not 0 < self.patience < math.inf:
             raise ValueError(f"patience is finite and more than 0 seconds, not {self.patience}")
         if not all((*self.allow, *self.unasked)):

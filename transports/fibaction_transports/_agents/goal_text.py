@@ -8,6 +8,7 @@ from typing import Any
 
 from fibaction.border.peer_text import with_escapes
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
+from fibaction_transports._agents.robot_actions import RobotAction
 
 LONGEST_GOAL = 4000
 """Characters of a goal that a user is asked about. The user must see all of what is sent."""
@@ -41,6 +42,15 @@ def goal_text(message: Mapping[str, Any] | Any, goals: JsonCodec) -> str:
     if left_out := goals.left_out(message):
         text += "\n\n" + _without_deceit([f"The server fills in: {', '.join(left_out)}"])
     return text
+
+
+def question_about(action: RobotAction, goal: Any) -> str:
+    """Return the question to the user whether a goal may be sent.
+
+    Raises:
+        HiddenGoal: It cannot be shown, as for `goal_text`.
+    """
+    return f"Send this goal to the action {action.title}?\n\n{goal_text(goal, action.goals)}"
 
 
 def _without_deceit(lines: Iterable[str]) -> str:

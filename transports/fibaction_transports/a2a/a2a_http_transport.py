@@ -9,6 +9,7 @@ from typing import ClassVar
 from fibaction.border.gateway import Gateway, ServerGroup
 from fibaction_transports._agents.agent_goals import AgentGoals
 from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
+from fibaction_transports._agents.agent_transport import AgentGateway
 from fibaction_transports.a2a.a2a_app import CARD_PATH, PATH, A2aApp
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
 from fibaction_transports.a2a.goal_requests import GoalRequests
@@ -40,20 +41,4 @@ class A2aHttpTransport(AgentHttpTransport):
         requests = GoalRequests(skills, goals, cards, self.policy)
         app = A2aApp(requests, cards)
         async with goals.followed(), self.serve_app(app, PATH, CARD_PATH) as url:
-            yield _A2aGateway(url, skills)
-
-
-class _A2aGateway(Gateway):
-    """The skills of a gateway, and the URL where they are."""
-
-    def __init__(self, url: str, skills: Skills) -> None:
-        self._url = url
-        self._skills = skills
-
-    @property
-    def url(self) -> str:
-        return self._url
-
-    @property
-    def names(self) -> list[str]:
-        return sorted(self._skills.by_label)
+            yield AgentGateway(url, lambda: sorted(skills.by_label))

@@ -55,7 +55,7 @@ from fibaction.words.errors import ActionError, GoalRejected, LimitReached, Unkn
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import START, AgentGoal, AgentGoals, Position
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
+from fibaction_transports._agents.goal_text import HiddenGoal, question_about
 from fibaction_transports.a2a.a2a_app import asked_request
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
 from fibaction_transports.a2a.goal_messages import goal_id_of, goal_of, skill_of
@@ -211,10 +211,9 @@ class GoalRequests(RequestHandler):
         if not self._policy.asks(skill.server, skill.info.name):
             return await self._send_goal(skill, goal_id, goal, message.context_id)
         try:
-            text = goal_text(goal, skill.goals)
+            text = question_about(skill, goal)
         except HiddenGoal as exc:
             raise InvalidParamsError(str(exc)) from exc
-        text = f"Send this goal to the action {skill.title}?\n\n{text}"
         return _asking(self._questions.ask(goal_id, skill, goal, message.context_id, text))
 
     async def _answer(self, params: SendMessageRequest) -> AgentGoal[Skill] | Task:

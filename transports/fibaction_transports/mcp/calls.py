@@ -16,7 +16,7 @@ from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
+from fibaction_transports._agents.goal_text import HiddenGoal, question_about
 from fibaction_transports.mcp.answers import (
     ProgressReports,
     ToolError,
@@ -151,10 +151,9 @@ class ToolCalls:
         if not self._policy.asks(action.server, action.info.name):
             return None
         try:
-            text = goal_text(message, action.goals)
+            question = question_about(action, message)
         except HiddenGoal as exc:
             raise ToolError(str(exc)) from exc
-        question = f"Send this goal to the action {action.title}?\n\n{text}"
         return await self._consents.ask(context, params, question)
 
     async def _wait(

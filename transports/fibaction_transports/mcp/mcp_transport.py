@@ -18,7 +18,7 @@ from mcp.server.transport_security import TransportSecuritySettings
 from fibaction.border.event_loop import Background
 from fibaction.border.gateway import Gateway, ServerGroup
 from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
-from fibaction_transports._agents.agent_transport import AgentTransport
+from fibaction_transports._agents.agent_transport import AgentGateway, AgentTransport
 from fibaction_transports.mcp.tool_server import ToolServer
 
 PATH = "/mcp"
@@ -41,7 +41,7 @@ class McpTransport(AgentTransport):
     async def serve_group(self, group: ServerGroup) -> AsyncGenerator[Gateway, None]:
         """See `GatewayTransport.serve_group`. The names are those of the tools."""
         async with ToolServer(group, self.policy) as tools, self.offer(tools.server) as url:
-            yield _McpGateway(url, tools)
+            yield AgentGateway(url, lambda: tools.names)
 
 
 class McpHttpTransport(AgentHttpTransport, McpTransport):
@@ -71,19 +71,3 @@ class McpHttpTransport(AgentHttpTransport, McpTransport):
             await tasks.start(run)
             async with self.serve_app(app, PATH) as url:
                 yield url
-
-
-class _McpGateway(Gateway):
-    """The tools of a gateway, and the URL where they are."""
-
-    def __init__(self, url: str, tools: ToolServer) -> None:
-        self._url = url
-        self._tools = tools
-
-    @property
-    def url(self) -> str:
-        return self._url
-
-    @property
-    def names(self) -> list[str]:
-        return self._tools.names
