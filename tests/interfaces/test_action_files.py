@@ -36,12 +36,6 @@ def test_a_given_name_and_type_are_used() -> None:
     assert (action.name, action.type_name) == ("arm/count", "robot_msgs/action/Count")
 
 
-def test_an_action_in_a_package_has_the_type_of_the_package() -> None:
-    action = load_action(str(FILES / "robot_msgs/action/PickUp.action"))
-
-    assert (action.name, action.type_name) == ("pick_up", "robot_msgs/action/PickUp")
-
-
 @pytest.mark.anyio
 async def test_a_loaded_action_is_served_and_checks_its_limits() -> None:
     action = load()

@@ -8,7 +8,7 @@ import pytest
 
 from fibaction.interfaces import packages
 from fibaction.interfaces.files import read_action
-from fibaction.interfaces.packages import SearchPath, manifest_name, package_of, ros_folders
+from fibaction.interfaces.packages import SearchPath, manifest_name, package_of
 
 GOAL = "robot_msgs/Load load\n---\n---\n"
 
@@ -80,15 +80,6 @@ def test_a_message_may_be_in_a_folder_within_the_messages_of_its_package(
     assert load.definition.path.parent == (installed if search == "share" else grouped)
 
 
-def test_a_message_directly_in_its_package_comes_before_one_in_a_folder(tmp_path: Path) -> None:
-    robot = package(tmp_path / "robot_msgs", "robot_msgs", message="Load")
-    (robot / "msg/arm").mkdir()
-    (robot / "msg/arm/Load.msg").write_text("")
-    path = action(robot)
-
-    assert read_action(path).goal.nested["load"].definition.path == robot / "msg/Load.msg"
-
-
 @pytest.mark.parametrize("folder", ["build/a", "install/a", ".git/a", "ignored/a"])
 def test_what_a_build_does_not_look_into_is_not_searched(tmp_path: Path, folder: str) -> None:
     package(tmp_path / folder, "robot_msgs", message="Load")
@@ -137,26 +128,3 @@ def test_an_action_file_elsewhere_is_of_no_package(tmp_path: Path) -> None:
     assert package_of(tmp_path / "Lift.action") == ""
     assert package_of(tmp_path / "Not-A-Name" / "action" / "Lift.action") == ""
     assert package_of(tmp_path / "lift_msgs" / "action" / "Lift.action") == "lift_msgs"
-
-
-def test_the_messages_of_ros_are_where_its_environment_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    share = tmp_path / "venv" / "share"
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'ros'}:{tmp_path / 'ws'}:")
-    monkeypatch.setattr("sys.prefix", str(tmp_path / "venv"))
-    sourced = [tmp_path / "ros/share", tmp_path / "ws/share"]
-    assert list(ros_folders()) == sourced
-    (share / "ament_index").mkdir(parents=True)
-    assert list(ros_folders()) == [*sourced, share]
-
-
-def test_a_message_without_a_package_is_in_any_folder_and_none_of_another_package_is_taken(
-    tmp_path: Path,
-) -> None:
-    other = package(tmp_path / "other", "other_msgs", message="Load") / "msg"
-    path = SearchPath([], [other])
-
-    assert other / "Load.msg" in list(path.places("", "Load"))
-    assert not any(one.is_file() for one in path.places("robot_msgs", "Load"))
-    assert other / "Load.msg" in list(path.places("other_msgs", "Load"))

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import pytest
 
-from fibaction.schema.check import Check, Mismatch
+from fibaction.schema.check import Check
 from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.mismatch_texts import MAX_NAMED, sentences
 from fibaction.schema.parts import SchemaParts
@@ -98,22 +98,6 @@ def test_a_misspelled_field_is_not_reported_as_missing_too() -> None:
         'goal has no field "ordr"; did you mean order?'
     ]
     assert "goal.speed is missing" in errors_of(Order, {"ordr": 1})
-
-
-@pytest.mark.parametrize(
-    ("keyword", "value", "text"),
-    [
-        ("format", "date-time", 'goal must be a date and time in ISO 8601, not "soon"'),
-        ("format", "uuid", 'goal must be a UUID, not "soon"'),
-        ("contentEncoding", "base64", 'goal must be bytes in base64, not "soon"'),
-    ],
-)
-def test_text_in_a_wrong_format_is_reported_with_the_format(
-    keyword: str, value: str, text: str
-) -> None:
-    error = Mismatch((), keyword, value, "soon", {})
-
-    assert list(sentences(error, "goal")) == [text]
 
 
 def test_a_list_of_types_is_reported_like_alternatives() -> None:

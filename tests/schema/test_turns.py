@@ -9,7 +9,6 @@ import anyio.from_thread
 import pytest
 from anyio.lowlevel import checkpoint
 
-from fibaction.schema import turns
 from fibaction.schema.turns import SMALL, Pause, in_turn
 
 pytestmark = pytest.mark.anyio
@@ -76,11 +75,6 @@ async def test_one_large_document_is_read_at_a_time_in_the_order_of_their_coming
             tasks.start_soon(one, number)
             await checkpoint()
     assert sorted(read) == list(range(5))
-
-
-async def test_a_pause_takes_no_time_worth_mentioning() -> None:
-    assert turns.PAUSE < 0.001
-    turns._pause()
 
 
 async def test_the_collector_pauses_while_a_large_document_is_read() -> None:

@@ -107,23 +107,7 @@ def test_a_name_follows_the_rule_of_ros(name: str) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "",
-        "1a",
-        "a/1",
-        "a//b",
-        "a/",
-        "/",
-        "//a",
-        "~",
-        "~a",
-        "a/~/b",
-        "a b",
-        "a-b",
-        "a.b",
-        "é",
-        "a\n",
-    ],
+    ["", "1a", "a/1", "a//b", "a/", "/", "//a", "~", "~a", "a/~/b", "a b", "a-b", "é", "a\n"],
 )
 def test_another_name_is_rejected(name: str) -> None:
     with pytest.raises(ValueError, match="an action's name is like `arm/pick_up`") as caught:
@@ -137,10 +121,6 @@ def test_another_name_is_rejected(name: str) -> None:
 def test_a_type_name_is_that_of_a_ros_action_or_empty(type_name: str) -> None:
     action = Action("a", goal=int, feedback=int, result=str, type_name=type_name)
     assert action.type_name == type_name
-
-
-def test_an_action_has_no_type_name_unless_told() -> None:
-    assert Action("a", goal=int, feedback=int, result=str).type_name == ""
 
 
 @pytest.mark.parametrize(
@@ -249,12 +229,7 @@ def test_a_value_becomes_bytes_and_comes_back(message_type: Any, value: Any) -> 
     assert back == value
     assert type(back) is type(value)
     assert codec.holds(back)
-
-
-@pytest.mark.parametrize(("message_type", "value"), VALUES, ids=shown)
-def test_a_value_of_another_class_is_not_held(message_type: Any, value: Any) -> None:
-    anything = message_type in (Any, object)
-    assert Codec(message_type).holds(Stranger()) is anything
+    assert codec.holds(Stranger()) is (message_type in (Any, object))
 
 
 @pytest.mark.parametrize(
@@ -347,10 +322,6 @@ def test_the_class_tells_feedback_from_result(feedback: Any, result: Any) -> Non
     assert not action.is_ambiguous
 
 
-def test_the_goal_may_be_of_the_same_type_as_the_result() -> None:
-    assert Action("a", goal=Pose, feedback=int, result=Pose).goal.type is Pose
-
-
 # Strict decoding
 
 
@@ -436,11 +407,6 @@ def test_malformed_bytes_are_a_protocol_error(payload: bytes) -> None:
 def test_nesting_without_end_is_a_protocol_error(opening: bytes) -> None:
     with pytest.raises(ProtocolError, match="recursion"):
         ANYTHING.decode(opening * 100_000)
-
-
-def test_text_that_is_not_utf_8_is_a_protocol_error() -> None:
-    with pytest.raises(ProtocolError, match="'utf-8' codec can't decode"):
-        Codec(str).decode(b"\xa1\xff")
 
 
 @pytest.mark.parametrize("message_type", [set, frozenset[Any]])
@@ -542,20 +508,6 @@ def test_an_action_describes_itself_with_the_schemas_of_its_types() -> None:
     assert FIBONACCI.info.goal["$defs"]["Goal"]["properties"] == {"order": {"type": "integer"}}
 
 
-def test_the_description_is_made_once() -> None:
-    assert FIBONACCI.info is FIBONACCI.info
-
-
-def test_a_description_is_itself_a_message() -> None:
-    codec = Codec(ActionInfo)
-    assert codec.decode(codec.encode(FIBONACCI.info)) == FIBONACCI.info
-
-
-def test_a_description_does_not_change() -> None:
-    with pytest.raises(AttributeError):
-        setattr(FIBONACCI.info, "name", "another")  # noqa: B010 - mypy refuses the plain one
-
-
 def test_a_type_without_a_schema_allows_anything() -> None:
     extension = msgspec.msgpack.Ext
     assert Codec(extension).schema() == {}
@@ -617,16 +569,6 @@ def test_a_type_that_cannot_be_is_told_with_the_message_that_it_is_of(
         with pytest.raises(TypeError) as caught:
             Action("a", **types)
         assert str(caught.value) == f"{message} of action 'a': {text}"
-
-
-def test_a_description_says_no_more_than_the_name_unless_told() -> None:
-    assert ActionInfo("a") == ActionInfo("a", "", goal={}, feedback={}, result={})
-
-
-def test_an_untyped_action_has_the_description_that_it_was_made_from() -> None:
-    action = Action.untyped(FIBONACCI.info)
-    assert action.info is FIBONACCI.info
-    assert (action.name, action.type_name) == (FIBONACCI.name, FIBONACCI.type_name)
 
 
 def test_an_untyped_action_takes_and_gives_plain_data() -> None:
@@ -705,12 +647,6 @@ def test_classes_of_ros_are_asked_for_by_name(install: Install) -> None:
     assert action.goal.type is Goal
     with pytest.raises(ValueError, match=r"^classes is 'structs' or 'ros', not 'rclpy'$"):
         Action.from_ros("a_msgs/action/A", name="a", classes=cast("Any", "rclpy"))
-
-
-def test_an_action_from_ros_has_a_name_like_any_other(install: Install) -> None:
-    install(f"{__name__}:make_three")
-    with pytest.raises(ValueError, match="an action's name is like"):
-        from_ros("1")
 
 
 def test_what_is_said_of_a_type_that_cannot_be_had_is_not_changed(install: Install) -> None:

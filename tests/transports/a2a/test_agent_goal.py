@@ -86,25 +86,19 @@ async def numbers(goal: AgentGoal[Any], after: Position = START) -> list[Any]:
     ]
 
 
+@pytest.mark.parametrize(
+    ("most_kept", "most_bytes", "kept"), [(5, 1000, [5, 6, 7, 8, 9]), (9, 8, [8, 9]), (9, 1, [9])]
+)
 async def test_the_last_updates_are_kept_in_number_and_in_bytes(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, most_kept: int, most_bytes: int, kept: list[int]
 ) -> None:
-    stream, goal = followed(5)
+    monkeypatch.setattr(agent_goals, "MOST_BYTES", most_bytes)
+    stream, goal = followed(most_kept)
     stream.give(*feedback(1, 9), END)
     await goal.follow()
-    assert await numbers(goal) == [5, 6, 7, 8, 9]
+    assert await numbers(goal) == kept
     assert goal.outcome is END
     assert not stream.reads
-    monkeypatch.setattr(agent_goals, "MOST_BYTES", 8)
-    stream, goal = followed()
-    stream.give(*feedback(1, 9), END)
-    await goal.follow()
-    assert await numbers(goal) == [8, 9]
-    monkeypatch.setattr(agent_goals, "MOST_BYTES", 1)
-    stream, goal = followed()
-    stream.give(*feedback(1, 9), END)
-    await goal.follow()
-    assert await numbers(goal) == [9]
 
 
 async def test_a_position_is_in_an_attempt() -> None:
@@ -135,56 +129,30 @@ async def test_a_goal_that_cannot_be_followed_any_more_has_an_error() -> None:
     assert goal.outcome is None
 
 
-async def test_the_goal_waits_for_an_agent_that_reads_slowly(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("most_kept", "most_bytes", "goes"),
+    [(4, agent_goals.MOST_BYTES, False), (100, 16, False), (4, agent_goals.MOST_BYTES, True)],
+    ids=["messages behind", "bytes behind", "gone, and back"],
+)
+async def test_the_goal_waits_for_an_agent_that_is_behind_and_for_one_that_has_gone(
+    monkeypatch: pytest.MonkeyPatch, most_kept: int, most_bytes: int, goes: bool
 ) -> None:
-    stream, goal = followed(4)
+    monkeypatch.setattr(agent_goals, "MOST_BYTES", most_bytes)
+    stream, goal = followed(most_kept)
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
             stream.give(*feedback(1, 1))
             tasks.start_soon(goal.follow)
             updates = goal.updates()
             assert (await anext(updates)).update == feedback(1, 1)[0]
+            if goes:
+                await updates.aclose()
+                updates = goal.updates((1, 1))
             stream.give(*feedback(2, 9), END)
             await anyio.wait_all_tasks_blocked()
             assert stream.taken == 4
             rest = [cast("Any", entry.update).number async for entry in updates]
             assert rest == [2, 3, 4, 5, 6, 7, 8, 9]
-
-
-async def test_the_goal_waits_for_an_agent_that_is_bytes_behind(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(agent_goals, "MOST_BYTES", 16)
-    stream, goal = followed()
-    with anyio.fail_after(PATIENCE):
-        async with anyio.create_task_group() as tasks:
-            stream.give(*feedback(1, 1))
-            tasks.start_soon(goal.follow)
-            updates = goal.updates()
-            await anext(updates)
-            stream.give(*feedback(2, 9), END)
-            await anyio.wait_all_tasks_blocked()
-            assert stream.taken == 4
-            rest = [cast("Any", entry.update).number async for entry in updates]
-            assert rest == [2, 3, 4, 5, 6, 7, 8, 9]
-
-
-async def test_the_place_of_an_agent_that_has_gone_is_kept_until_one_comes_back(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    stream, goal = followed(4)
-    with anyio.fail_after(PATIENCE):
-        async with anyio.create_task_group() as tasks:
-            stream.give(*feedback(1, 1))
-            tasks.start_soon(goal.follow)
-            updates = goal.updates()
-            await anext(updates)
-            await updates.aclose()
-            stream.give(*feedback(2, 9), END)
-            await anyio.wait_all_tasks_blocked()
-            assert stream.taken == 4
-            assert await numbers(goal, (1, 1)) == [2, 3, 4, 5, 6, 7, 8, 9]
 
 
 async def test_an_agent_that_does_not_come_back_is_given_up(

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction.interfaces import make_structs, read_action
+from fibaction.interfaces import make_structs
 from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.streams import HEADER, CdrError
 from tests.transports.cdr.definitions import POSES, TESTS, Goal, action_of
@@ -59,28 +59,6 @@ def test_each_kind_of_field_has_its_place(text: str, fields: dict[str, Any], bod
     assert goal.decoded(body) == goal.type(**fields)
 
 
-def test_nested_messages_are_aligned_from_the_beginning_of_the_payload() -> None:
-    goal = Goal("int8 a\nInner inner\nint8 b", {"made_msgs/Inner": "int8 c\nint32 d"})
-    inner = goal.structs["Inner"](c=2, d=3)
-    assert goal.body(a=1, inner=inner, b=4) == "010200000300000004000000"
-
-
-def test_an_element_of_an_array_is_aligned_where_it_lies() -> None:
-    goal = Goal("Inner[] all", {"made_msgs/Inner": "int32 a\nint8 b"})
-    inner = goal.structs["Inner"]
-    assert goal.body(all=[inner(a=1, b=2), inner(a=3, b=4)]) == (
-        "020000000100000002000000" + "0300000004000000"
-    )
-
-
-def test_a_message_without_fields_is_one_byte() -> None:
-    goal = Goal("Empty one\nEmpty[] more\nint8 last", {"made_msgs/Empty": "int8 UNUSED = 1"})
-    empty = goal.structs["Empty"]
-    value = goal.type(one=empty(), more=[empty(), empty()], last=5)
-    assert goal.body(one=empty(), more=[empty(), empty()], last=5) == "000000000200000000000500"
-    assert goal.decoded("000000000200000000000500") == value
-
-
 def test_the_header_counts_the_bytes_that_pad_the_payload() -> None:
     goal = Goal("uint8[] data")
     lengths = {}
@@ -95,11 +73,6 @@ def test_padding_and_what_lies_behind_the_message_are_left_alone() -> None:
     goal = Goal("uint8[] data")
     for header, behind in [("00010003", "ffffff"), ("00010000", "ffffff"), ("00010000", "ff" * 9)]:
         assert goal.decoded("0100000007" + behind, header).data == b"\x07"
-
-
-def test_constants_and_defaults_are_those_of_the_struct() -> None:
-    goal = Goal("int8 LEFT = -1\nint8 side -1\nstring name 'gripper'")
-    assert goal.decoded(goal.body()) == goal.type(side=goal.type.LEFT, name="gripper")
 
 
 @pytest.mark.parametrize(
@@ -237,21 +210,6 @@ def test_no_payload_does_more_than_raise_the_one_error(
     cut = bytes(payload[: data.draw(st.integers(0, len(payload)))])
     with suppress(CdrError):
         assert isinstance(goal.codec.decode(cut), goal.type)
-
-
-@given(st.binary(max_size=64))
-def test_random_bytes_raise_the_one_error_at_most(payload: bytes) -> None:
-    codec = codec_of_recorded("PoseStamped")
-    with suppress(CdrError):
-        codec.decode(b"\0\1\0\0" + payload)
-
-
-def test_the_structs_of_an_action_in_a_folder_are_used() -> None:
-    action = read_action(TESTS / "action_files/robot_msgs/action/PickUp.action")
-    structs = make_structs(action)
-    codec = CdrCodec(action.goal, structs)
-    value = structs[action.goal.class_name]()
-    assert codec.decode(codec.encode(value)) == value
 
 
 def test_a_large_payload_is_not_copied_number_by_number() -> None:

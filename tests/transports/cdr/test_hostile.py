@@ -98,13 +98,6 @@ def test_of_many_elements_the_one_that_is_cut_off_is_named() -> None:
     assert error_of(goal, whole[4:-8].hex()) == ".all[2].a: 4 bytes expected, 0 bytes left"
 
 
-def test_padding_does_not_count_as_data() -> None:
-    assert error_of(Goal("int32 a"), "01000000", "00010002") == (
-        ".a: 4 bytes expected, 2 bytes left"
-    )
-    assert error_of(Goal("string a"), "", "00010003") == ".a: 4 bytes expected, 0 bytes left"
-
-
 def test_elements_of_one_byte_are_limited_in_number() -> None:
     goal = Goal("Empty[] all", {"made_msgs/Empty": ""})
     most = MAX_VALUES

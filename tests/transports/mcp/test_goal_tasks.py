@@ -23,7 +23,6 @@ from tests.transports.mcp.robot import (
     PATIENCE,
     UNASKED,
     Robot,
-    robot_and_talk,
     sent_by_others,
     text_of,
 )
@@ -160,11 +159,6 @@ async def test_a_task_that_no_server_knows_is_an_error(method: str, task: str) -
         code, text = await error_of(client, method, task)
         assert code == INVALID_PARAMS
         assert text.startswith("there is no task of this ID: ")
-
-
-async def test_a_client_without_the_extension_gets_answers() -> None:
-    async with robot_and_talk("auto", UNASKED) as (_, made):
-        assert (await made.data("arm-drive", meters=3))["result"] == {"at": 3}
 
 
 async def test_in_an_earlier_protocol_there_are_no_tasks() -> None:

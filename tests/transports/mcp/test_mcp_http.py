@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import socket
 import ssl
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any
 
 import anyio
@@ -20,7 +18,6 @@ from fibaction import InvalidURL, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports._socket_lines.host_transport import is_loopback
 from fibaction_transports.mcp import McpHttpTransport
 from tests.support.certificates import pems
 from tests.transports.mcp.robot import DRIVE, MODES, PATIENCE, Drive, Mode, Robot, Talk
@@ -187,34 +184,12 @@ async def test_this_machine_has_several_names(host: str) -> None:
         assert (await answer(url, GOOD)).status_code == 200
 
 
-async def test_a_port_that_is_taken_is_an_error() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(TransportError, match=f"already in use: mcp.*:{port}"):
-            async with serve(Robot().drive, McpHttpTransport(port=port, token=TOKEN)):
-                pass
-
-
-async def test_files_that_are_not_for_tls_are_an_error(tmp_path: Path) -> None:
-    with pytest.raises(TransportError, match="cannot load TLS files"):
-        async with served(tls=TlsFiles(cert=str(tmp_path / "no.pem"))):
-            pass
-
-
 async def test_without_a_token_it_serves_nobody() -> None:
     with pytest.raises(TransportError, match="needs a token"):
         async with serve(Robot().drive, "mcp+http://127.0.0.1:0?token="):
             pass
     with pytest.raises(ValueError, match="token has 5000 bytes"):
         McpHttpTransport(token="x" * 5000)
-
-
-async def test_each_of_several_tokens_is_enough() -> None:
-    tokens = {"one": "kitchen", "two": "cellar"}
-    async with serve(Robot().drive, "mcp+http://127.0.0.1:0", tokens=tokens) as (url,):
-        for token, status in (("one", 200), ("two", 200), ("three", 401)):
-            got = await answer(url, {"Authorization": f"Bearer {token}"})
-            assert got.status_code == status
 
 
 async def test_the_settings_in_a_url_are_those_of_the_constructor() -> None:
@@ -273,14 +248,6 @@ async def test_two_actions_of_one_name_cannot_be_served() -> None:
     with pytest.raises(TransportError, match="two of the endpoints"):
         async with serve((Robot().drive, Robot().drive), McpHttpTransport(token=TOKEN)):
             pass
-
-
-@pytest.mark.parametrize(
-    ("host", "is_here"),
-    [("localhost", True), ("127.1.2.3", True), ("::1", True), ("10.0.0.1", False), ("h", False)],
-)
-async def test_which_hosts_are_this_machine(host: str, is_here: bool) -> None:
-    assert is_loopback(host) is is_here
 
 
 @both

@@ -433,21 +433,13 @@ async def test_an_unknown_outcome_is_an_error() -> None:
         assert goal_answer(goal).is_error
 
 
-async def test_a_goal_is_reported_with_its_client_if_that_is_known() -> None:
+async def test_a_goal_is_reported_with_its_client_and_its_parent_if_they_are_known() -> None:
     async with robot_and_talk("auto") as (_, made):
         (action, _) = made.bridge._tools._actions.by_label.values()
-        info = GoalInfo(GoalID.random(), 10**18, GoalStatus.EXECUTING, client="kitchen")
-        told = overview({}, [action], {action: [info]})
-        assert told["actions"][0]["goals"][0]["client"] == "kitchen"
-        assert DRIVE.name == told["actions"][0]["action"]
-        assert "parent" not in told["actions"][0]["goals"][0]
-
-
-async def test_a_child_is_reported_with_its_parent_and_its_step() -> None:
-    async with robot_and_talk("auto") as (_, made):
-        (action, _) = made.bridge._tools._actions.by_label.values()
-        parent = Parent(GoalID(bytes(16)), "lift\n")
-        info = GoalInfo(GoalID.random(), 10**18, GoalStatus.EXECUTING, parent=parent)
-        told = overview({}, [action], {action: [info]})
-        found = told["actions"][0]["goals"][0]["parent"]
-        assert found == {"goal_id": "0" * 32, "step": "lift\\x0a"}
+        root = GoalInfo(GoalID.random(), 10**18, GoalStatus.EXECUTING, client="kitchen")
+        child = msgspec.structs.replace(root, client="", parent=Parent(GoalID(bytes(16)), "lift\n"))
+        (told,) = overview({}, [action], {action: [root, child]})["actions"]
+        assert told["action"] == DRIVE.name
+        one, other = told["goals"]
+        assert (one["client"], "parent" in one) == ("kitchen", False)
+        assert other["parent"] == {"goal_id": "0" * 32, "step": "lift\\x0a"}

@@ -9,7 +9,6 @@ import pytest
 from mcp_types import ToolAnnotations
 
 from fibaction import GoalStatus, serve
-from fibaction_transports._agents import agent_goals
 from fibaction_transports.mcp import AgentPolicy, McpBridge, answers
 from tests.transports.mcp.robot import (
     MODES,
@@ -98,17 +97,6 @@ async def test_what_went_wrong_is_an_error_that_says_why(mode: Mode) -> None:
             "There is no tool 'fly' now; there are arm-drive, count."
         )
         assert robot.sent == [Drive(13)]
-
-
-@both
-async def test_a_call_that_the_client_cancels_cancels_its_goal(mode: Mode) -> None:
-    async with robot_and_talk(mode, UNASKED) as (robot, made):
-        with anyio.fail_after(PATIENCE):
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(lambda: made.call("arm-drive", meters=100))
-                await robot.waits.wait()
-                tasks.cancel_scope.cancel()
-            await robot.stopped.wait()
 
 
 @both
@@ -258,27 +246,6 @@ async def test_what_is_not_allowed_does_not_exist(mode: Mode) -> None:
         assert "There is no goal" in await made.error("cancel_goal", goal_id=str(other.goal_id))
         assert robot.sent == [Drive(100)]
         await other.cancel()
-
-
-async def test_more_goals_than_the_bridge_follows_are_not_sent(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(agent_goals, "MOST_ACTIVE", 1)
-    async with robot_and_talk("auto", UNASKED) as (robot, made):
-        sent = await made.data("send_goal", tool="arm-drive", goal={"meters": 100})
-        assert "1 goals are active" in await made.error("arm-drive", meters=1)
-        await robot.waits.wait()
-        await made.data("cancel_goal", goal_id=sent["goal_id"])
-        assert (await made.data("arm-drive", meters=1))["status"] == "SUCCEEDED"
-
-
-async def test_ended_goals_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(agent_goals, "MOST_ENDED", 1)
-    policy = AgentPolicy(unasked=("*",))
-    async with robot_and_talk("auto", policy) as (_, made):
-        counted = [(await made.data("count", goal=n))["goal_id"] for n in (1, 2, 3)]
-        goals = made.bridge._tools._calls._goals._goals
-        assert [str(goal_id) for goal_id in goals] == counted[2:]
 
 
 async def test_a_result_that_is_too_long_for_a_model_is_cut(

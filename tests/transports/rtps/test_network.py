@@ -115,14 +115,25 @@ async def exchange(settings: DomainSettings, **more: Any) -> None:
 
 
 @pytest.mark.anyio
-async def test_two_participants_of_this_machine_exchange_samples(domain: int) -> None:
-    await exchange(DomainSettings(domain=domain))
-
-
-@pytest.mark.anyio
-async def test_they_find_each_other_by_multicast_on_the_interfaces_asked_for(domain: int) -> None:
-    settings = DomainSettings(domain=domain, discovery_range=SUBNET)
-    await exchange(settings, interfaces=["127.0.0.1"])
+@pytest.mark.parametrize(
+    ("changed", "more"),
+    [
+        pytest.param({}, {}, id="this machine"),
+        pytest.param({"static_peers": ("localhost",)}, {}, id="without multicast"),
+        pytest.param({"discovery_range": SUBNET}, {}, id="the default interface"),
+        pytest.param({"discovery_range": SUBNET}, {"interfaces": ["127.0.0.1"]}, id="an interface"),
+        *(
+            pytest.param({"ip_versions": versions, "static_peers": peers}, {}, marks=needs_ipv6)
+            for versions in [(6,), (4, 6)]
+            for peers in [(), ("::1",)]
+        ),
+    ],
+)
+async def test_two_participants_find_each_other_and_exchange_samples(
+    domain: int, monkeypatch: pytest.MonkeyPatch, changed: Any, more: Any
+) -> None:
+    monkeypatch.setattr("fibaction_transports.rtps.network.default_interface", LOCALHOSTS.get)
+    await exchange(DomainSettings(domain=domain, **changed), **more)
 
 
 @pytest.mark.anyio
@@ -181,11 +192,6 @@ async def test_samples_of_one_turn_share_datagrams(
 
 
 @pytest.mark.anyio
-async def test_static_peers_are_found_without_multicast(domain: int) -> None:
-    await exchange(DomainSettings(domain=domain, static_peers=("localhost",)))
-
-
-@pytest.mark.anyio
 async def test_with_discovery_off_nobody_is_found(domain: int) -> None:
     alone, other = Listener(), Listener()
     silent = DomainSettings(domain=domain, discovery_range=OFF, static_peers=("not a host",))
@@ -204,16 +210,6 @@ async def test_a_static_peer_by_its_address_of_ipv6_without_ipv6_is_an_error(dom
     with pytest.raises(TransportError, match=r"'fe80::1' is an address of IPv6: use ip_versions"):
         async with open_network(settings, Listener()):
             pass
-
-
-@needs_ipv6
-@pytest.mark.anyio
-@pytest.mark.parametrize("versions", [(6,), (4, 6)])
-@pytest.mark.parametrize("peers", [(), ("::1",)])
-async def test_two_participants_of_this_machine_exchange_samples_over_ipv6(
-    domain: int, versions: tuple[int, ...], peers: tuple[str, ...]
-) -> None:
-    await exchange(DomainSettings(domain=domain, ip_versions=versions, static_peers=peers))
 
 
 @needs_ipv6
@@ -239,14 +235,6 @@ async def test_an_unknown_static_peer_is_an_error(domain: int) -> None:
 
 
 @pytest.mark.anyio
-async def test_the_default_interface_is_used_if_none_is_asked_for(
-    domain: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("fibaction_transports.rtps.network.default_interface", LOCALHOSTS.get)
-    await exchange(DomainSettings(domain=domain, discovery_range=SUBNET))
-
-
-@pytest.mark.anyio
 async def test_sending_goes_on_when_the_system_has_room_again(
     domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,25 +251,25 @@ async def test_sending_goes_on_when_the_system_has_room_again(
     await exchange(DomainSettings(domain=domain))
 
 
-def work(network: ParticipantNetwork) -> None:
-    """Take all that was read, in as many turns as a busy machine needs."""
-    while network.work():
-        pass
+def read_own(network: ParticipantNetwork, count: int, source: socket.socket | None = None) -> None:
+    """Let a socket send itself so many datagrams, and a participant read and take them, in as many
+    turns as a busy machine needs.
+    """
+    with source or socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.bind(("127.0.0.1", 0))
+        own.setblocking(False)
+        for _ in range(count):
+            own.sendto(b"not RTPS", own.getsockname())
+        for _ in range(0, count, DATAGRAMS_READ_AT_ONCE):
+            network.read(own)
+            while network.work():
+                pass
 
 
 @pytest.mark.anyio
 async def test_errors_of_what_was_sent_before_do_not_end_a_participant(domain: int) -> None:
     async with participant(DomainSettings(domain=domain, discovery_range=OFF)) as network:
-        with FailingSocket() as source:
-            source.bind(("127.0.0.1", 0))
-            source.setblocking(False)
-            for _ in range(MANY):
-                source.sendto(b"not RTPS", source.getsockname())
-            network.read(source)
-            work(network)
-            assert network.participant.counters.invalid == DATAGRAMS_READ_AT_ONCE - 1
-            network.read(source)
-            work(network)
+        read_own(network, MANY, FailingSocket())
         assert network.participant.counters.invalid == MANY
 
 
@@ -292,14 +280,7 @@ async def test_each_datagram_has_the_time_at_which_its_turn_comes(
     times: set[float] = set()
     async with participant(DomainSettings(domain=domain, discovery_range=OFF)) as network:
         monkeypatch.setattr(network.participant, "receive", lambda *of: times.add(of[-1]))
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as source:
-            source.bind(("127.0.0.1", 0))
-            source.setblocking(False)
-            for _ in range(DATAGRAMS_READ_AT_ONCE):
-                source.sendto(b"a", source.getsockname())
-            network.read(source)
-        while network.work():
-            pass
+        read_own(network, DATAGRAMS_READ_AT_ONCE)
     assert len(times) > DATAGRAMS_READ_AT_ONCE // 2
 
 
@@ -317,14 +298,7 @@ async def test_datagrams_of_one_sender_are_read_up_to_a_limit(
 ) -> None:
     monkeypatch.setattr("fibaction_transports.rtps.network.INBOX_OF_ONE", 1000)
     async with participant(DomainSettings(domain=domain, discovery_range=OFF)) as network:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as source:
-            source.bind(("127.0.0.1", 0))
-            source.setblocking(False)
-            for _ in range(9):
-                source.sendto(b"not RTPS", source.getsockname())
-            network.read(source)
-        while network.work():
-            pass
+        read_own(network, 9)
         counters = network.participant.counters
         assert (counters.invalid, counters.over_limit) == (3, 6)
 

@@ -13,13 +13,16 @@ from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.events import Event, SampleReceived
 from fibaction_transports.rtps.limits import RtpsLimits
+from fibaction_transports.rtps.messages.decoder import read_packet
 from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.submessages import Submessage
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.qos import Qos
 
 GROUP = ("239.255.0.1", 7400)
 TOPIC, TYPE = "rt/chatter", "std_msgs::msg::dds_::String_"
 E = TypeVar("E")
+S = TypeVar("S", bound=Submessage)
 
 
 def payload(text: str) -> bytes:
@@ -134,6 +137,18 @@ class World:
             else:
                 for participant in nodes:
                     participant.handle_deadline(self.now)
+
+    def heard(self, kind: type[S]) -> list[tuple[float, Address, S]]:
+        """Return the submessages of a kind that are sent from now on: when, where to, and what."""
+        found: list[tuple[float, Address, S]] = []
+
+        def note(datagram: bytes, address: Address) -> bool:
+            sent = read_packet(datagram).submessages
+            found.extend((self.now, address, each) for each in sent if isinstance(each, kind))
+            return False
+
+        self.is_lost = note
+        return found
 
     def _arrive(self) -> None:
         _, _, datagram, source, (host, _) = heapq.heappop(self._under_way)
