@@ -3,6 +3,10 @@
 The answers come from a thread, so they come even while an executor blocks the event loop: then
 `/healthz` says so. This is HTTP without TLS and without tokens, for the machine itself or for a
 network that only the operator has access to.
+
+This is the standard library's server, and not that of `http://`: in a thread there is no event loop
+for the latter, and metrics need no extra. Where a `WebTransport` or `http://` serves already,
+`metrics=` shows the same at its `/metrics`.
 """
 
 from __future__ import annotations
