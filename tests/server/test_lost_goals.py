@@ -17,6 +17,7 @@ from fibaction import (
     GoalHandle,
     GoalID,
     GoalKept,
+    GoalRejected,
     GoalStatus,
     Schedule,
     StoreError,
@@ -389,6 +390,26 @@ async def test_a_goal_that_comes_while_it_is_sent_here_is_that_goal_for_its_send
         store.release()
         await anyio.sleep(3)
         assert results == ["painted 1 in attempt 1"]
+
+
+async def test_a_goal_that_waits_for_a_decision_here_is_taken_over_after_it() -> None:
+    async def reject(_goal: int) -> None:
+        await anyio.sleep(5)
+        raise GoalRejected("not here")
+
+    store = MemoryStore()
+    async with server_with(store, on_goal=reject) as server, anyio.create_task_group() as tasks:
+
+        async def send() -> None:
+            with pytest.raises(GoalRejected, match="not here"):
+                await server.send_goal(ID, PAINT.goal.encode(1))
+
+        tasks.start_soon(send)
+        await anyio.sleep(1)
+        store.give("paint", stored(1))
+        await anyio.sleep(6)
+        outcome = await server.get_result(ID)
+        assert PAINT.result.decode(outcome.result or b"") == "painted 1 in attempt 1"
 
 
 async def test_a_goal_that_waits_for_a_decision_here_is_left_alone_if_the_store_fails() -> None:
