@@ -73,26 +73,6 @@ async def test_a_schedule_has_room_to_run_and_to_wait() -> None:
         assert store.rooms == [(0, 1), (1, 1)]
 
 
-async def test_a_place_of_a_lost_goal_is_room_when_its_executor_is_gone() -> None:
-    async def clean_up(goal: GoalHandle[float]) -> Working:
-        try:
-            await anyio.sleep(100)
-        finally:
-            await anyio.sleep(2)
-        yield ""
-
-    store = MemoryStore()
-    schedule = Schedule(concurrency=1)
-    async with ActionServer(WORK, clean_up, store=store, schedule=schedule) as server:
-        goal = await client_of(server).send_goal(1)
-        await anyio.sleep(1)
-        store.take("work", goal.goal_id)
-        await anyio.sleep(1)
-        assert store.rooms == [(1, 0), (0, 0)]
-        await anyio.sleep(2)
-        assert store.rooms == [(1, 0), (0, 0), (1, 0)]
-
-
 async def test_a_server_with_too_many_bytes_has_no_room_until_their_goal_has_ended() -> None:
     async def talk(goal: GoalHandle[float]) -> Working:
         yield bytes(1000)

@@ -22,7 +22,7 @@ from fibaction import (
     GoalStatus,
     Schedule,
 )
-from fibaction.border.abc import FeedbackItem, GoalStream
+from fibaction.border.abc import GoalStream
 from fibaction.server.durability.keeper import Keeper
 from fibaction.server.scheduling import goal_dispatcher
 from fibaction.server.scheduling.dispatcher import Dispatcher
@@ -344,37 +344,6 @@ async def test_a_killed_executor_that_survives_is_given_up_when_the_server_stops
         assert "is abandoned" not in caplog.text
     assert "is abandoned" in caplog.text
     assert executor.begun == [1]
-
-
-async def test_the_feedback_of_an_executor_that_goes_on_after_it_was_killed_is_discarded() -> None:
-    killed = anyio.Event()
-
-    async def goes_on(goal: GoalHandle[Goal]) -> Items:
-        yield Feedback([1])
-        for _ in range(2):
-            with suppress(anyio.get_cancelled_exc_class()):
-                await anyio.sleep_forever()
-        try:
-            for number in range(2, 100):
-                yield Feedback([number])
-        finally:  # at the end of its slice of time it awaits, and is killed once more
-            killed.set()
-        yield Result([])
-
-    rules = Schedule(concurrency=1, when_full="preempt")
-    async with serving(rules, goes_on, shutdown_timeout=0, feedback_window=4) as site:
-        stream = await site.send(1)
-        await settled()
-        await site.send(2)  # which ends in the same way when the server stops
-        await killed.wait()
-        assert stream.status is GoalStatus.ABORTED
-        updates = [update async for update in stream]
-        numbers = [update.number for update in updates if isinstance(update, FeedbackItem)]
-        assert (numbers, stream.dropped) == ([1], 0)
-        again = await site.server.feedback(site.id_of(1), after=0)
-        assert [u.number async for u in again if isinstance(u, FeedbackItem)] in ([1], [])
-        goal = site.server._parts.runs._registry.goals()[0]
-        assert goal.feedback_count == 1
 
 
 # Taking over

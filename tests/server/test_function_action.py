@@ -256,18 +256,6 @@ async def test_a_result_of_another_type_is_told() -> None:
 # Feedback and result of one type
 
 
-async def test_a_generator_marks_a_result_that_could_be_feedback() -> None:
-    count = Action("count", goal=int, feedback=int, result=int)
-
-    async def counts(goal: GoalHandle[int]) -> AsyncIterator[int | Return[int]]:
-        for number in range(goal.request):
-            yield number
-        yield Return(goal.request)
-
-    trial = await run_executor(count, counts, 3)
-    assert (trial.feedback, trial.outcome.result) == ([0, 1, 2], 3)
-
-
 async def test_a_mark_that_is_missing_is_told_with_what_to_write() -> None:
     async def forgets(goal: GoalHandle[int]) -> AsyncIterator[int]:
         yield 1

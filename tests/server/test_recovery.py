@@ -6,7 +6,6 @@ its end is kept or told. `tests/kills` does the same with processes and SIGKILL.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import AsyncGenerator
 from contextlib import aclosing, asynccontextmanager
@@ -397,16 +396,6 @@ async def test_a_goal_that_runs_again_and_is_sent_again_is_the_same_goal(machine
 
 
 @pytest.mark.promise("KEEP-5")
-@pytest.mark.parametrize("result_timeout", [math.inf, 60])
-async def test_a_result_is_kept_over_a_restart(machine: Machine, result_timeout: float) -> None:
-    async with machine.life(Painter(), result_timeout=result_timeout) as client:
-        goal = await client.send_goal(1)
-        await goal.outcome()
-    async with machine.life(Painter(), result_timeout=result_timeout) as client:
-        assert (await outcome_of(client, goal.goal_id)).result == "painted 1"
-
-
-@pytest.mark.promise("KEEP-5")
 async def test_only_the_newest_results_are_kept_over_a_restart(machine: Machine) -> None:
     async with machine.life(Painter(), max_results=2) as client:
         goals = [await client.send_goal(number) for number in range(4)]
@@ -621,17 +610,6 @@ async def test_a_client_that_waits_goes_on_with_the_next_attempt(remote: Machine
             assert await goal.result() == "painted 4"
     assert seen == [(1, 1), (1, 2), (2, 3), (2, 4)]
     assert goal.feedback_dropped == 0
-
-
-@pytest.mark.promise("KEEP-7")
-async def test_a_client_is_told_the_attempt_of_each_goal(remote: Machine) -> None:
-    painter = Painter(stop_at=2)
-    goal_id = await begun(remote, painter, recovery="rerun")
-    async with remote.life(painter, recovery="rerun") as client:
-        attached = await client.attach(goal_id)
-        await attached.outcome()
-        (info,) = await client.goals()
-    assert (attached.attempt, info.attempt) == (2, 2)
 
 
 class Quick(Awaited):

@@ -113,25 +113,6 @@ async def test_a_callback_that_outruns_the_reader_pushes_the_oldest_out(
             assert found[-1] == 6
 
 
-async def test_late_feedback_of_a_callback_comes_before_the_next() -> None:
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        async def wait() -> None:
-            await report(0)
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            report(1)
-        await report(2)
-        return "done"
-
-    async with client_of(count, window=1) as client:
-        async with client.send_goal(3) as goal:
-            await anyio.wait_all_tasks_blocked()
-            assert [number async for number in goal.feedback] == [0, 1, 2]
-
-
 @pytest.mark.parametrize("ends", [False, True])
 async def test_feedback_of_a_task_that_is_canceled_while_it_waits_is_sent_all_the_same(
     ends: bool,

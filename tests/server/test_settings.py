@@ -56,56 +56,35 @@ class Returns:
     async def __call__(self, goal: GoalHandle[Goal]) -> Result:
         return Result([])
 
-    async def method(self, goal: GoalHandle[Goal]) -> Result:
-        return Result([])
-
 
 class WithoutAsync:
-    def __call__(self, goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
-        yield Result([])
-
     def method(self, goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
         yield Result([])
 
 
-@pytest.mark.parametrize(
-    ("executor", "name"),
-    [
-        (returns, "returns"),
-        (partial(returns), "returns"),
-        (Returns(), "Returns"),
-        (partial(partial(Returns())), "Returns"),
-        (Returns().method, "method"),
-    ],
+COROUTINE = (
+    "a coroutine function: yield its feedback, and yield its result last, instead of returning it,"
+    " or make an action of it with @action"
 )
-def test_a_coroutine_function_is_rejected_with_what_to_do(executor: Any, name: str) -> None:
-    with pytest.raises(TypeError) as caught:
-        ActionServer(FIBONACCI, executor)
-    assert str(caught.value) == (
-        f"the executor {name!r} is a coroutine function: yield its feedback, and yield its result"
-        f" last, instead of returning it, or make an action of it with @action"
-    )
+NOT_ASYNC = "a generator function that is not async: write `async def`, and await what takes time"
 
 
 @pytest.mark.parametrize(
-    ("executor", "name"),
+    ("executor", "name", "what"),
     [
-        (without_async, "without_async"),
-        (partial(without_async), "without_async"),
-        (WithoutAsync(), "WithoutAsync"),
-        (partial(partial(WithoutAsync())), "WithoutAsync"),
-        (WithoutAsync().method, "method"),
+        (returns, "returns", COROUTINE),
+        (partial(returns), "returns", COROUTINE),
+        (partial(partial(Returns())), "Returns", COROUTINE),
+        (without_async, "without_async", NOT_ASYNC),
+        (WithoutAsync().method, "method", NOT_ASYNC),
     ],
 )
-def test_a_generator_whose_async_was_forgotten_is_rejected_with_what_to_do(
-    executor: Any, name: str
+def test_a_function_that_is_no_async_generator_is_rejected_with_what_to_do(
+    executor: Any, name: str, what: str
 ) -> None:
     with pytest.raises(TypeError) as caught:
         ActionServer(FIBONACCI, executor)
-    assert str(caught.value) == (
-        f"the executor {name!r} is a generator function that is not async: write `async def`, and"
-        f" await what takes time"
-    )
+    assert str(caught.value) == f"the executor {name!r} is {what}"
 
 
 def annotated(goal: Any) -> str:

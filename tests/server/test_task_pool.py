@@ -259,14 +259,3 @@ async def test_a_program_ends_in_spite_of_executors_that_do_not(backend: str) ->
     for executor in REFUSING:
         assert f"of action {executor.__name__!r}: its executor does not end" in err
     assert "Traceback" not in err
-
-
-async def test_what_a_job_raises_goes_on() -> None:
-    async def job(scopes: CancelOnce) -> None:
-        raise KeyError("a fault")
-
-    with pytest.raises(BaseExceptionGroup) as caught:
-        async with running() as bench:
-            bench.crew.add(job)
-            await anyio.sleep_forever()
-    assert caught.group_contains(KeyError)

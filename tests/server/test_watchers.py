@@ -113,29 +113,6 @@ async def test_a_watcher_sees_a_goal_from_its_offer_to_its_end() -> None:
     ]
 
 
-class Losses(Watcher):
-    """Counts what followers have missed."""
-
-    def __init__(self) -> None:
-        self.counts: list[int] = []
-
-    def missed(self, action: str, goal_id: GoalID, count: int) -> None:
-        assert action == FIBONACCI.name
-        self.counts.append(count)
-
-
-async def test_a_watcher_sees_what_a_slow_follower_misses_and_what_is_left_unread() -> None:
-    losses = Losses()
-    options: Any = {"feedback": "latest", "watchers": [losses]}
-    async with ActionServer(FIBONACCI, fibonacci, **options) as server:
-        client = ActionClient(server, FIBONACCI)
-        goal = await client.send_goal(Goal(6))
-        await goal.outcome()
-        seen = [one async for one in goal.feedback]
-    assert sum(losses.counts) == 5 - len(seen)
-    assert min(losses.counts) > 0
-
-
 async def test_a_watcher_sees_cancels_and_aborts_each_with_its_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
