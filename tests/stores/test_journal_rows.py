@@ -279,3 +279,13 @@ def test_a_start_in_the_middle_is_damage() -> None:
 
     with pytest.raises(DamagedRow, match="a row before row 3 is missing"):
         goals.read(3, encode_row(3, [StartRecord()]))
+
+
+@pytest.mark.parametrize(("state", "lost"), [(b"1", 2), (b"2", 0)])
+def test_a_new_checkpoint_makes_the_lost_attempts_count_no_more(state: bytes, lost: int) -> None:
+    goals = KeptGoals()
+    goal = StoredGoal(GoalID(bytes(16)), 1, Sender(), b"", b"", lost=2, checkpoint=b"1")
+    goals.read(1, encode_row(1, [StartRecord(), WholeRecord("paint", goal)]))
+    goals.read(2, encode_row(2, [CheckpointRecord("paint", goal.goal_id, state)]))
+    (found,) = goals.of("paint").active.values()
+    assert (found.checkpoint, found.lost) == (state, lost)
