@@ -74,6 +74,8 @@ def test_a_malformed_file_is_rejected(make: Any, tmp_path: Path) -> None:
     with pytest.raises(InterfaceError) as caught:
         make(path)
 
+    assert isinstance(caught.value, ValueError)
+    assert (caught.value.path, caught.value.line) == (path, 2)
     assert str(caught.value) == (
         f"{path}:2: expected a type like 'int32', 'string<=10', 'float64[3]' or"
         " 'geometry_msgs/Pose', found 'int33'"

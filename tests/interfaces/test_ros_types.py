@@ -48,18 +48,6 @@ def test_an_integer_has_the_limits_of_its_width(name: str) -> None:
     assert fitting == [low, 0, high]
 
 
-def test_other_primitives_are_types_of_python() -> None:
-    others = {name: kind for name, kind in PRIMITIVES.items() if name not in INTEGERS}
-
-    assert others == {
-        "bool": bool,
-        "float32": float,
-        "float64": float,
-        "string": str,
-        "wstring": str,
-    }
-
-
 def test_a_bounded_string_counts_characters() -> None:
     assert fits("ウィキ", string(3))
     assert not fits("four", string(3))
@@ -72,18 +60,6 @@ def test_an_array_of_octets_is_bytes(element: Any) -> None:
     assert fits(b"abc", array(element, size=3))
     assert not fits(b"ab", array(element, size=3))
     assert not fits(b"abcd", array(element, bound=3))
-
-
-def test_an_array_of_anything_else_is_a_list() -> None:
-    assert array(Int32) == list[Int32]
-    assert fits([1, 2], array(Int32))
-    assert not fits([1, 2**31], array(Int32))
-
-
-@pytest.mark.parametrize("length", range(5))
-def test_an_array_has_its_size_or_bound(length: int) -> None:
-    assert fits([1] * length, array(Int32, size=2)) == (length == 2)
-    assert fits([1] * length, array(Int32, bound=2)) == (length <= 2)
 
 
 def test_a_struct_has_fields_defaults_constants_and_a_docstring() -> None:

@@ -9,7 +9,6 @@ from uuid import uuid4
 
 import anyio
 import httpx
-import msgspec
 from a2a.client import A2ACardResolver, Client, ClientConfig, ClientFactory
 from a2a.client.client import ClientCallContext
 from a2a.types import (
@@ -32,81 +31,35 @@ from google.protobuf.struct_pb2 import Value
 from fibaction import (
     Action,
     ActionServer,
-    CancelRejected,
-    GoalAborted,
-    GoalCanceled,
     GoalHandle,
-    GoalRejected,
     serve,
 )
 from fibaction_transports.a2a import A2aHttpTransport
-from fibaction_transports.inprocess import InProcessTransport
+from tests.transports.driving_robot import PATIENCE, DrivingRobot
 
-PATIENCE = 30.0
 TOKEN = "tW4x9c-tW4x9c"
 GOOD = {"Authorization": f"Bearer {TOKEN}"}
 
 
-class Drive(msgspec.Struct):
-    """Drive straight on."""
-
-    meters: int
-    speed: float = 0.5
-
-
-class Driven(msgspec.Struct):
-    meters: int
-
-
-class Arrived(msgspec.Struct):
-    at: int
-
-
-DRIVE = Action("arm/drive", goal=Drive, feedback=Driven, result=Arrived, type_name="a/action/Drive")
 SAY = Action("say", goal=str, feedback=int, result=str)
 
 
-class Robot:
+class Robot(DrivingRobot):
     """A robot that drives, and speaks."""
 
     def __init__(self) -> None:
-        self.here = InProcessTransport()
-        self.sent: list[Drive] = []
-        """The goals that were accepted."""
+        super().__init__()
         self.steps = anyio.Semaphore(0)
         """The meters that a drive of 100 m or more may go on."""
-        self.stopped = anyio.Event()
-        """Set when such a goal was canceled."""
         self.listens = anyio.Event()
         """Set when it has been told to say "...", which only a cancel ends."""
-        self.is_stubborn = False
-        self.drive = ActionServer(
-            DRIVE, self._drive, on_goal=self._on_drive, on_cancel=self._on_cancel, result_timeout=60
-        )
         self.say = ActionServer(SAY, self._say)
 
-    def _on_drive(self, goal: Drive) -> None:
-        if goal.meters < 0:
-            raise GoalRejected("it cannot drive backwards" if goal.meters > -9 else "")
-        self.sent.append(goal)
-
-    def _on_cancel(self, _: GoalHandle[Drive]) -> None:
-        if self.is_stubborn:
-            raise CancelRejected("it is on a slope")
-
-    async def _drive(self, goal: GoalHandle[Drive]) -> AsyncGenerator[Driven | Arrived, None]:
-        meters = goal.request.meters
-        if meters == 13:
-            raise GoalAborted("there is a wall", result=Arrived(12))
-        try:
-            for meter in range(1, meters + 1):
-                if meters >= 100:
-                    await self.steps.acquire()
-                yield Driven(meter)
-        except anyio.get_cancelled_exc_class():
-            self.stopped.set()
-            raise GoalCanceled("it has braked", result=Arrived(1)) from None
-        yield Arrived(meters)
+    async def _meters(self, meters: int) -> AsyncIterator[int]:
+        for meter in range(1, meters + 1):
+            if meters >= 100:
+                await self.steps.acquire()
+            yield meter
 
     async def _say(self, goal: GoalHandle[str]) -> AsyncGenerator[int | str, None]:
         if goal.request == "...":

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from a2a.client import A2ACardResolver
 
-from fibaction import InvalidURL, TransportError, connect, serve
+from fibaction import TransportError, serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.settings import Limits
@@ -20,9 +20,7 @@ from fibaction_transports.a2a import A2aHttpTransport
 from fibaction_transports.a2a.a2a_app import CARD_PATH
 from tests.support.certificates import pems
 from tests.transports.a2a.agent_talk import (
-    DRIVE,
     GOOD,
-    PATIENCE,
     TOKEN,
     Robot,
     robot_and_talk,
@@ -30,6 +28,7 @@ from tests.transports.a2a.agent_talk import (
     talking,
     told,
 )
+from tests.transports.driving_robot import PATIENCE
 
 pytestmark = pytest.mark.asyncio
 VERSION = {"A2A-Version": "1.0"}
@@ -52,26 +51,6 @@ async def post(url: str, body: Any, headers: dict[str, str] | None = None) -> ht
     content = body if isinstance(body, bytes) else json.dumps(body).encode()
     async with httpx.AsyncClient(trust_env=False, timeout=PATIENCE) as http:
         return await http.post(url, content=content, headers={**VERSION, **(headers or GOOD)})
-
-
-@pytest.mark.parametrize(
-    ("headers", "status"),
-    [
-        ({"X": "no"}, 401),
-        ({"Authorization": "Bearer wrong"}, 401),
-        ({**GOOD, "Host": "evil.example"}, 421),
-        ({**GOOD, "Origin": "https://evil.example"}, 403),
-    ],
-)
-async def test_a_request_without_the_token_or_of_a_foreign_page_is_refused(
-    headers: dict[str, str], status: int
-) -> None:
-    async with robot_and_talk() as (robot, talk):
-        refused = await post(talk.url, call("SendMessage", GOAL), headers)
-        assert refused.status_code == status
-        assert robot.sent == []
-        allowed = await post(talk.url, call("SendMessage", GOAL))
-        assert allowed.json()["result"]["task"]["status"]["state"] == "TASK_STATE_COMPLETED"
 
 
 async def test_without_the_token_the_card_tells_how_to_get_in_and_no_skills() -> None:
@@ -179,40 +158,9 @@ async def test_beyond_this_machine_it_takes_tls_or_a_word_for_it() -> None:
             assert card.supported_interfaces[0].url == url
 
 
-@pytest.mark.parametrize(
-    ("url", "text"),
-    [
-        ("a2a+http://h:1?patience=0", "patience is finite"),
-        ("a2a+http://h:1?read_only=yes", "'read_only' cannot be 'yes'"),
-        ("a2a+http://h:1/path", "it has a path"),
-        ("a2a+http://h:1?cert=a.pem", "no setting 'cert'"),
-    ],
-)
-async def test_a_url_that_cannot_be_used_is_an_error(url: str, text: str) -> None:
-    with pytest.raises(InvalidURL, match=text):
-        transport_for(url)
-
-
 async def test_its_address_is_this_machine_unless_it_is_said() -> None:
     assert transport_for("a2a+http://").url == "a2a+http://127.0.0.1:8091"  # type: ignore[attr-defined]
     assert transport_for("a2a+https://?cert=a").url == "a2a+https://127.0.0.1:8091"  # type: ignore[attr-defined]
-
-
-async def test_it_has_no_clients_and_needs_a_token() -> None:
-    with pytest.raises(TransportError, match=r"a2a[+]http://127\.0\.0\.1:1 are agents"):
-        connect("a2a+http://127.0.0.1:1", DRIVE)._transport.connect()
-    with pytest.raises(TransportError, match="needs a token, since an agent moves things"):
-        async with serve(Robot().drive, "a2a+http://127.0.0.1:0"):
-            pass
-
-
-async def test_it_needs_asyncio() -> None:
-    async def main() -> None:
-        with pytest.raises(TransportError, match=r"a2a.* needs asyncio: the SDK of its"):
-            async with serve(Robot().drive, A2aHttpTransport(token=TOKEN)):
-                pass
-
-    await anyio.to_thread.run_sync(lambda: anyio.run(main, backend="trio"))
 
 
 async def test_actions_come_and_go_behind_it() -> None:

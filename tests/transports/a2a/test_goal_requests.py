@@ -29,10 +29,7 @@ from google.protobuf.json_format import MessageToDict
 from fibaction import ActionClient, GoalID, serve
 from fibaction_transports.a2a import A2aHttpTransport
 from tests.transports.a2a.agent_talk import (
-    DRIVE,
-    PATIENCE,
     TOKEN,
-    Drive,
     Robot,
     data_of,
     message,
@@ -42,6 +39,7 @@ from tests.transports.a2a.agent_talk import (
     text_of,
     told,
 )
+from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
 
 pytestmark = pytest.mark.asyncio
 

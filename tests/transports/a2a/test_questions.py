@@ -13,7 +13,6 @@ from google.protobuf.struct_pb2 import Value
 from fibaction_transports.a2a import questions
 from fibaction_transports.a2a.questions import answer_in
 from tests.transports.a2a.agent_talk import (
-    Drive,
     data_of,
     message,
     robot_and_talk,
@@ -21,6 +20,7 @@ from tests.transports.a2a.agent_talk import (
     text_of,
     told,
 )
+from tests.transports.driving_robot import Drive
 
 pytestmark = pytest.mark.asyncio
 

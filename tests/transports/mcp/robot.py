@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, Literal
 
 import anyio
-import msgspec
 from mcp import Client
 from mcp_types import CallToolResult, ElicitRequestFormParams, ElicitResult, TextContent
 
@@ -15,82 +14,36 @@ from fibaction import (
     Action,
     ActionClient,
     ActionServer,
-    CancelRejected,
     ClientGoal,
-    GoalAborted,
-    GoalCanceled,
     GoalHandle,
-    GoalRejected,
     serve,
 )
-from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import AgentPolicy, McpBridge
+from tests.transports.driving_robot import DRIVE, PATIENCE, Arrived, Drive, Driven, DrivingRobot
 
 Mode = Literal["legacy", "auto"]
 MODES: tuple[Mode, ...] = ("legacy", "auto")
 """The protocol with a handshake, and the one without."""
 UNASKED = AgentPolicy(unasked=("*",))
-PATIENCE = 30.0
 
 
-class Drive(msgspec.Struct):
-    """Drive straight on."""
-
-    meters: int
-    speed: float = 0.5
-
-
-class Driven(msgspec.Struct):
-    meters: int
-
-
-class Arrived(msgspec.Struct):
-    at: int
-
-
-DRIVE = Action("arm/drive", goal=Drive, feedback=Driven, result=Arrived, type_name="a/action/Drive")
 COUNT = Action("count", goal=int, feedback=int, result=str)
 
 
-class Robot:
+class Robot(DrivingRobot):
     """A robot that drives, and counts."""
 
     def __init__(self) -> None:
-        self.here = InProcessTransport()
-        self.sent: list[Drive] = []
-        """The goals that were accepted."""
+        super().__init__()
         self.waits = anyio.Event()
         """Set when a goal of 100 m or more has begun; only a cancel ends it."""
-        self.stopped = anyio.Event()
-        """Set when such a goal was canceled."""
-        self.is_stubborn = False
-        self.drive = ActionServer(
-            DRIVE, self._drive, on_goal=self._on_drive, on_cancel=self._on_cancel, result_timeout=60
-        )
         self.count = ActionServer(COUNT, self._count)
 
-    def _on_drive(self, goal: Drive) -> None:
-        if goal.meters < 0:
-            raise GoalRejected("it cannot drive backwards" if goal.meters > -9 else "")
-        self.sent.append(goal)
-
-    def _on_cancel(self, _: GoalHandle[Drive]) -> None:
-        if self.is_stubborn:
-            raise CancelRejected("it is on a slope")
-
-    async def _drive(self, goal: GoalHandle[Drive]) -> AsyncGenerator[Driven | Arrived, None]:
-        meters = goal.request.meters
-        if meters == 13:
-            raise GoalAborted("there is a wall", result=Arrived(12))
-        yield Driven(1)
-        try:
-            if meters >= 100:
-                self.waits.set()
-                await anyio.sleep_forever()
-        except anyio.get_cancelled_exc_class():
-            self.stopped.set()
-            raise GoalCanceled("it has braked", result=Arrived(1)) from None
-        yield Arrived(meters)
+    async def _meters(self, meters: int) -> AsyncIterator[int]:
+        yield 1
+        if meters >= 100:
+            self.waits.set()
+            await anyio.sleep_forever()
 
     async def _count(self, goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
         yield "x" * goal.request

@@ -10,13 +10,6 @@ import pytest
 from fibaction_transports.mcp import AgentPolicy
 
 
-def test_by_default_everything_is_allowed_and_asked() -> None:
-    policy = AgentPolicy()
-    assert policy.allows("", "/arm/drive")
-    assert policy.asks("", "/arm/drive")
-    assert not policy.read_only
-
-
 @pytest.mark.parametrize(
     ("pattern", "server", "action", "matches"),
     [

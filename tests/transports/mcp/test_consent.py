@@ -25,9 +25,9 @@ from fibaction import serve
 from fibaction.schema.payload import JsonCodec
 from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
 from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
+from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import (
     MODES,
-    Drive,
     Mode,
     Robot,
     Talk,

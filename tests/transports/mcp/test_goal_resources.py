@@ -13,15 +13,8 @@ from mcp_types import TextResourceContents
 from mcp_types.jsonrpc import INVALID_PARAMS
 
 from fibaction_transports.mcp import answers, goal_resources
-from tests.transports.mcp.robot import (
-    MODES,
-    PATIENCE,
-    UNASKED,
-    Mode,
-    Talk,
-    robot_and_talk,
-    sent_by_others,
-)
+from tests.transports.driving_robot import PATIENCE
+from tests.transports.mcp.robot import MODES, UNASKED, Mode, Talk, robot_and_talk, sent_by_others
 
 pytestmark = pytest.mark.asyncio
 both = pytest.mark.parametrize("mode", MODES)

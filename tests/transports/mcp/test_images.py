@@ -16,7 +16,8 @@ from fibaction import Action, ActionServer, GoalHandle, serve
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import McpBridge, answers
 from fibaction_transports.mcp.answers import Images
-from tests.transports.mcp.robot import PATIENCE, UNASKED
+from tests.transports.driving_robot import PATIENCE
+from tests.transports.mcp.robot import UNASKED
 
 PNG = b"\x89PNG\r\n\x1a\n and so on"
 JPEG = b"\xff\xd8\xff\xe0 and so on"

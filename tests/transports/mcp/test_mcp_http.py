@@ -20,7 +20,8 @@ from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.mcp import McpHttpTransport
 from tests.support.certificates import pems
-from tests.transports.mcp.robot import DRIVE, MODES, PATIENCE, Drive, Mode, Robot, Talk
+from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
+from tests.transports.mcp.robot import MODES, Mode, Robot, Talk
 
 pytestmark = pytest.mark.asyncio
 both = pytest.mark.parametrize("mode", MODES)

@@ -10,11 +10,10 @@ from mcp_types import ToolAnnotations
 
 from fibaction import GoalStatus, serve
 from fibaction_transports.mcp import AgentPolicy, McpBridge, answers
+from tests.transports.driving_robot import PATIENCE, Drive
 from tests.transports.mcp.robot import (
     MODES,
-    PATIENCE,
     UNASKED,
-    Drive,
     Mode,
     Robot,
     robot_and_talk,
