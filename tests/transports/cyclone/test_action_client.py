@@ -16,13 +16,25 @@ from tests.transports.cyclone.partner import needs_cyclone
 pytestmark = [pytest.mark.anyio, needs_cyclone]
 
 
-async def test_a_goal_at_a_cyclone_server_has_feedback_in_order_and_a_result() -> None:
+async def test_goals_at_a_cyclone_server_succeed_abort_and_are_rejected_and_canceled() -> None:
     name = new_name()
     async with cyclone_server(name), dds_end.client(name) as client:
         goal = await client.send_goal(Goal(9))
         feedback = [each.partial_sequence async for each in goal]
         assert feedback == [NINE[: size + 2] for size in range(1, 9)]
         assert await goal.result() == Result(NINE)
+        with pytest.raises(GoalRejected):
+            await client.send_goal(Goal(-1))
+        with pytest.raises(GoalAborted) as aborted:
+            await client.call(Goal(orders.ABORTS))
+        assert aborted.value.result == Result(orders.PART)
+        goal = await client.send_goal(Goal(orders.WAITS))
+        assert await anext(aiter(goal)) == Feedback([1])
+        await goal.cancel()
+        with pytest.raises(GoalCanceled) as canceled:
+            await goal.result()
+        assert canceled.value.result == Result(orders.PART)
+        assert goal.status is GoalStatus.CANCELED
 
 
 async def test_the_first_goal_after_the_server_was_found_is_answered() -> None:
@@ -32,33 +44,6 @@ async def test_the_first_goal_after_the_server_was_found_is_answered() -> None:
             async with dds_end.client(name) as client:
                 with anyio.fail_after(30):
                     assert await client.call(Goal(9)) == Result(NINE)
-
-
-async def test_a_cyclone_server_rejects_a_goal() -> None:
-    name = new_name()
-    async with cyclone_server(name), dds_end.client(name) as client:
-        with pytest.raises(GoalRejected):
-            await client.send_goal(Goal(-1))
-
-
-async def test_a_cyclone_server_aborts_a_goal_with_a_partial_result() -> None:
-    name = new_name()
-    async with cyclone_server(name), dds_end.client(name) as client:
-        with pytest.raises(GoalAborted) as caught:
-            await client.call(Goal(orders.ABORTS))
-        assert caught.value.result == Result(orders.PART)
-
-
-async def test_a_goal_at_a_cyclone_server_is_canceled_with_a_partial_result() -> None:
-    name = new_name()
-    async with cyclone_server(name), dds_end.client(name) as client:
-        goal = await client.send_goal(Goal(orders.WAITS))
-        assert await anext(aiter(goal)) == Feedback([1])
-        await goal.cancel()
-        with pytest.raises(GoalCanceled) as caught:
-            await goal.result()
-        assert caught.value.result == Result(orders.PART)
-        assert goal.status is GoalStatus.CANCELED
 
 
 async def test_many_goals_at_once_at_a_cyclone_server_all_end_and_none_runs_twice() -> None:

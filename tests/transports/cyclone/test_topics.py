@@ -30,32 +30,7 @@ def topic() -> str:
     return f"rt/t{uuid.uuid4().hex}"
 
 
-async def test_samples_of_every_size_arrive_at_cyclone_in_order() -> None:
-    name = topic()
-    async with partner("topics") as cyclone, rtps_end() as ours:
-        await cyclone.ask("read", topic=name)
-        writer = await ours.writer(name, ALL)
-        assert ours.network.participant.vendor_of(next(iter(writer.readers)).prefix) == CYCLONE_DDS
-        for letter, times in SIZES:
-            ours.network.write(writer, text(letter * times))
-        heard = await cyclone.ask("heard", count=len(SIZES))
-        assert heard == [[letter, times, 1] for letter, times in SIZES]
-
-
-async def test_samples_of_every_size_arrive_from_cyclone_in_order() -> None:
-    name = topic()
-    async with partner("topics") as cyclone, rtps_end() as ours:
-        await cyclone.ask("write", topic=name)
-        reader = await ours.reader(name, ALL)
-        await matched(cyclone)
-        await cyclone.ask("send", texts=SIZES)
-        await ours.until_heard(reader, len(SIZES))
-        assert ours.texts(reader) == [letter * times for letter, times in SIZES]
-        counters = ours.network.participant.counters
-        assert (counters.invalid, counters.over_limit) == (0, 0)
-
-
-async def test_samples_of_every_size_cross_each_other() -> None:
+async def test_samples_of_every_size_cross_each_other_and_arrive_in_order() -> None:
     there, back = topic(), topic()
     async with partner("topics") as cyclone, rtps_end() as ours:
         await cyclone.ask("read", topic=there, name="in")
@@ -68,6 +43,10 @@ async def test_samples_of_every_size_cross_each_other() -> None:
         heard = await cyclone.ask("heard", count=len(SIZES), name="in")
         assert heard == [[letter, times, 1] for letter, times in SIZES]
         await ours.until_heard(reader, len(SIZES))
+        assert ours.texts(reader) == [letter * times for letter, times in SIZES]
+        participant = ours.network.participant
+        assert participant.vendor_of(next(iter(writer.readers)).prefix) == CYCLONE_DDS
+        assert (participant.counters.invalid, participant.counters.over_limit) == (0, 0)
 
 
 async def test_a_late_reader_of_each_side_gets_what_the_other_keeps() -> None:

@@ -333,13 +333,6 @@ async def test_wrong_arguments_are_an_error(arguments: Sequence[str], problem: s
     assert str(caught.value).startswith(problem)
 
 
-async def test_parameters_of_other_nodes_are_left_alone() -> None:
-    async with opened(
-        "", "-p", "leg:use_sim_time:=true", "-p", "speed:=2", "-p", "/**:a:=1"
-    ) as node:
-        assert node.clock.is_the_machines
-
-
 async def test_a_request_that_cannot_be_answered_is_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

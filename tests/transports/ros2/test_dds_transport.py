@@ -54,19 +54,10 @@ def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_a_setting_that_there_is_not_is_an_error() -> None:
-    with pytest.raises(TypeError, match="DdsTransport has no setting 'node'"):
-        transport_for("dds://", node=object())
-
-
 def url_of(where: str, **settings: Any) -> str:
     transport = transport_for(where, **settings)
     assert isinstance(transport, DdsTransport)
     return transport.url
-
-
-def test_settings_take_precedence_over_those_in_the_url() -> None:
-    assert url_of("dds://?domain_id=1", domain_id=2) == "dds://?domain_id=2"
 
 
 def test_the_url_has_the_settings_that_a_client_must_share() -> None:
@@ -125,20 +116,6 @@ async def test_names_can_be_remapped_and_the_url_has_the_namespace() -> None:
             assert url == f"dds://?namespace={space}"
             assert transport.served_as("fibonacci") == f"{space}/sequence"
             assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
-
-
-async def test_a_name_that_is_not_remapped_is_its_own() -> None:
-    transport = DdsTransport(namespace=f"/t{uuid.uuid4().hex}")
-    with anyio.fail_after(PATIENCE):
-        async with serve(ActionServer(FIBONACCI, fibonacci), transport):
-            assert transport.served_as("fibonacci") == "fibonacci"
-
-
-async def test_two_servers_of_one_name_are_an_error() -> None:
-    servers = [ActionServer(FIBONACCI, fibonacci) for _ in range(2)]
-    with pytest.raises(TransportError, match="two of the endpoints serve actions of the same"):
-        async with serve(servers, "dds://"):
-            pass  # pragma: no cover
 
 
 async def test_an_action_without_a_server_is_not_found() -> None:

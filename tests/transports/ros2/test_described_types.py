@@ -187,12 +187,6 @@ def test_a_name_that_is_not_that_of_an_action_is_an_error() -> None:
         described_action(described(field(6)), "All", feedback=feedback_hash("int32 x\n"))
 
 
-def test_a_message_without_fields_is_described() -> None:
-    response = described(field(3, name="structure_needs_at_least_one_member"))
-    found = described_action(response, ALL, feedback=feedback_hash(""))
-    assert found.feedback.definition.fields == ()
-
-
 def test_the_hashes_of_an_endpoint_are_read_whatever_else_it_announces(tmp_path: Path) -> None:
     one, other = (f"RIHS01_{digit * 64}" for digit in "ab")
     data = f"serviceid= 1.10;typehash={one};actionhash={other};".encode()

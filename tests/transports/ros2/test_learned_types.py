@@ -202,8 +202,8 @@ async def test_users_types_for_a_goal_that_is_not_known_are_an_error(
             connection.client(typed)
 
 
-async def test_an_action_of_which_nothing_is_told_is_followed_to_its_end(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+async def test_an_action_of_which_nothing_is_told_is_followed_to_its_end_and_nobody_is_asked(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, asked: list[DescriptionRequest]
 ) -> None:
     monkeypatch.setattr(graph, "read_hashes", lambda user_data: TypeHashes())
     name = new_name()
@@ -232,6 +232,7 @@ async def test_an_action_of_which_nothing_is_told_is_followed_to_its_end(
         typed = Action(name, goal=int, feedback=dict, result=str, type_name=PAINT)
         with pytest.raises(TransportError, match=missing):
             connection.client(typed)
+    assert asked == []
 
 
 def test_an_unknown_action_is_one_object_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,16 +299,6 @@ async def test_a_node_that_does_not_answer_costs_a_moment_and_is_asked_again_lat
         monkeypatch.setattr(type_learner, "current_time", lambda: anyio.current_time() + 60)
         assert await found(connection, name) == ActionInfo(name, PAINT)
         assert len(asked) == 4
-
-
-async def test_an_end_without_a_hash_is_not_asked(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, asked: list[DescriptionRequest]
-) -> None:
-    monkeypatch.setattr(graph, "read_hashes", lambda user_data: TypeHashes())
-    name = new_name()
-    async with painting(folder, name), connect(DdsTransport()) as connection:
-        assert await found(connection, name) == ActionInfo(name, PAINT)
-    assert asked == []
 
 
 async def test_the_types_that_are_kept_are_bounded(
