@@ -77,28 +77,39 @@ class Robot(NamedTuple):
     unix: str
 
 
+StartModule: TypeAlias = "Callable[..., tuple[subprocess.Popen[str], list[str]]]"
+"""Starts a module; gives its process, and its lines up to one with the text `until`."""
+
+
 @contextmanager
-def robots(folders: pytest.TempPathFactory) -> Generator[Callable[[], Robot], None, None]:
-    """Start server processes, which are stopped at the end."""
+def running() -> Generator[StartModule, None, None]:
+    """Start modules as processes, which are stopped at the end."""
     started: list[subprocess.Popen[str]] = []
 
-    def start() -> Robot:
-        socket = folders.mktemp("robot") / "socket"
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tests.cli.robot", "tcp://127.0.0.1:0", f"unix://{socket}"],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+    def start(module: str, *arguments: str, until: str) -> tuple[subprocess.Popen[str], list[str]]:
+        words = [sys.executable, "-m", module, *arguments]
+        process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         started.append(process)
-        tcp, unix = lines_until("unix", process)
-        return Robot(process, tcp.strip(), unix.strip())
+        return process, lines_until(until, process)
 
     yield start
     for process in started:
         process.terminate()
     for process in started:
         ended(process)
+
+
+@contextmanager
+def robots(folders: pytest.TempPathFactory) -> Generator[Callable[[], Robot], None, None]:
+    """Start server processes, which are stopped at the end."""
+    with running() as run:
+
+        def start() -> Robot:
+            urls = ("tcp://127.0.0.1:0", f"unix://{folders.mktemp('robot')}/socket")
+            process, (tcp, unix) = run("tests.cli.robot", *urls, until="unix")
+            return Robot(process, tcp.strip(), unix.strip())
+
+        yield start
 
 
 @pytest.fixture(scope="module")

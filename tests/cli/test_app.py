@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import errno
-import logging
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -131,19 +129,3 @@ def test_a_verb_handles_ctrl_c_by_itself(invoke: Invoke) -> None:
 
 
 # How it is built
-
-
-def test_the_log_of_the_command_is_on_stderr_from_warnings_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    told: dict[str, Any] = {}
-    monkeypatch.setattr(logging, "basicConfig", lambda **settings: told.update(settings))
-    monkeypatch.setattr(sys, "argv", ["fibaction", "--version"])
-
-    with pytest.raises(SystemExit):
-        app.main()
-
-    assert told["level"] == logging.WARNING
-    (handler,) = told["handlers"]
-    record = logging.makeLogRecord({"name": "fibaction.wire", "msg": "gone\x1b"})
-    assert handler.format(record) == "fibaction: gone\\x1b"

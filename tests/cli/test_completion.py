@@ -27,6 +27,12 @@ def complete(run: Run, words: str, url: str) -> list[str]:
     return [line.partition(",")[2] for line in out.split()]
 
 
+def offered_by_shell(words: list[str], incomplete: str) -> list[str]:
+    """What click offers for the incomplete word behind the others."""
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+    return [item.value for item in shell.get_completions(words, incomplete)]
+
+
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
@@ -68,10 +74,8 @@ def test_a_server_that_does_not_answer_is_not_waited_for() -> None:
 def test_a_goal_to_fill_in_is_offered_quoted_as_the_shell_needs_it(
     monkeypatch: pytest.MonkeyPatch, tcp: str
 ) -> None:
-    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
-
     def offered(*words: str) -> list[str]:
-        return [item.value for item in shell.get_completions(["-u", tcp, *words], "")]
+        return offered_by_shell(["-u", tcp, *words], "")
 
     monkeypatch.setenv("_FIBACTION_COMPLETE", "bash_complete")
     assert offered("send_goal", "many") == ["""'{"count": 50000}'"""]
@@ -87,10 +91,9 @@ def test_a_goal_to_fill_in_is_offered_quoted_as_the_shell_needs_it(
 def test_ids_of_goals_are_offered_where_one_is_needed(here: Run, tcp: str, nobody: str) -> None:
     running = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
     over = detached(here, tcp, "fibonacci", "order: 1")
-    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
 
     def offered(words: list[str], incomplete: str, url: str = tcp) -> list[str]:
-        return [item.value for item in shell.get_completions(["-u", url, *words], incomplete)]
+        return offered_by_shell(["-u", url, *words], incomplete)
 
     assert {running, over} <= set(offered(["attach"], ""))
     assert offered(["attach"], over[:20].upper()) == [over]
@@ -110,11 +113,7 @@ def test_names_of_addresses_are_completed_and_used(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tcp: str
 ) -> None:
     monkeypatch.setenv("FIBACTION_CONFIG", str(tmp_path / "config.toml"))
-    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
-
-    def offered(words: list[str], incomplete: str) -> list[str]:
-        return [item.value for item in shell.get_completions(words, incomplete)]
-
+    offered = offered_by_shell
     assert offered(["-c"], "") == offered(["-c", "robot1", "info"], "") == []
     (tmp_path / "config.toml").write_text(f'[addresses]\nrobot1 = "{tcp}"\narm = "tcp://x"\n')
     assert offered(["-c"], "") == ["arm", "robot1"]

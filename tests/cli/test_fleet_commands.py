@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import AsyncGenerator, Callable, Generator
 from typing import Any, TypeAlias
 
@@ -14,7 +13,7 @@ import pytest
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs.list_goals import Form, list_goals
-from tests.cli.conftest import ROOT, Run, Start, detached
+from tests.cli.conftest import Run, Start, detached, running
 from tests.support.nats_server import IS_LEFT_OUT, nats_server
 from tests.support.processes import ended, lines_until
 
@@ -35,24 +34,8 @@ def broker() -> Generator[str, None, None]:
 
 @pytest.fixture(scope="module")
 def start_worker() -> Generator[StartWorker, None, None]:
-    started: list[subprocess.Popen[str]] = []
-
-    def start(url: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tests.cli.robot", url],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        lines_until("nats://", process)
-        return process
-
-    yield start
-    for process in started:
-        process.terminate()
-    for process in started:
-        ended(process)
+    with running() as run:
+        yield lambda url: run("tests.cli.robot", url, until="nats://")[0]
 
 
 @pytest.fixture(scope="module")
@@ -80,20 +63,6 @@ def test_workers_are_listed(here: Run, fleet: str) -> None:
     lines = here("workers", url=fleet).lines
     assert [line.split()[0] for line in lines] == ["WORKER", "arm1", "arm2"]
     assert "/wait" in lines[1]
-
-
-def test_goals_of_all_workers_are_listed_and_canceled(
-    fibaction: Run, here: Run, fleet: str
-) -> None:
-    goals = [detached(here, fleet, *GOAL) for _ in range(4)]
-    listed = [line.split() for line in here("goals", "wait", url=fleet).lines]
-    assert {line[0] for line in listed} >= set(goals)
-    assert [line[1] for line in listed if line[0] in goals] == ["EXECUTING"] * 4
-    one = here("cancel", goals[0][:8], url=fleet)
-    assert one == (0, f"Canceling the goal {goals[0]} of /wait\n", "")
-    everything = here("cancel", "wait", "--all", url=fleet)
-    assert everything.code == 0
-    assert all(goal_id in everything.out for goal_id in goals[1:])
 
 
 class Old(msgspec.Struct):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -13,8 +11,7 @@ import pytest
 
 from fibaction.cli.output.yaml_text import MAX_VALUES
 from fibaction.cli.process.exit_codes import ExitCode
-from tests.cli.conftest import ROOT, Invoke, Open, Run
-from tests.support.processes import ended, lines_until
+from tests.cli.conftest import Invoke, Open, Run, running
 
 MOST = 3000
 """Characters of a line of output that is not a message in full."""
@@ -23,18 +20,8 @@ MOST = 3000
 @pytest.fixture(scope="module")
 def start() -> Iterator[Callable[..., str]]:
     """Start a server with actions of these kinds; give its URL."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*kinds: str) -> str:
-        words = [sys.executable, "-m", "tests.cli.hostile_server", *kinds]
-        started.append(subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True))
-        return lines_until("tcp", started[-1])[0].strip()
-
-    yield start
-    for process in started:
-        process.terminate()
-    for process in started:
-        ended(process)
+    with running() as run:
+        yield lambda *kinds: run("tests.cli.hostile_server", *kinds, until="tcp")[1][0].strip()
 
 
 @pytest.fixture(scope="module")

@@ -92,6 +92,13 @@ def test_the_handler_of_a_verb_that_has_ended_stays(monkeypatch: pytest.MonkeyPa
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
+def test_ctrl_c_without_a_verb_exits_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    exit_at_once(signal.SIGINT, None)
+    assert codes == [INTERRUPTED]
+
+
 @pytest.mark.parametrize("module", ["anyio", "msgspec", "click", "difflib"])
 def test_ctrl_c_while_modules_are_imported_is_quiet(
     fibaction: Run, tmp_path: Path, nobody: str, module: str

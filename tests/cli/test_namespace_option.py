@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from click.shell_completion import BashComplete
 
 from fibaction import ActionInfo
-from fibaction.cli.app import cli
 from fibaction.cli.arguments import completion
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import top
 from tests.cli.conftest import Run
+from tests.cli.test_completion import offered_by_shell
 from tests.cli.test_top import sys_with_terminals
 
 VERBS = [
@@ -79,8 +78,7 @@ FLEET = {
 def offered(words: str) -> list[str]:
     """What the shell offers for the last word."""
     *before, incomplete = words.split(" ")
-    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
-    return [item.value for item in shell.get_completions(before, incomplete)]
+    return offered_by_shell(before, incomplete)
 
 
 @pytest.fixture

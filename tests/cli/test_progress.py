@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr
 from typing import Any
 
 import pytest
@@ -11,11 +11,9 @@ from rich.console import Console
 
 from fibaction.cli.output.lines import note
 from fibaction.cli.output.progress import (
-    BAR_SHARE,
     LiveLine,
     on_one_line,
     percent_bar,
-    say_with_bar,
     text_beside_bar,
 )
 from fibaction.words.progress import Progress
@@ -90,18 +88,6 @@ def test_the_line_counts_where_it_does_not() -> None:
 
 def test_before_the_first_feedback_it_says_so() -> None:
     assert "waiting for feedback" in drawn(None)
-
-
-def test_a_bar_next_to_a_head_has_the_percent_and_the_text_below() -> None:
-    screen = io.StringIO()
-    with redirect_stdout(screen):
-        say_with_bar("feedback 7", 0.55, "    step: [red]1")
-
-    width = 80 // BAR_SHARE
-    assert (
-        screen.getvalue()
-        == f"feedback 7  {'━' * 11}{'─' * (width - 11)}  55%\n    step: [red]1\n\n"
-    )
 
 
 def test_a_narrow_bar_is_the_percent_only() -> None:

@@ -46,20 +46,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_goals_of_a_store_are_listed_as_those_of_a_server(here: Run, path: Path) -> None:
-    found = here("goals", "--store", str(path))
-
-    assert found.code == 0
-    heading, *goals = [line.split() for line in found.lines]
-    assert heading == ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT", "REASON,", "RESULT"]
-    assert [goal[1:3] for goal in goals] == [
-        ["/paint", "SUCCEEDED"],
-        ["/arm/drive", "SUCCEEDED"],
-        ["/paint", "SUCCEEDED"],
-    ]
-    assert [goal[-2:] for goal in goals] == [["done", "1"], ["done", "2"], ["done", "3"]]
-
-
 def test_the_goals_of_a_namespace_are_listed_and_names_are_relative_to_it(
     here: Run, path: Path
 ) -> None:

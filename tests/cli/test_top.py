@@ -16,7 +16,7 @@ from fibaction.cli.output.lines import LogHandler
 from fibaction.cli.output.screen import TopScreen
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import top
-from tests.cli.conftest import Invoke, Open, Robot, Run, detached
+from tests.cli.conftest import Invoke, Open, Robot, Run
 from tests.cli.served import Altered, Served, counter, look_often
 
 NEEDS_TERMINAL = (
@@ -54,21 +54,6 @@ def test_goals_can_be_watched_followed_and_canceled(
 
     assert shown.ends() == 0
     assert not shown.cursor_hidden
-
-
-def test_a_namespace_limits_the_screen_and_is_in_its_first_line(
-    terminal: Open, here: Run, tcp: str
-) -> None:
-    outside = detached(here, tcp, "fibonacci", "order: 1")
-    inside = detached(here, tcp, "arm/pick", "object_name: cup")
-    shown = terminal("top", "-n", "arm", url=tcp, columns=160)
-    shown.until(rf"{tcp}  /arm  0 active, ")
-    shown.until(rf"{inside[:8]}\w* +/arm/pick +SUCCEEDED")
-    assert outside[:8] not in shown.text
-    assert "/fibonacci" not in shown.text
-    shown.press("q")
-
-    assert shown.ends() == 0
 
 
 def test_a_server_that_is_away_is_shown_and_ctrl_c_leaves(
