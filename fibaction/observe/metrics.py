@@ -7,6 +7,7 @@ by goal or client, so their number depends on the number of actions only.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -96,48 +97,41 @@ class Metrics(Watcher):
         self.registry = prometheus.CollectorRegistry() if registry is None else registry
         """The registry that has the series."""
         into = self.registry
-        self._goals = prometheus.Counter(
-            "fibaction_goals", "Goals that ended or were rejected.", ["action", "status"],
-            registry=into,
-        )  # fmt: skip
-        self._active = prometheus.Gauge(
-            "fibaction_goals_active", "Accepted goals that have not ended.", ["action"],
-            registry=into,
-        )  # fmt: skip
-        self._waiting = prometheus.Gauge(
-            "fibaction_goals_waiting", "Accepted goals whose executor has not begun.", ["action"],
-            registry=into,
-        )  # fmt: skip
-        self._durations = prometheus.Histogram(
+        counter = partial(prometheus.Counter, registry=into)
+        gauge = partial(prometheus.Gauge, registry=into)
+        histogram = partial(prometheus.Histogram, registry=into)
+        by_action, by_status = ["action"], ["action", "status"]
+        self._goals = counter("fibaction_goals", "Goals that ended or were rejected.", by_status)
+        self._active = gauge(
+            "fibaction_goals_active", "Accepted goals that have not ended.", by_action
+        )
+        self._waiting = gauge(
+            "fibaction_goals_waiting", "Accepted goals whose executor has not begun.", by_action
+        )
+        self._durations = histogram(
             "fibaction_goal_duration_seconds", "Time from the acceptance of a goal to its end.",
-            ["action", "status"], buckets=DURATIONS, registry=into,
+            by_status, buckets=DURATIONS,
         )  # fmt: skip
-        self._queued = prometheus.Histogram(
+        self._queued = histogram(
             "fibaction_goal_queue_seconds", "Time from the acceptance of a goal to its begin.",
-            ["action"], buckets=DURATIONS, registry=into,
+            by_action, buckets=DURATIONS,
         )  # fmt: skip
-        self._feedback = prometheus.Counter(
-            "fibaction_feedback", "Feedback messages of executors.", ["action"], registry=into
-        )
-        self._cancels = prometheus.Counter(
-            "fibaction_cancels", "Answers to cancels.", ["action", "answer"], registry=into
-        )
-        self._taken = prometheus.Counter(
+        self._feedback = counter("fibaction_feedback", "Feedback messages of executors.", by_action)
+        self._cancels = counter("fibaction_cancels", "Answers to cancels.", ["action", "answer"])
+        self._taken = counter(
             "fibaction_goals_taken_over", "Goals of an earlier process, or of another server.",
-            ["action"], registry=into,
+            by_action,
         )  # fmt: skip
-        self._left = prometheus.Counter(
+        self._left = counter(
             "fibaction_goals_left", "Accepted goals that a store keeps, or another server has.",
-            ["action"], registry=into,
+            by_action,
         )  # fmt: skip
-        self._lag = prometheus.Histogram(
-            "fibaction_event_loop_lag_seconds", "Delay of a task that was due.",
-            buckets=LAGS, registry=into,
-        )  # fmt: skip
-        self._dropped = prometheus.Counter(
-            "fibaction_feedback_dropped", "Feedback messages that followers have missed.",
-            ["action"], registry=into,
-        )  # fmt: skip
+        self._lag = histogram(
+            "fibaction_event_loop_lag_seconds", "Delay of a task that was due.", buckets=LAGS
+        )
+        self._dropped = counter(
+            "fibaction_feedback_dropped", "Feedback messages that followers have missed.", by_action
+        )
         _add_connections(into)
         self._feedback_of: dict[str, Counter] = {}  # to look up a label takes longer than to count
         self._undecided: set[GoalID] = set()

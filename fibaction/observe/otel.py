@@ -131,32 +131,30 @@ class Tracing(Watcher):
         self._spans[action, goal_id] = span
 
     def rejected(self, action: str, goal_id: GoalID, reason: str) -> None:
-        span = self._spans.pop((action, goal_id), None)
-        if span is not None:
-            _end(span, REJECTED, reason, error="GoalRejected")
+        _end(self._ending(action, goal_id), REJECTED, reason, error="GoalRejected")
 
     def accepted(self, action: str, info: GoalInfo, goal: bytes) -> None:
-        span = self._spans.get((action, info.goal_id))
-        if span is not None:
-            span.set_attribute(ATTEMPT, info.attempt)
-            span.add_event(GoalStatus.ACCEPTED.name)
+        span = self._spans.get((action, info.goal_id)) or self._trace.INVALID_SPAN
+        span.set_attribute(ATTEMPT, info.attempt)
+        span.add_event(GoalStatus.ACCEPTED.name)
 
     def changed(self, action: str, info: GoalInfo) -> None:
-        span = self._spans.get((action, info.goal_id))
-        if span is not None:
-            span.add_event(info.status.name)
+        span = self._spans.get((action, info.goal_id)) or self._trace.INVALID_SPAN
+        span.add_event(info.status.name)
 
     def ended(self, action: str, info: GoalInfo, outcome: Outcome[bytes]) -> None:
-        span = self._spans.pop((action, info.goal_id), None)
-        if span is not None:
-            span.set_attribute(FEEDBACK, info.feedback_count)
-            _end(span, outcome.status.name, outcome.reason, error=_error_of(outcome))
+        span = self._ending(action, info.goal_id)
+        span.set_attribute(FEEDBACK, info.feedback_count)
+        _end(span, outcome.status.name, outcome.reason, error=_error_of(outcome))
 
     def left(self, action: str, info: GoalInfo, reason: str) -> None:
-        span = self._spans.pop((action, info.goal_id), None)
-        if span is not None:
-            span.set_attribute(FEEDBACK, info.feedback_count)
-            _end(span, info.status.name, reason)
+        span = self._ending(action, info.goal_id)
+        span.set_attribute(FEEDBACK, info.feedback_count)
+        _end(span, info.status.name, reason)
+
+    def _ending(self, action: str, goal_id: GoalID) -> Span:
+        """Return the span of a goal that ends; one that does nothing if the goal has none."""
+        return self._spans.pop((action, goal_id), self._trace.INVALID_SPAN)
 
 
 def _names(action: str, goal_id: GoalID, parent: Parent | None) -> dict[str, str]:

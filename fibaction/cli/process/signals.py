@@ -26,7 +26,6 @@ import sys
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager, suppress
-from types import TracebackType
 from typing import Any, Final, Self, TypeAlias
 
 import anyio
@@ -132,13 +131,8 @@ class SignalReceiver:
             self._stack.callback(signal.setitimer, signal.ITIMER_REAL, 0)
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(exc_type, exc, traceback)
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
     async def next(self) -> None:
         """Wait for the next signal."""

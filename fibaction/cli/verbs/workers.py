@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from urllib.parse import urlsplit
 
 import click
+import msgspec
 
 from fibaction._api import connect
 from fibaction.border.urls import without_settings
@@ -47,16 +48,7 @@ async def list_workers(url: str, *, as_json: bool) -> int:
         workers = await connection.workers()
     if as_json:
         for worker in workers:
-            say_json(
-                {
-                    "name": worker.name,
-                    "actions": worker.actions,
-                    "since": worker.since,
-                    "goals": worker.goals,
-                    "has_room": worker.has_room,
-                    "unreadable": worker.unreadable,
-                }
-            )
+            say_json(msgspec.to_builtins(worker))
     elif not workers:
         note(f"There are no workers at {without_settings(url)}.")
     else:
