@@ -137,38 +137,6 @@ async def timed_out(waiting: Awaitable[object]) -> GoalTimeout:
 # Timeouts
 
 
-async def test_the_wait_for_the_acceptance_ends_and_the_goal_is_canceled_by_its_id() -> None:
-    watch = Watch()
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server, sends=[HANG])
-        error = await timed_out(endpoint.client.call(Goal(1), timeout=3))
-        assert watch.shows(3)
-    assert endpoint.calls == ["send", "cancel"]
-    assert endpoint.timeouts == [pytest.approx(3)]
-    assert str(error) == (
-        f"goal {error.goal_id} timed out: it took longer than 3 s, and was not known to be accepted"
-    )
-
-
-@pytest.mark.parametrize(
-    ("timeout", "count", "progress"),
-    [
-        (0.5, 0, "EXECUTING"),
-        (1.5, 1, "EXECUTING after 1 feedback message"),
-        (2.5, 2, "EXECUTING after 2 feedback messages"),
-    ],
-)
-async def test_the_error_tells_the_progress(timeout: float, count: int, progress: str) -> None:
-    watch = Watch()
-    async with ActionServer(FIBONACCI, slow) as server:
-        client = Scripted(server).client
-        error = await timed_out(client.call(Goal(9), timeout=timeout, on_feedback=lambda _: None))
-        assert watch.shows(timeout)
-    assert (error.status, error.feedback_count) == (GoalStatus.EXECUTING, count)
-    assert error.feedback == (Feedback([count]) if count else None)
-    assert error.reason == f"it took longer than {timeout:g} s, and was {progress}"
-
-
 @pytest.mark.parametrize(
     ("answer", "seconds"),
     [(None, 2), (0.5, 2.5), (HANG, 3), (ServerNotFound("gone"), 2)],
@@ -291,14 +259,6 @@ async def _expect_timeout(wait: Callable[[], Awaitable[object]]) -> None:
             await wait()
 
 
-async def test_an_outcome_that_is_known_counts_after_the_deadline() -> None:
-    async with ActionServer(FIBONACCI, slow) as server:
-        async with Scripted(server).client.send_goal(Goal(2), timeout=3) as goal:
-            await anyio.sleep(10)
-            assert [item async for item in goal.feedback] == [Feedback([1]), Feedback([2])]
-            assert await goal.result() == Result([2])
-
-
 async def test_a_callback_is_not_interrupted_and_the_time_is_checked_after_it() -> None:
     watch = Watch()
 
@@ -361,21 +321,6 @@ def losing(endpoint: Scripted, *numbers: int) -> tuple[list[int], Callable[[Feed
             endpoint.lose()
 
     return seen, on_feedback
-
-
-async def test_an_accepted_goal_is_followed_again_until_that_succeeds() -> None:
-    watch = Watch()
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(
-            server, follows=[ServerNotFound("not yet"), None, ConnectionLost("again")]
-        )
-        seen, on_feedback = losing(endpoint, 1, 3)
-        retry = Retry(attempts=5, delay=0.1)
-        client = endpoint.client
-        assert await client.call(Goal(6), on_feedback=on_feedback, retry=retry) == Result([6])
-        assert watch.shows(6)
-    assert seen == [1, 2, 3, 4, 5, 6]
-    assert endpoint.calls == ["send"] + ["follow"] * 4
 
 
 async def test_a_goal_is_followed_again_within_the_attempt_that_was_read(
@@ -460,21 +405,6 @@ async def test_leaving_the_connection_ends_a_pause() -> None:
         assert watch.shows(1.1)
     assert endpoint.calls == ["send", "cancel"]
     assert [str(error) for error in errors] == ["the line broke"]
-
-
-@pytest.mark.parametrize(
-    ("error", "calls"),
-    [(ConnectionLost("cut"), ["send", "cancel"]), (ServerNotFound("nowhere"), ["send"])],
-    ids=["may run", "does not run"],
-)
-async def test_a_cancellation_in_a_pause_cancels_a_goal_that_may_run(
-    error: ActionError, calls: list[str]
-) -> None:
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server, sends=[error])
-        with anyio.move_on_after(0.1):
-            await endpoint.client.call(Goal(1), retry=Retry())
-    assert endpoint.calls == calls
 
 
 async def test_errors_that_are_retried_are_freed_without_the_garbage_collector() -> None:

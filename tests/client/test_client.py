@@ -20,8 +20,6 @@ from fibaction import (
     CancelCode,
     ConnectionLost,
     Endpoint,
-    GoalAborted,
-    GoalCanceled,
     GoalHandle,
     GoalID,
     GoalRejected,
@@ -82,16 +80,6 @@ class BrokenStream(GoalStream):
 
     def fail(self, error: ActionError) -> None:
         raise NotImplementedError
-
-
-class LateStream(BrokenStream):
-    """A goal whose outcome, which is nonsense, has to be waited for."""
-
-    def known_outcome(self) -> None:
-        return None
-
-    async def outcome(self) -> Outcome[bytes]:
-        return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
 
 
 class Broken(Endpoint):
@@ -165,40 +153,6 @@ async def test_a_goal_is_followed_from_its_acceptance_to_its_result() -> None:
         assert goal.feedback_dropped == 0
         assert goal.stamp > 0
         assert repr(goal) == f"<ClientGoal {goal.goal_id} SUCCEEDED>"
-
-
-async def test_a_call_is_one_line() -> None:
-    async with ScriptedServer(FIBONACCI, [Feedback([1]), Feedback([2]), Result([3])]) as server:
-        client = client_of(server)
-        seen: list[Feedback] = []
-
-        async def later(feedback: Feedback) -> None:
-            await anyio.lowlevel.checkpoint()
-            seen.append(feedback)
-
-        assert await client.call(Goal(1)) == Result([3])
-        assert await client.call(Goal(1), on_feedback=seen.append) == Result([3])
-        assert await client.call(Goal(1), on_feedback=later) == Result([3])
-        assert seen == [Feedback([1]), Feedback([2])] * 2
-
-
-@pytest.mark.parametrize(
-    ("step", "error"),
-    [
-        (GoalAborted("stuck", result=Result([1])), GoalAborted),
-        (GoalCanceled("asked", result=Result([1])), GoalAborted),
-        (ValueError("x"), GoalAborted),
-    ],
-)
-async def test_a_goal_that_does_not_succeed_raises_what_became_of_it(
-    step: Exception, error: type[GoalAborted]
-) -> None:
-    async with ScriptedServer(FIBONACCI, [step]) as server:
-        goal = await client_of(server).send_goal(Goal(1))
-        with pytest.raises(error) as caught:
-            await goal.result()
-        assert caught.value.goal_id == goal.goal_id
-        assert caught.value.result == (await goal.outcome()).result
 
 
 async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
@@ -320,43 +274,6 @@ async def test_a_lost_connection_is_told_to_each_wait_and_leaving_does_not_hide_
     assert "was left, but could not be canceled: the line is dead" in caplog.text
 
 
-async def test_giving_up_before_the_answer_cancels_the_goal() -> None:
-    endpoint = Broken(BrokenStream())
-    endpoint.sending = anyio.Event()
-    goal_id = GoalID.random()
-
-    async def send() -> None:
-        await client_of(endpoint).send_goal(Goal(1), goal_id=goal_id)
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(send)
-        await endpoint.sending.wait()
-        tasks.cancel_scope.cancel()
-    assert endpoint.cancels == [goal_id]
-
-
-async def test_the_executor_is_let_go_while_the_reader_waits_for_the_result_and_held_again() -> (
-    None
-):
-    stream = LateStream(nonsense=True)
-    goal = await client_of(Broken(stream)).send_goal(Goal(1))
-    reader = aiter(goal.feedback)
-    for _ in range(2):
-        with pytest.raises(ProtocolError):
-            await goal.outcome()
-        with pytest.raises(ProtocolError):
-            await anext(reader)
-    assert stream.held == [False, True, False, True]
-
-    async def wait_elsewhere() -> None:
-        with pytest.raises(ProtocolError):
-            await goal.outcome()
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(wait_elsewhere)
-    assert stream.held == [False, True, False, True]
-
-
 async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
     stream = BrokenStream()
     goal = await client_of(Broken(stream)).send_goal(Goal(1))
@@ -383,19 +300,6 @@ async def test_waiting_for_a_server_has_an_end() -> None:
 async def _never(goal: GoalHandle[Goal]) -> Any:
     raise AssertionError("nobody sends a goal here")
     yield
-
-
-async def test_leaving_a_client_cancels_the_goals_of_open_blocks_once() -> None:
-    hold = anyio.Event()
-    server = ScriptedServer(FIBONACCI, [Result([])], [hold])
-    async with server:
-        client = client_of(server)
-        async with client.send_goal(Goal(0)) as ended, client.send_goal(Goal(1)) as goal:
-            await ended.outcome()
-            await client.leave()
-            with anyio.fail_after(5):
-                assert (await goal.outcome()).status is GoalStatus.CANCELED
-        assert (await ended.outcome()).status is GoalStatus.SUCCEEDED
 
 
 async def test_leaving_a_client_cancels_a_goal_that_is_being_sent_by_its_id() -> None:
@@ -541,15 +445,6 @@ async def test_a_goal_is_sent_as_a_step_of_another() -> None:
         async with client.send_goal(Goal(1), step=other) as child:
             assert child.goal_id == other.child_id("fibonacci")
             assert await child.result() == Result([0, 1])
-
-
-async def test_a_list_of_goals_has_results_if_they_are_asked_for() -> None:
-    async with ActionServer(FIBONACCI, fibonacci) as server:
-        client = ActionClient(server, FIBONACCI)
-        await client.call(Goal(1))
-        [info] = await client.goals()
-        [whole] = await client.goals(results=True)
-        assert (info.result, whole.result) == (None, Result([0, 1]))
 
 
 async def test_the_feedback_of_a_goal_that_is_read_no_more_ends() -> None:

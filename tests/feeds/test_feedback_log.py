@@ -87,22 +87,6 @@ def test_a_stream_knows_its_goal_as_an_entry_of_a_list() -> None:
 
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
-    ("after", "expected"),
-    [(None, [4]), (0, [1, 2, 3, 4]), (2, [3, 4]), (3, [4]), (99, [4]), (-1, [1, 2, 3, 4])],
-)
-async def test_a_follower_begins_where_it_asks_to(after: int | None, expected: list[int]) -> None:
-    log = new_log()
-    append(log, 3)
-    stream = log.follow(after=after)
-    append(log, 1)
-    end(log)
-    with anyio.fail_after(5):
-        assert await numbers(stream) == expected
-    assert stream.dropped == 0
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize(
     ("attempt", "expected"), [(1, [1, 2, 3, 4]), (2, [3, 4]), (3, [1, 2, 3, 4]), (None, [3, 4])]
 )
 async def test_a_number_of_another_attempt_is_not_one_to_begin_behind(
@@ -207,31 +191,6 @@ def test_what_was_read_and_what_was_dropped_is_all_there_was(
 
 def numbers_of(taken: Sequence[GoalUpdate]) -> list[int]:
     return [update.number for update in taken if isinstance(update, FeedbackItem)]
-
-
-def test_what_is_there_already_is_given_at_once_up_to_a_limit() -> None:
-    log = new_log()
-    stream = log.follow()
-    assert not stream.take(10)
-    append(log, 6)
-    assert stream.take() == [FeedbackItem(1, b"1")]
-    assert numbers_of(stream.take(3)) == [2, 3, 4]
-    assert numbers_of(stream.take(10)) == [5, 6]
-    assert not stream.take(10)
-    append(log, 1)
-    assert not stream.take(0)
-    assert stream.cursor == 6
-
-
-def test_larger_pieces_count_what_was_dropped_and_make_room() -> None:
-    log = new_log(window=4)
-    stream = log.follow(own=True)
-    append(log, 10)
-    assert log.is_full
-    assert numbers_of(stream.take(2)) == [7, 8]
-    assert (stream.dropped, stream.cursor, log.is_full) == (6, 8, False)
-    assert numbers_of(stream.take(9)) == [9, 10]
-    assert stream.dropped == 6
 
 
 @pytest.mark.parametrize("limit", [1, 10])
@@ -516,21 +475,6 @@ def test_a_log_gives_what_there_still_is_behind_a_place(
     assert log.has_after(place) is (place < 6)
 
 
-@pytest.mark.asyncio
-@pytest.mark.parametrize(
-    ("hold", "latest"), [(False, False), (False, True), (True, True)], ids=repr
-)
-async def test_an_observer_never_fills_a_log_and_with_latest_no_reader_does(
-    hold: bool, latest: bool
-) -> None:
-    log = new_log(window=2, latest=latest)
-    stream = log.follow(own=hold)
-    stream.hold(True)
-    append(log, 5)
-    assert not log.is_full
-    assert not stream.holding
-
-
 def read_one(log: FeedbackLog[GoalFacts], stream: FeedbackCursor) -> None:
     assert stream.take()
 
@@ -554,24 +498,6 @@ async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
     append(log, 1)
     await while_waiting(lambda: log.wait_for_room(math.inf), lambda: make_room(log, stream))
     assert not log.is_full
-
-
-@pytest.mark.asyncio
-async def test_a_client_that_stalls_holds_up_nothing_until_it_has_caught_up() -> None:
-    log = new_log(window=2)
-    stream = log.follow(own=True)
-    append(log, 2)
-    with anyio.fail_after(5):
-        await log.wait_for_room(0)
-        assert not log.is_full
-        append(log, 1)
-        await stream.receive()
-        assert not stream.holding
-        await stream.receive()
-        assert stream.holding
-    assert stream.dropped == 1
-    append(log, 2)
-    assert log.is_full
 
 
 @pytest.mark.parametrize("hold", [True, False])

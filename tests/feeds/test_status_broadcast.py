@@ -62,20 +62,6 @@ async def told(stream: StatusStream, count: int | None = None) -> list[tuple[int
 
 
 @pytest.mark.asyncio
-async def test_a_status_stream_begins_with_what_is_known_and_goes_on_with_each_change() -> None:
-    goals = Goals(known=2)
-    goals.change(1)
-    stream = goals.follow()
-    goals.forget(1)
-    goals.feed.finish()
-    with anyio.fail_after(5):
-        assert await told(stream, 1) == [(1, "EXECUTING")]
-        assert await told(stream) == [(2, "ACCEPTED"), (1, "UNKNOWN")]
-        assert await stream.receive() is None
-    assert stream.dropped == 0
-
-
-@pytest.mark.asyncio
 async def test_a_goal_that_changes_before_it_is_read_from_the_list_is_never_told_backwards() -> (
     None
 ):

@@ -91,10 +91,6 @@ class MemoryChannel(Channel):
             way.is_cut = True
             way.news.notify()
 
-    def mute(self) -> None:
-        """From now on, what this end sends is lost on the way."""
-        self._outgoing.is_muted = True
-
     def stop_reading(self) -> None:
         """From now on, the other end cannot write."""
         self._incoming.is_stopped = True

@@ -34,11 +34,6 @@ pytestmark = pytest.mark.anyio
 SESSION = bytes(range(32))
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 # Sessions
 
 

@@ -13,11 +13,6 @@ TOKENS = {"sesame": "ali", "réseau": "zoë", "longer than the others": "bob"}
 ALI = Peer(ADDRESS, "ali")
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 # Who may come in
 
 

@@ -26,11 +26,6 @@ BREAKS = [
 broken = pytest.mark.parametrize("error", BREAKS, ids=lambda error: type(error).__name__)
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 class FakeStream(ByteStream):
     """Notes what is sent, and gives the pieces that it is told to; then it ends."""
 

@@ -12,7 +12,7 @@ import anyio
 import msgspec
 import pytest
 
-from fibaction.border.abc import Connection, FeedbackItem, GoalRequest
+from fibaction.border.abc import Connection, GoalRequest
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.client.open_calls import BURST, OpenCalls
 from fibaction.wire.frames import MAX_FRAME
@@ -54,9 +54,8 @@ from fibaction.words.errors import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.words.goals import CancelCode, GoalID
+from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
-from tests.support import fibonacci as fib
 from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
     AWAY,
@@ -71,7 +70,6 @@ from tests.wire.ends import (
     WINDOW,
     Network,
     endpoint_of,
-    feedback,
     following,
     goal_of,
     is_used,
@@ -358,30 +356,6 @@ async def test_arguments_that_cannot_be_sent_are_an_error_of_that_call_only(call
         await is_used(connection, server)
 
 
-@pytest.mark.parametrize("stamp", [-(2**70), -1, 1, 2**63, 2**70])
-async def test_a_cancel_by_any_time_cancels_the_goals_before_it_and_no_others(stamp: int) -> None:
-    async with real(anyio.Event()) as endpoint:
-        goal = await endpoint.send_goal(GOAL_ID, GOAL)
-        with anyio.fail_after(5):
-            answer = await endpoint.cancel_goals(stamp=stamp)
-        assert answer.return_code is CancelCode.NONE
-        assert answer.accepted == (stamp > goal.stamp)
-
-
-@pytest.mark.parametrize(
-    ("after", "numbers"), [(-(2**70), [1, 2, 3]), (-1, [1, 2, 3]), (2**70, [3])]
-)
-async def test_a_goal_can_be_followed_behind_any_number(after: int, numbers: list[int]) -> None:
-    go = anyio.Event()
-    async with real(*feedback(1, 2), go, *feedback(3), fib.Result([])) as endpoint:
-        goal = await endpoint.send_goal(GOAL_ID, GOAL)
-        assert await numbers_of(goal, 2) == [1, 2]
-        with anyio.fail_after(5):
-            again = await endpoint.feedback(GOAL_ID, after=after)
-        go.set()
-        assert await numbers_of(again) == numbers
-
-
 @in_virtual_time()
 async def test_a_request_that_no_server_can_read_is_not_asked_for_ever() -> None:
     async with real(anyio.Event()) as endpoint:
@@ -390,29 +364,6 @@ async def test_a_request_that_no_server_can_read_is_not_asked_for_ever() -> None
 
 
 # A goal
-
-
-async def test_a_goal_is_sent_followed_and_ends() -> None:
-    async with reached() as (connection, server):
-        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")) as sending:
-            sent = await server.hear(SendGoal)
-            assert sent == SendGoal(sent.id, "fibonacci", GOAL_ID, b"goal", WINDOW)
-            await server.say(following(sent))
-            goal = await sending.answer()
-        assert (goal.goal_id, goal.stamp, goal.status) == (GOAL_ID, 7, EXECUTING)
-        async with Running(goal.outcome) as waiting:
-            await server.say(StatusChanged(sent.id, GoalStatus.CANCELING))
-            await server.say(Feedback(sent.id, 1, b"one"), Feedback(sent.id, 2, b"two"))
-            await server.say(end(sent.id, 2))
-            outcome = await waiting.answer()
-        assert (outcome.status, outcome.result, outcome.reason) == (SUCCEEDED, b"result", "")
-        assert await server.hear_all() == [Received(sent.id)]
-        server.channel.cut()  # whatever becomes of the connection after that
-        assert await update_of(goal) is GoalStatus.CANCELING
-        assert await update_of(goal) == FeedbackItem(1, b"one")
-        assert await update_of(goal) == FeedbackItem(2, b"two")
-        assert await numbers_of(goal) == []
-        assert (await outcome_of(goal), goal.status, goal.dropped) == (outcome, SUCCEEDED, 0)
 
 
 async def test_a_goal_without_feedback_asks_for_none_and_need_not_be_closed() -> None:

@@ -20,11 +20,6 @@ from tests.wire.memory import LONG, settled
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 @pytest.fixture
 def slow(slice_clock: SliceClock) -> None:
     """Each look at the clock takes half a slice."""

@@ -20,20 +20,11 @@ from tests.wire.ends import (
     follow,
     held,
     reached,
-    send,
     serving,
 )
 from tests.wire.memory import Running
 
 pytestmark = pytest.mark.anyio
-
-
-async def test_a_client_that_follows_the_goal_of_another_is_told_the_goal() -> None:
-    async with serving(held()) as served:
-        sender, observer = await served.greet(), await served.greet(BOB)
-        assert (await sender.send(1)).goal is None
-        assert (await observer.ask(follow(None, own=False), Following)).goal == GOAL
-        assert (await observer.ask(send(2), Following)).goal is None
 
 
 async def test_a_client_that_goes_on_with_its_own_goal_is_not_told_it_again() -> None:
@@ -53,15 +44,6 @@ async def test_a_goal_over_the_clients_limit_is_left_out() -> None:
         small, large_enough = await served.greet(BOB, max_frame=LEAST_FRAME), await served.greet()
         assert (await small.ask(follow(None, own=False), Following)).goal is None
         assert (await large_enough.ask(follow(None, own=False), Following)).goal == padded
-
-
-async def test_a_client_that_follows_the_child_of_another_goal_is_told_its_parent() -> None:
-    child = SendGoal(1, "fibonacci", A, GOAL, ANY, None, {"parent": "07" * 16, "step": "pick"})
-    async with serving(held()) as served:
-        sender, observer = await served.greet(), await served.greet(BOB)
-        assert (await sender.ask(child, Following)).parent is None
-        told = await observer.ask(follow(None, own=False), Following)
-        assert told.parent == (bytes([7] * 16), "pick")
 
 
 async def test_a_client_that_follows_a_goal_of_another_one_is_told_its_labels() -> None:

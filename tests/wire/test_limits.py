@@ -100,7 +100,6 @@ from tests.wire.ends import (
     is_used,
     kinds,
     numbers_of,
-    observed,
     outcome_of,
     reached,
     running,
@@ -115,19 +114,6 @@ pytestmark = pytest.mark.anyio
 
 
 # The credit that a client gives
-
-
-async def test_no_more_feedback_comes_than_there_is_credit_for() -> None:
-    async with serving(scripted(*feedback(1, 2, 3, 4, 5), fib.Result([]))) as served:
-        client = await served.greet()
-        await client.send(1, credit=2)
-        assert [message.number for message in await client.hear_all()] == [1, 2]
-        await client.say(Credit(1, 2))
-        assert [message.number for message in await client.hear_all()] == [3, 4]
-        await client.say(Credit(1, 0))
-        assert await client.hear_all() == []
-        await client.say(Credit(1, ANY), Credit(1, ANY))
-        assert kinds(await client.hear_all()) == [Feedback, Ended]
 
 
 async def test_a_status_comes_without_credit() -> None:
@@ -255,28 +241,6 @@ async def test_a_goal_with_endless_feedback_delays_neither_another_nor_an_answer
         # One piece before each message of the other goal, and what was on its way before.
         assert PIECE < before[2] <= 6 * PIECE
         assert before[3] <= 2 * PIECE
-
-
-@pytest.mark.parametrize("count", [2, 20])
-async def test_goals_with_as_much_to_tell_take_turns(count: int) -> None:
-    piece = [fib.Feedback([0] * 1000)] * PIECE
-    async with serving(running(*piece * 8, fib.Result([]), feedback_window=1000)) as served:
-        client = await served.greet()
-        client.channel.stop_reading()
-        for number in range(count):
-            await client.say(send(number, bytes([number + 1] * 16)))
-        await settled()
-        client.channel.go_on_reading()
-        told = dict.fromkeys(range(count), 0)
-        spread = 0
-        for message in await client.hear_all():
-            if isinstance(message, Feedback):
-                told[message.id] += 1
-                spread = max(spread, max(told.values()) - min(told.values()))
-        assert set(told.values()) == {8 * PIECE}
-        # The first is some turns ahead: one that was being written, and two in which those that
-        # came after it were told only that they are followed, and executing.
-        assert spread <= 4 * PIECE
 
 
 async def test_messages_that_there_are_at_once_are_one_write() -> None:
@@ -798,39 +762,6 @@ async def test_feedback_out_of_order_or_beyond_the_credit_is_the_servers_error(
             await tell(server, call_id, *numbers)
             with pytest.raises(ProtocolError, match=f"^{WHERE}: {text}$"):
                 await outcome_of(goal)
-
-
-async def test_of_the_latest_feedback_only_the_newest_is_kept() -> None:
-    async with reached() as (connection, server):
-        async with goal_of(connection, server, latest=True) as (goal, call_id):
-            for number in range(1, 20):  # which never keeps the server waiting
-                await tell(server, call_id, number)
-            assert sum(await credit_of(server, call_id)) >= 19 - WINDOW // 2
-            assert await numbers_of(goal, 1) == [19]
-            assert goal.dropped == 18
-            assert await credit_of(server, call_id) == []
-
-
-@pytest.mark.parametrize("own", [True, False])
-async def test_a_reader_that_does_not_hold_the_executor_up_misses_the_oldest_feedback(
-    own: bool,
-) -> None:
-    async with reached() as (connection, server):
-        if own:
-            async with goal_of(connection, server) as (goal, call_id):
-                pass
-            await tell(server, call_id, 1, 2, 3, 4)
-            assert await credit_of(server, call_id) == []
-            goal.hold(False)
-            assert await credit_of(server, call_id) == [2]
-        else:
-            goal, call_id = await observed(connection, server)
-            goal.hold(True)  # an observer cannot
-            await tell(server, call_id, 1, 2, 3, 4)
-            assert await credit_of(server, call_id) == [2]
-        await tell(server, call_id, 5)
-        assert await numbers_of(goal, 2) == [4, 5]
-        assert goal.dropped == 3
 
 
 class Scripted:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import anyio
-import msgspec
 import pytest
 
 from fibaction.border.abc import StatusStream
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client import remote_statuses
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     AskPlaces,
@@ -31,7 +29,6 @@ from fibaction.words.errors import LimitReached
 from fibaction.words.statuses import GoalStatus
 from tests.wire.ends import (
     EXECUTING,
-    SUCCEEDED,
     WINDOW,
     endpoint_of,
     reached,
@@ -79,37 +76,6 @@ async def heard(server: Peer) -> list[Any]:
 async def told(server: Peer, *messages: Any) -> None:
     await server.say(*messages)
     await settled()
-
-
-async def test_a_follower_that_comes_later_begins_with_what_is_known_by_then() -> None:
-    async with reached() as (connection, server):
-        first, call_id = await watched(connection, server, known=3)
-        await told(server, *(change(call_id, stamp) for stamp in (1, 2, 3)))
-        await told(server, change(call_id, 1, SUCCEEDED), change(call_id, 2, UNKNOWN))
-        second = await follow(connection, server)
-        assert (first.known, second.known) == (3, 2)
-        assert [info.stamp for info in await second.listed()] == [1, 3]  # the active ones last
-        await told(server, change(call_id, 3, SUCCEEDED))
-        assert await numbers(second, 1) == [3]
-        assert await numbers(first, 6) == [1, 2, 3, 1, 2, 3]
-        assert await heard(server) == []
-
-
-async def test_times_reason_labels_and_worker_are_those_that_the_server_tells() -> None:
-    async with reached() as (connection, server):
-        statuses, call_id = await watched(connection, server, known=2)
-        whole = change(call_id, 7, GoalStatus.ABORTED)
-        whole.began_at, whole.ended_at, whole.reason = 8, 9, "stuck " * 100
-        whole.labels, whole.worker = {"order": "17", "note": "x" * 5000}, "gpu\n3"
-        older = msgspec.msgpack.encode(msgspec.msgpack.decode(encode(whole))[:12])
-        await server.channel.send([encode(whole), older])
-        first, second = await statuses.receive(), await statuses.receive()
-        assert first is not None
-        assert second is not None
-    assert (first.began_at, first.ended_at, len(first.reason)) == (8, 9, 200)
-    assert (first.labels, first.worker) == ({"order": "17"}, "gpu\\x0a3")
-    assert (second.began_at, second.ended_at, second.reason) == (None, None, "")
-    assert (second.labels, second.worker) == ({}, "")
 
 
 async def test_followers_that_come_at_once_wait_for_one_answer() -> None:

@@ -70,25 +70,6 @@ def numbered(call_id: int, *numbers: int) -> list[Feedback]:
 # At the client: another attempt
 
 
-async def test_the_feedback_of_another_attempt_is_numbered_anew() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await server.say(*numbered(call_id, 1, 2))
-            assert await numbers_of(goal, 2) == [1, 2]
-            server, asked = await asked_again(network, server, Follow)
-            assert asked == Follow(call_id, "fibonacci", GOAL_ID, 2, True, WINDOW, 1)
-            await server.say(following(asked, attempt=2), *numbered(call_id, 1))
-            assert await numbers_of(goal, 1) == [1]
-            assert (goal.attempt, goal.cursor, goal.dropped) == (2, 1, 0)
-            server, asked = await asked_again(network, server, Follow)
-            assert asked == Follow(call_id, "fibonacci", GOAL_ID, 1, True, WINDOW, 2)
-            ended = Ended(call_id, SUCCEEDED, b"result", "", 2)
-            await server.say(following(asked, attempt=2, place=1), *numbered(call_id, 2), ended)
-            assert await numbers_of(goal) == [2]
-            assert (goal.status, goal.dropped) == (SUCCEEDED, 0)
-
-
 async def test_attempts_without_feedback_are_not_remembered() -> None:
     goal = RemoteGoal(GOAL_ID, send(1, credit=WINDOW), WINDOW, lambda _: None)
     for attempt in range(1, 100):

@@ -123,29 +123,6 @@ async def test_an_end_that_was_lost_with_the_line_is_told_again(result_timeout: 
         assert getattr(answer, "why", None) == (None if result_timeout else Why.UNKNOWN_GOAL)
 
 
-@forgotten_or_not
-async def test_a_goal_that_is_sent_again_after_it_has_ended_runs_once(
-    result_timeout: float,
-) -> None:
-    server = running(*feedback(1), fib.Result([]), result_timeout=result_timeout)
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.say(send(1))
-        await settled()
-        client.channel.cut()  # with the answer, and all that came behind it
-        again = await served.greet()
-        other = SendGoal(2, "fibonacci", A, FIBONACCI.goal.encode(fib.Goal(99)), ANY)
-        rejected = await again.ask(other, Rejected)
-        assert rejected.reason == "its ID is in use by another goal"
-        first = await again.ask(send(1), Following)
-        assert first.place == 0
-        assert kinds(await again.hear_all())[-2:] == [Feedback, Ended]
-        observer = await served.greet(BOB)
-        if result_timeout:
-            seen = await observer.ask(follow(0, own=False), Following)
-            assert seen.stamp == first.stamp  # it is the same run
-
-
 async def test_an_end_that_was_lost_is_told_though_its_id_is_used_by_another_client() -> None:
     async def executor(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
         if goal.request.order == 99:
@@ -446,27 +423,6 @@ async def test_a_goal_that_cannot_be_canceled_is_logged_and_harms_no_other(
 # At the server: a goal that was sent twice
 
 
-async def test_both_calls_of_a_goal_that_was_sent_twice_go_on_on_the_next_connection_too() -> None:
-    first, second = anyio.Event(), anyio.Event()
-    steps = [first, *feedback(1), second, *feedback(2), fib.Result([])]
-    async with serving(scripted(*steps)) as served:
-        client = await served.greet()
-        await client.send(1)
-        await client.ask(send(2), Following)
-        first.set()
-        heard = await client.hear_by_id()
-        assert [[one.number for one in heard[call]] for call in (1, 2)] == [[1], [1]]
-        client.channel.cut()
-        again = await served.greet()
-        await again.say(follow(1, request=1), follow(1, request=2))
-        await again.hear_by_id()
-        second.set()
-        heard = await again.hear_by_id()
-        for call in (1, 2):
-            told, ended = heard[call]
-            assert (told.number, ended.status, ended.place) == (2, SUCCEEDED, 2)
-
-
 @pytest.mark.parametrize("is_lost", [True, False])
 @in_virtual_time()
 async def test_of_a_goal_that_was_sent_twice_the_last_call_is_waited_for(is_lost: bool) -> None:
@@ -612,21 +568,6 @@ async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connecti
 # At the client: calls
 
 
-@every_call
-async def test_a_call_without_an_answer_is_made_again(
-    call: Callable[[Connection], Awaitable[Any]],
-) -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with Running(lambda: call(connection)) as calling:
-            (first,) = await server.hear_all()
-            for _ in range(2):
-                server.channel.cut()
-                server = await network.accept()
-                assert await server.hear_all() == [first]
-            assert not calling.is_done
-
-
 @in_virtual_time()
 @pytest.mark.parametrize(
     ("timeout", "sent"),
@@ -723,25 +664,6 @@ async def test_a_call_that_waits_for_room_is_sent_once_if_it_is_not_given_up(
 # At the client: goals and statuses
 
 
-async def test_a_goal_is_resumed_behind_the_last_feedback_and_loses_none() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with goal_of(connection, server, place=5) as (goal, call_id):
-            server, asked = await asked_again(network, server, Follow)
-            assert asked == Follow(call_id, "fibonacci", GOAL_ID, 5, True, WINDOW)
-            await server.say(following(asked, place=5))
-            await server.say(*(Feedback(call_id, number, b"") for number in (6, 7)))
-            await settled()
-            assert await numbers_of(goal, 1) == [6]
-            server, asked = await asked_again(network, server, Follow)
-            # One that has arrived has yet to be read.
-            assert asked == Follow(call_id, "fibonacci", GOAL_ID, 7, True, WINDOW - 1)
-            await server.say(following(asked, place=7), Feedback(call_id, 8, b""))
-            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 8))
-            assert await numbers_of(goal) == [7, 8]
-            assert goal.dropped == 0
-
-
 async def test_feedback_that_got_lost_between_two_connections_counts_as_dropped() -> None:
     network = Network()
     async with reached(network) as (connection, server):
@@ -831,26 +753,6 @@ async def test_statuses_are_watched_again_behind_what_has_come_before() -> None:
             server, asked = await asked_again(network, server, WatchStatus)
         await server.say(Watching(call_id, 0))
         assert [(await statuses.receive()).stamp for _ in range(4)] == [2, 3, 4, 5]
-
-
-async def test_a_list_of_goals_has_each_once_across_connections() -> None:
-    network = Network()
-    async with reached(network, ClientSettings(heartbeat=LONG, window=10)) as (connection, server):
-        statuses, call_id = await watched(connection, server, known=2)
-        async with Running(statuses.listed) as listing:
-            await server.say(*changes(call_id, 1))
-            server, _ = await asked_again(network, server, WatchStatus)
-            await server.say(Watching(call_id, 3), *changes(call_id, 1, 2, 3, 4))
-            assert [info.stamp for info in await listing.answer()] == [1, 2, 3]
-        assert (await statuses.receive()).stamp == 4
-        statuses.close()
-        await server.hear(Close)
-        fewer, call_id = await watched(connection, server, known=2)
-        async with Running(fewer.listed) as listing:
-            server.channel.cut()
-            server = await network.accept()
-            await server.say(Watching(call_id, 0))
-            assert await listing.answer() == []
 
 
 # At the client: for how long

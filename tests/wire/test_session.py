@@ -20,7 +20,6 @@ from fibaction.wire.messages import (
     AskPeers,
     AskPlaces,
     AwaitServer,
-    CancelAnswered,
     CancelGoals,
     Close,
     Credit,
@@ -36,7 +35,6 @@ from fibaction.wire.messages import (
     ListActions,
     Peers,
     Ping,
-    Places,
     Received,
     SendGoal,
     Watching,
@@ -49,7 +47,6 @@ from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
-    CancelRejected,
     ConnectionLost,
     GoalAborted,
     GoalRejected,
@@ -58,11 +55,10 @@ from fibaction.words.errors import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.words.goals import CancelCode, GoalID
-from fibaction.words.statuses import GoalEvent, GoalStatus
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalEvent
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
-from tests.support.matching import Like
 from tests.support.virtual_time import in_virtual_time
 from tests.wire import memory
 from tests.wire.ends import (
@@ -80,7 +76,6 @@ from tests.wire.ends import (
     follow,
     held,
     kinds,
-    one_by_one,
     running,
     scripted,
     send,
@@ -165,19 +160,6 @@ async def test_a_client_that_leaves_is_not_answered_and_its_reason_is_one_line_o
 # Goals
 
 
-async def test_a_goal_is_told_from_its_acceptance_to_its_end() -> None:
-    async with serving(scripted(*feedback(1, 2), fib.Result([3]))) as served:
-        client = await served.greet()
-        following = await client.send(1, credit=5)
-        assert (following.status, following.latest, following.place) == (1, False, 0)
-        for number in (1, 2):
-            payload = FIBONACCI.feedback.encode(fib.Feedback([number]))
-            assert await client.hear(Feedback) == Feedback(1, number, payload)
-        result = FIBONACCI.result.encode(fib.Result([3]))
-        assert await client.hear(Ended) == Like(Ended(1, SUCCEEDED, result, "", 2))
-        assert await client.hear_all() == []
-
-
 # As `os.fsdecode` makes it of a file name that is not UTF-8.
 @pytest.mark.parametrize("error", [GoalRejected, GoalAborted])
 async def test_a_reason_that_is_not_unicode_is_told_as_far_as_it_is(error: type[Exception]) -> None:
@@ -204,17 +186,6 @@ async def test_a_client_that_wants_the_end_only_is_told_no_more() -> None:
         decide.set()
         heard = await client.hear_by_id()
         assert [kinds(heard[request]) for request in (1, 2)] == [[Following, Ended]] * 2
-
-
-async def test_an_action_that_is_not_served_is_told_with_those_that_are() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        failed = await client.ask(SendGoal(1, "swim", A, GOAL, 1), Failed)
-        text = "the action 'swim' is not served here: there is 'fibonacci'"
-        assert failed == Failed(1, Why.SERVER_NOT_FOUND, text)
-    async with serving() as served:
-        failed = await (await served.greet()).ask(WatchStatus(1, "swim", 1), Failed)
-        assert failed.text.endswith("there is nothing")
 
 
 # The end, and the answer to it
@@ -283,21 +254,6 @@ async def test_goals_whose_ends_are_received_leave_nothing_behind() -> None:
 # Other requests
 
 
-async def test_the_reason_of_a_cancel_that_is_not_unicode_is_told_as_far_as_it_is() -> None:
-    def on_cancel(*args: Any) -> Any:
-        raise CancelRejected("no \udcff")
-
-    async def forever(goal: Any) -> Any:
-        await anyio.sleep_forever()
-        yield
-
-    async with serving(ActionServer(FIBONACCI, forever, on_cancel=on_cancel)) as served:
-        client = await served.greet()
-        await client.ask(send(1, credit=None), Following)
-        answer = await client.ask(CancelGoals(2, "fibonacci", A, None), CancelAnswered)
-        assert (answer.return_code, answer.reason) == (CancelCode.REJECTED, "no ?")
-
-
 async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
     async with serving(held(), access=WireSettings(tokens={"right": "ann"})) as served:
         client = await served.greet(token="right")
@@ -330,21 +286,6 @@ async def test_where_actions_come_and_go_a_client_is_told_when_its_own_has_come(
         endpoints.add(server)
         assert await client.hear(Done) == Done(2)
         assert await client.hear_all() == []
-
-
-async def test_goals_that_wait_are_told_with_their_places() -> None:
-    async with serving(one_by_one()) as served:
-        client = await served.greet()
-        await client.send(1)
-        for number in (2, 3, 4):
-            await client.ask(send(number, bytes([number] * 16)), Following)
-        waiting = [(bytes([number] * 16), number - 1, 3) for number in (2, 3, 4)]
-        for most, count in ((0, 0), (1, 1), (3, 3), (9, 3)):
-            answer = await client.ask(AskPlaces(5, "fibonacci", most), Places)
-            assert answer == Places(5, waiting[:count])
-        await client.ask(WatchStatus(6, "fibonacci", ANY), Watching)
-        told = [await client.hear(GoalChanged) for _ in range(4)]
-        assert [(one.place, one.queue_length) for one in told] == [(0, 0), (1, 3), (2, 3), (3, 3)]
 
 
 async def test_the_clients_of_an_action_are_told_by_token_and_address_of_all_connections() -> None:
@@ -756,22 +697,6 @@ async def test_a_newer_connection_of_a_client_ends_the_one_before_and_no_other()
 def waiting() -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
     """A server whose goals give two feedback messages, and wait."""
     return scripted(*feedback(1, 2), anyio.Event())
-
-
-async def test_a_server_that_closes_tells_each_end_before_its_goodbye() -> None:
-    server = waiting()
-    async with serving(server) as served:
-        clients = [await served.greet(session) for session in (ANN, BOB, b"")]
-        for number, client in enumerate(clients[:2], 1):
-            await client.send(1, bytes([number] * 16))
-        await server.stop()
-        await served.wire.drain()
-        for client in clients[:2]:
-            *told, ended, goodbye = await client.hear_all()
-            assert kinds(told) == [Feedback, Feedback]
-            assert (ended.status, ended.reason) == (GoalStatus.ABORTED, "server stopped")
-            assert goodbye == CLOSING
-        assert await clients[2].hear_all() == [CLOSING]
 
 
 async def test_a_server_that_closes_waits_for_the_clients_that_still_read() -> None:

@@ -144,16 +144,6 @@ async def beside_a_socket() -> AsyncGenerator[tuple[End, socket.socket], None]:
                 ends[0].stop()
 
 
-async def test_frames_go_both_ways_in_order() -> None:
-    async with pair() as (one, other):
-        one.say(b"1", b"", b"22")
-        one.say(b"333")
-        other.say(b"answer")
-        await until(lambda: len(other.heard) == 4 and one.heard)
-        assert other.heard == [b"1", b"", b"22", b"333"]
-        assert one.heard == [b"answer"]
-
-
 async def test_what_is_stirred_at_once_is_written_in_the_same_turn() -> None:
     async with pair() as (one, other):
         one.say(b"1")

@@ -36,7 +36,6 @@ from fibaction import (
 )
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.messages import Hello
-from fibaction.wire.settings import Limits
 from fibaction_transports._socket_lines import on_asyncio, stream_transport
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.support.certificates import pems
@@ -402,45 +401,6 @@ async def test_a_token_that_cannot_be_sent_is_refused_before_anything_is() -> No
         UnixTransport("/run/x", token="secret \udcff")
 
 
-async def do(client: ActionClient[Goal, Feedback, Result], verb: Permission) -> None:
-    if verb is Permission.SEND:
-        await client.call(Goal(1))
-    elif verb is Permission.CANCEL:
-        await client.cancel_goals()
-    else:
-        (await client.endpoint.status()).close()
-
-
-@pytest.mark.parametrize("sync", [True, False])
-@pytest.mark.parametrize("allowed", list(Permission))
-async def test_each_verb_is_allowed_by_itself(allowed: Permission, sync: bool) -> None:
-    asked: list[tuple[str, str, Permission]] = []
-
-    def decide(peer: Peer, action: str, verb: Permission) -> bool:
-        asked.append((peer.name, action, verb))
-        return verb is allowed
-
-    async def decide_later(peer: Peer, action: str, verb: Permission) -> bool:
-        await anyio.lowlevel.checkpoint()
-        return decide(peer, action, verb)
-
-    settings: dict[str, Any] = {"authorize": decide if sync else decide_later}
-    transport = TcpTransport(port=0, tokens={SECRET: "ann"}, **settings)
-    async with serve(new_server(), transport) as (url,):
-        async with connect(f"{url}?token={SECRET}", FIBONACCI) as client:
-            with anyio.fail_after(30):
-                for verb in Permission:
-                    if verb is allowed:
-                        await do(client, verb)
-                        continue
-                    with pytest.raises(AuthenticationFailed) as caught:
-                        await do(client, verb)
-                    assert str(caught.value) == (
-                        f"this client may not {verb.value} at the action 'fibonacci'"
-                    )
-    assert asked == [("ann", "fibonacci", verb) for verb in Permission]
-
-
 async def test_who_may_not_observe_cannot_tell_whether_a_goal_exists() -> None:
     def authorize(peer: Peer, action: str, verb: Permission) -> bool:
         return peer.name == "ann" or verb is Permission.SEND
@@ -517,41 +477,6 @@ async def test_the_log_names_the_peer(heard: Hearing, tmp_path: Path) -> None:
     assert (await heard.until(left)).getMessage().startswith("127.0.0.1:")
     line = await heard.until(f"a local process {left}")
     assert line.getMessage().startswith("a local process left")
-
-
-async def test_what_is_too_large_is_one_goals_error_and_the_connection_lives(
-    heard: Hearing,
-) -> None:
-    go = anyio.Event()
-
-    async def executor(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        if goal.request.order:
-            yield Feedback([0] * goal.request.order)
-        else:
-            await go.wait()
-        yield Feedback([1])
-        yield Result([0] * goal.request.order)
-
-    server = ActionServer(FIBONACCI, executor)
-    small = TcpTransport(port=0, limits=Limits(frame=2000))
-    async with serve(server, small) as (url,):
-        connecting = TcpTransport.from_url(url, limits=Limits(frame=1024))
-        async with connect(connecting) as connection:
-            client = connection.client(FIBONACCI)
-            with anyio.fail_after(30):
-                other = await client.send_goal(Goal(0))
-                goal = await client.send_goal(Goal(1500))
-                assert (await anext(goal.feedback)).partial_sequence == [1]
-                assert goal.feedback_dropped == 1
-                with pytest.raises(TransportError, match="1024 are the limit"):
-                    await goal.result()
-                with pytest.raises(ProtocolError, match="2000 are the server's limit"):
-                    await connection.endpoint(FIBONACCI).send_goal(GoalID.random(), bytes(2000))
-                go.set()
-                assert await other.result() == Result([])
-        await heard.until("left: ")
-        lines = [one.getMessage() for one in heard.records if one.levelno == logging.INFO]
-        assert len(lines) == 1  # there was one connection, to the end
 
 
 @pytest.mark.parametrize("waits_for", [b"", b"\r\n\r\n"], ids=["at once", "for a blank line"])
