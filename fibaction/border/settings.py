@@ -91,11 +91,6 @@ class TransportSettings(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return found
 
     @classmethod
-    def in_code(cls) -> list[str]:
-        """Return the settings that are given in code only."""
-        return [name for name in cls.__struct_fields__ if name not in cls.in_urls()]
-
-    @classmethod
     def of(cls: type[S], owner: object, given: Mapping[str, Any]) -> S:
         """Make the settings of a transport from its keyword arguments.
 

@@ -87,21 +87,6 @@ def check_timeout(timeout: float | None) -> None:
         raise ValueError(f"timeout is more than 0 seconds, or None for no limit, not {timeout}")
 
 
-def attempts_of(
-    endpoint: Endpoint, goal_id: GoalID, timeout: float | None, retry: Retry | None
-) -> Attempts:
-    """Return what limits and repeats the waits for a goal; one of both is given."""
-    check_timeout(timeout)
-    check_is_retry(retry)
-    return Attempts(endpoint, goal_id, timeout, retry)
-
-
-def check_is_retry(retry: object) -> None:
-    """Raise TypeError for what is neither a rule for retries nor None."""
-    if not isinstance(retry, Retry | None):
-        raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")
-
-
 class Attempts:
     """The attempts at one goal, within its timeout."""
 
@@ -124,6 +109,15 @@ class Attempts:
     def __init__(
         self, endpoint: Endpoint, goal_id: GoalID, timeout: float | None, retry: Retry | None
     ) -> None:
+        """Limit and repeat the waits for a goal; `timeout` or `retry` is given.
+
+        Raises:
+            TypeError, ValueError: One of them is not what it has to be.
+        """
+        check_timeout(timeout)
+        rule: object = retry
+        if not isinstance(rule, Retry | None):
+            raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {rule!r}")
         self._endpoint = endpoint
         self._goal_id = goal_id
         self._timeout = math.inf if timeout is None else timeout

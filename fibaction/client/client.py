@@ -24,7 +24,7 @@ from msgspec.structs import replace
 
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
-from fibaction.client.attempts import Attempts, attempts_of, cancel_left
+from fibaction.client.attempts import Attempts, cancel_left
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
 from fibaction.client.goal_span import NO_SPAN, GoalTracer
@@ -114,7 +114,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
                 raise TypeError("a step has the ID of its goal: give goal_id or step, not both")
             return self._sending_step(goal, step, timeout, None, labels=labels)
         goal_id = GoalID.random() if goal_id is None else GoalID.of(goal_id)
-        attempts = None if timeout is None else attempts_of(self.endpoint, goal_id, timeout, None)
+        attempts = None if timeout is None else Attempts(self.endpoint, goal_id, timeout, None)
         sending = self._send(self.endpoint, goal, goal_id, attempts, labels=labels)
         return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
 
@@ -160,7 +160,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         else:
             goal_id, attempts = GoalID.random(), None
             if timeout is not None or retry is not None:
-                attempts = attempts_of(self.endpoint, goal_id, timeout, retry)
+                attempts = Attempts(self.endpoint, goal_id, timeout, retry)
             sending = self._send(
                 self.endpoint, goal, goal_id, attempts, feedback=follow, labels=labels
             )
@@ -302,7 +302,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         endpoint = StepEndpoint(self.endpoint, step, goal_id)
         attempts = None
         if timeout is not None or retry is not None:
-            attempts = attempts_of(endpoint, goal_id, timeout, retry)
+            attempts = Attempts(endpoint, goal_id, timeout, retry)
         sending = self._send(
             endpoint, goal, goal_id, attempts, feedback=feedback, labels=labels, step=step
         )

@@ -64,7 +64,11 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
                 not a tuple of error classes.
             ValueError: A number is out of range, or a class of `on` cannot be retried.
         """
-        _check_attempts(self.attempts)
+        attempts: object = self.attempts
+        if not isinstance(attempts, int):
+            raise TypeError(f"attempts is a whole number, not {attempts!r}")
+        if attempts < 1:
+            raise ValueError(f"attempts is 1 or more, not {attempts}")
         for name, seconds in (("delay", self.delay), ("max_delay", self.max_delay)):
             check_is_number(name, seconds)
             if not 0 <= seconds < float("inf"):
@@ -87,13 +91,6 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
         import random  # here, since most programs never retry, and it takes milliseconds
 
         return min(doubled, self.max_delay) * random.uniform(0.5, 1)  # not a secret
-
-
-def _check_attempts(attempts: object) -> None:
-    if not isinstance(attempts, int):
-        raise TypeError(f"attempts is a whole number, not {attempts!r}")
-    if attempts < 1:
-        raise ValueError(f"attempts is 1 or more, not {attempts}")
 
 
 def _check_are_safe(classes: object) -> None:

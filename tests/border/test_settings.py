@@ -24,4 +24,3 @@ def test_types_are_read_also_where_annotations_are_not_text() -> None:
     assert readers["seats"]("3") == 3
     with pytest.raises(ValueError, match="it has no items"):
         readers["doors"](" ,")
-    assert RoomSettings.in_code() == ["limits", "tokens", "authorize"]

@@ -40,7 +40,6 @@ class _Way:
     def __init__(self) -> None:
         self.frames: deque[bytes] = deque()
         self.is_stopped = False
-        self.is_muted = False
         self.is_cut = False
         self.is_last: Callable[[bytes], bool] = lambda _frame: False
         """Tells the frame after which its reader closes the connection."""
@@ -65,11 +64,10 @@ class MemoryChannel(Channel):
         if way.is_cut:
             raise ConnectionLost(f"the connection to {self.peer} broke")
         way.writes.append((anyio.current_time(), list(frames)))
-        if not way.is_muted:
-            way.frames += frames
-            way.news.notify()
-            if any(way.is_last(frame) for frame in frames):
-                self.cut()
+        way.frames += frames
+        way.news.notify()
+        if any(way.is_last(frame) for frame in frames):
+            self.cut()
 
     async def receive(self) -> list[bytes]:
         way = self._incoming
