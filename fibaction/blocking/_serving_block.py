@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import fibaction._api
 from fibaction._api import Served
-from fibaction.blocking._loop_thread import LoopBlock, LoopThread
+from fibaction.blocking._loop_thread import LoopBlock
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.border.watchers import Watcher
@@ -66,9 +66,6 @@ def serve(
         )
     # Only URLs take settings, and these have got them.
     return BlockingServing(
-        lambda: fibaction._api.serve(endpoints, *transports, watchers=watchers), _urls
+        lambda: fibaction._api.serve(endpoints, *transports, watchers=watchers),
+        lambda _loop, urls: urls,
     )
-
-
-def _urls(loop: LoopThread, urls: tuple[str, ...]) -> tuple[str, ...]:
-    return urls

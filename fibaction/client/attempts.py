@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
-from typing import NoReturn, TypeVar
+from typing import NoReturn, TypeVar, cast
 
 import anyio
 import msgspec
@@ -115,9 +115,8 @@ class Attempts:
             TypeError, ValueError: One of them is not what it has to be.
         """
         check_timeout(timeout)
-        rule: object = retry
-        if not isinstance(rule, Retry | None):
-            raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {rule!r}")
+        if not isinstance(cast("object", retry), Retry | None):
+            raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")
         self._endpoint = endpoint
         self._goal_id = goal_id
         self._timeout = math.inf if timeout is None else timeout

@@ -64,7 +64,7 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
                 not a tuple of error classes.
             ValueError: A number is out of range, or a class of `on` cannot be retried.
         """
-        attempts: object = self.attempts
+        attempts = cast("object", self.attempts)
         if not isinstance(attempts, int):
             raise TypeError(f"attempts is a whole number, not {attempts!r}")
         if attempts < 1:

@@ -202,19 +202,14 @@ class FeedbackWindow(Generic[FollowedT]):
             budget.used -= len(items[0].payload)
         items.append(FeedbackItem(number, payload, self.goal.attempt))
         budget.used += len(payload)
-        if budget.used > budget.limit:
-            self._push_out()
+        if budget.used > budget.limit:  # then old feedback goes that no holding reader has to read
+            while budget.is_over and len(items) > 1 and items[0].number <= self._slowest:
+                budget.give_back(len(items.popleft().payload))
         readers = self._readers
         for reader in readers if type(readers) is tuple else tuple(readers):
             reader.news.notify()
         unread = number - self._slowest  # as in `is_full`, without a call: each message is here
         return unread >= self._window or (budget.used > budget.limit and unread > 0)
-
-    def _push_out(self) -> None:
-        """Push out old feedback that no holding reader has to read: the budget is used up."""
-        items, budget = self._items, self._budget
-        while budget.is_over and len(items) > 1 and items[0].number <= self._slowest:
-            budget.give_back(len(items.popleft().payload))
 
     def clear(self) -> None:
         """Forget all feedback."""

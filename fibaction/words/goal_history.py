@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import msgspec
 
@@ -36,20 +37,17 @@ class GoalHistory(msgspec.Struct, frozen=True, kw_only=True):
         check_is_number("seconds", self.seconds)
         if not self.seconds > 0:
             raise ValueError(f"seconds is more than 0, not {self.seconds}")
-        _check_is_whole("goals", self.goals)
-        if self.goals < 1:
-            raise ValueError(f"goals is 1 or more, not {self.goals}")
+        goals = cast("object", self.goals)
+        if not isinstance(goals, int):
+            raise TypeError(f"goals is a whole number, not {goals!r}")
+        if goals < 1:
+            raise ValueError(f"goals is 1 or more, not {goals}")
 
     def earliest_end(self, now: int) -> int:
         """Return the time at or before which an end is too long ago at `now`, both in nanoseconds
         since 1970; -1 if no end is.
         """
         return -1 if math.isinf(self.seconds) else now - int(self.seconds * SECOND)
-
-
-def _check_is_whole(name: str, value: object) -> None:
-    if not isinstance(value, int):
-        raise TypeError(f"{name} is a whole number, not {value!r}")
 
 
 def check_is_history(value: object) -> None:
