@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 
@@ -12,15 +11,10 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goals import Sender
 from tests.fleet.verdict import (
     Case,
-    Handover,
     Rules,
     faults_of,
     faults_of_keys,
-    handover,
     key_pauses,
-    longest_pause,
-    moves,
-    unseen,
 )
 from tests.fleet.witness import Write
 from tests.kills.ledger import Ledger
@@ -167,44 +161,6 @@ def test_a_broken_promise_is_found(found: Callable[[], Iterator[str]], fault: st
     assert one.removeprefix(f"{GOAL} ").startswith(fault)
 
 
-def test_a_write_that_was_not_seen_is_missed_by_the_next_one() -> None:
-    assert unseen([write(1, replaced=0), write(3, replaced=2), write(4, replaced=3)]) == 1
-
-
-def test_the_longest_pause_is_between_two_writes() -> None:
-    assert longest_pause([]) == 0
-    assert longest_pause([write(1, at=1.0), write(2, at=1.5), write(3, at=4.0)]) == 2.5
-
-
-def test_a_move_is_counted_each_time_that_the_worker_changes() -> None:
-    writes: list[Any] = [write(1), write(2, "w2"), write(3, "w2"), write(4, "w3")]
-
-    assert moves(writes) == 2
-
-
-@pytest.mark.parametrize(
-    ("after", "expected"),
-    [
-        ((), Handover(1, float("inf"), float("inf"))),
-        ((write(2, "w2", at=9.0, is_running=False),), Handover(1, float("inf"), float("inf"))),
-        ((write(2, "w2", at=9.0), write(3, "w2", at=20.0)), Handover(1, 4.0, 4.0)),
-        ((write(2, "w2", GoalStatus.ABORTED, at=7.5),), Handover(1, 2.5, 2.5)),
-    ],
-)
-def test_goals_are_safe_when_they_have_ended_or_run_elsewhere(
-    after: tuple[Write, ...], expected: Handover
-) -> None:
-    assert handover([write(1, at=1.0), *after], "w1", 5.0) == expected
-
-
-def test_goals_of_others_and_ended_ones_need_no_handover() -> None:
-    writes = [write(1, "w2", at=1.0), write(2, "w2", at=6.0)]
-    ended = [write(1, at=1.0), write(2, status=GoalStatus.SUCCEEDED, at=2.0)]
-
-    assert handover(writes, "w1", 5.0) == Handover(0)
-    assert handover(ended, "w1", 5.0) == Handover(0)
-
-
 # Keys
 
 SECOND = 10**9
@@ -235,14 +191,6 @@ def test_a_goal_that_begins_beside_another_one_of_its_key_is_found() -> None:
     assert fault.endswith("began as one of 2 of key 0")
     assert not [*faults_of_keys(of_keys(*BESIDE, limit=2))]
     assert not [*faults_of_keys(of_keys(*BESIDE, limit=0))]
-
-
-def test_goals_of_other_keys_and_later_ones_may_begin() -> None:
-    other: list[tuple[float, What, int]] = [(2, "began", 3), (3, "stepped", 3)]
-    assert not [*faults_of_keys(of_keys((1, "began", 1), *other, (4, "stepped", 1)))]
-    later: list[tuple[float, What, int]] = [(3, "began", 2), (4, "stepped", 2)]
-    assert not [*faults_of_keys(of_keys((1, "began", 1), (2, "stepped", 1), *later))]
-    assert not [*faults_of_keys(of_keys((1, "began", 1), (9, "kept", 1), *later))]
 
 
 def test_the_pause_of_a_key_is_that_after_the_loss_of_the_worker_that_had_it() -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import nats
 import pytest
 from nats.js.api import StreamConfig
-from nats.js.client import JetStreamContext
-from nats.js.errors import BadRequestError, ServiceUnavailableError
+from nats.js.errors import BadRequestError
 
 from fibaction import GoalID, GoalStatus
 from fibaction.border.goal_store import StoredGoal
@@ -61,31 +58,3 @@ async def test_each_write_is_seen_although_the_stream_keeps_the_newest_only() ->
         None,
     ]
     assert writes[0].at <= writes[1].at <= writes[2].at
-
-
-@needs_nats
-@pytest.mark.asyncio
-async def test_writes_are_read_again_when_the_reader_has_no_leader_yet(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    refusals = [ServiceUnavailableError(), ServiceUnavailableError()]
-    fetch = JetStreamContext.PullSubscription.fetch
-
-    async def refuse_twice(reader: Any, *args: Any, **settings: Any) -> list[Any]:
-        if refusals:
-            raise refusals.pop()
-        return await fetch(reader, *args, **settings)
-
-    monkeypatch.setattr(JetStreamContext.PullSubscription, "fetch", refuse_twice)
-    with servers(1) as running:
-        client = await nats.connect(running.urls)
-        stream = client.jetstream()
-        await stream.add_stream(StreamConfig(name=NAMES.goals, subjects=[NAMES.all_goals()]))
-        await stream.publish(NAMES.goal("work", GOAL), entry(GoalStatus.ACCEPTED))
-        async with witness(running.urls, "trial") as seen:
-            await seen.begin()
-            writes = await seen.writes()
-        await client.close()
-
-    assert refusals == []
-    assert [write.sequence for write in writes] == [1]

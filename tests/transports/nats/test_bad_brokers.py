@@ -166,12 +166,6 @@ async def test_a_host_that_does_not_exist_is_not_found() -> None:
 # Real ones
 
 
-async def test_a_broker_without_jetstream_is_one_sentence() -> None:
-    with nats_server("") as server:
-        error = await error_of(settings_for(server.address))
-    assert "JetStream" in str(error)
-
-
 @pytest.mark.parametrize(
     ("config", "right", "wrong"),
     [
@@ -274,18 +268,3 @@ async def test_a_frozen_broker_answers_nothing_and_is_left_in_time(
         frozen = anyio.current_time()
     assert anyio.current_time() - frozen < 3
     own_broker.thaw()
-
-
-async def test_the_end_of_a_broker_is_two_lines_of_the_log(
-    own_broker: NatsServer, log: Hearing
-) -> None:
-    async with open_broker(settings_for(own_broker.address)):
-        own_broker.kill()
-        await log.until("is lost")
-        own_broker.start()
-        await log.until("is back")
-    assert log.warnings == [
-        f"the connection to nats://{own_broker.address} is lost",
-        f"the connection to nats://{own_broker.address} is back",
-    ]
-    assert not any(record.exc_info for record in log.records)

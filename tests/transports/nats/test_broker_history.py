@@ -21,7 +21,6 @@ from fibaction import (
     GoalInfo,
     GoalStatus,
     TransportError,
-    UnknownGoal,
     connect,
     serve,
 )
@@ -144,15 +143,6 @@ async def test_heads_are_told_since_a_time(shared_broker: NatsServer, fleet: str
     assert isinstance(first, int)
     assert isinstance(second, PutError)
     assert second.kind is PutFailure.REFUSED
-
-
-async def test_without_a_history_a_fleet_has_no_past(shared_broker: NatsServer, fleet: str) -> None:
-    url = shared_broker.url(fleet)
-    async with serve(server(), url), connect(url, COUNT) as client:
-        await client.call(1)
-        assert await client.endpoint.past_goals(PastPage()) == []
-        with pytest.raises(UnknownGoal):
-            await client.attach("ab" * 16)
 
 
 @pytest.mark.promise("FLEET-13")
@@ -298,25 +288,3 @@ async def test_bounds_that_cannot_be_set_are_one_sentence(
         monkeypatch.setattr(jetstream, "update_stream", fail)
         with pytest.raises(TransportError, match="HISTORY cannot be set: not now"):
             await broker.create_streams(names, history=GoalHistory(goals=1))
-
-
-async def test_a_broker_with_little_storage_keeps_a_smaller_history(
-    fleet: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sizes: list[int] = []
-
-    async def create(_client: object, wanted: dict[str, Any], *_: object) -> dict[str, Any]:
-        sizes.append(wanted["max_bytes"])
-        if len(sizes) < 3:
-            raise jetstream.NoStorage("insufficient storage")
-        return wanted
-
-    monkeypatch.setattr(jetstream, "create_stream", create)
-    client: Any = None
-    await jetstream.create_history(client, FleetNames(fleet), GoalHistory(), 1, 1)
-    whole = jetstream.HISTORY_BYTES
-    assert sizes == [whole, whole // 2, whole // 4]
-    sizes.clear()
-    monkeypatch.setattr(jetstream, "LEAST_BYTES", whole)
-    with pytest.raises(TransportError, match="insufficient storage"):
-        await jetstream.create_history(client, FleetNames(fleet), GoalHistory(), 1, 1)

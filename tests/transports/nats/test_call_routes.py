@@ -8,7 +8,6 @@ import pytest
 from fibaction import (
     ClientGoal,
     ConnectionLost,
-    GoalAborted,
     GoalStatus,
     ProtocolError,
 )
@@ -56,18 +55,6 @@ async def test_a_goal_goes_on_where_it_was_taken_over(fleet: FakeFleet) -> None:
             assert (goal.attempt, goal.feedback.dropped) == (2, 0)
             assert (await goal.cancel()).accepted
             assert (await goal.outcome()).status is GoalStatus.CANCELED
-
-
-async def test_a_goal_ends_as_its_next_owner_has_decided(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
-        goal = await client_of(connection).send_goal(-3)
-        await read_three(goal)
-        async with fleet.worker("b").serve(server()) as b:
-            b.take_over("count", goal.goal_id)
-            a.die()
-            with pytest.raises(GoalAborted):
-                await goal.result()
-            assert goal.feedback.dropped == 0
 
 
 async def test_a_goal_that_has_ended_needs_no_worker(fleet: FakeFleet) -> None:
@@ -132,19 +119,6 @@ async def test_a_goal_that_no_worker_goes_on_with_is_lost_in_time(fleet: FakeFle
             with pytest.raises(ConnectionLost, match=text):
                 await waiting.answer(within=60)
         assert anyio.current_time() - began == pytest.approx(20, abs=0.1)
-
-
-async def test_a_line_that_does_not_come_back_is_waited_for_once(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()) as a,
-        fleet.connect(reconnect_timeout=20) as connection,
-    ):
-        goal = await client_of(connection).send_goal(-3)
-        began = anyio.current_time()
-        a.hang_up()
-        with pytest.raises(ConnectionLost):
-            await goal.outcome()
-        assert anyio.current_time() - began == pytest.approx(20, abs=3)
 
 
 async def test_without_reconnect_a_goal_is_lost_at_once(fleet: FakeFleet) -> None:
@@ -212,26 +186,6 @@ async def test_leaving_ends_goals_that_are_lost(fleet: FakeFleet) -> None:
         for one in (goal, other):
             with pytest.raises(ConnectionLost):
                 await one.outcome()
-
-
-async def test_leaving_ends_goals_at_workers(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()):
-        async with fleet.connect() as connection:
-            goal = await client_of(connection).send_goal(-3)
-        with pytest.raises(ConnectionLost, match="was closed here"):
-            await goal.outcome()
-
-
-async def test_a_worker_that_comes_again_under_its_name_is_another_one(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
-        goal = await client_of(connection).send_goal(-3)
-        await read_three(goal)
-        a.hang_up()
-        again = fleet.worker("a")
-        again.incarnation = b"\2" * 8
-        async with again.serve(server()):
-            again.take_over("count", goal.goal_id)
-            assert (await goal.outcome()).status is GoalStatus.ABORTED
 
 
 async def test_connections_that_are_not_used_are_closed(fleet: FakeFleet) -> None:

@@ -18,7 +18,6 @@ from fibaction import (
     InvalidMessage,
     Parent,
     Schedule,
-    ServerFailed,
     ServerNotFound,
     UnknownGoal,
 )
@@ -101,20 +100,6 @@ async def test_a_worker_that_is_busy_by_now_is_left_for_another(fleet: FakeFleet
             await client.call(3)
 
 
-async def test_the_only_worker_says_itself_that_it_is_busy(fleet: FakeFleet) -> None:
-    schedule = Schedule(concurrency=1)
-    async with (
-        fleet.worker("a").serve(server(schedule=schedule)) as a,
-        fleet.connect() as connection,
-    ):
-        client = client_of(connection)
-        await client.send_goal(-1)
-        a.deafen()
-        with pytest.raises(GoalRejected) as caught:
-            await client.call(3)
-        assert caught.value.reason == "busy: 1 of 1 running, 0 of 0 waiting"
-
-
 async def test_a_worker_whose_server_has_stopped_is_left_for_another(fleet: FakeFleet) -> None:
     stopping = server()
     async with fleet.worker("a").serve(stopping), fleet.connect() as connection:
@@ -123,22 +108,6 @@ async def test_a_worker_whose_server_has_stopped_is_left_for_another(fleet: Fake
             await client_of(connection).call(3)
         async with fleet.worker("b").serve(server()):
             assert [await client_of(connection).call(3) for _ in range(2)] == ["3", "3"]
-
-
-async def test_a_goal_that_no_worker_has_room_for_is_rejected(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()) as a,
-        fleet.worker("b").serve(server()) as b,
-        fleet.connect() as connection,
-    ):
-        for worker in (a, b):
-            worker.deafen()
-            worker.has_room = False
-            worker.renew()
-        with pytest.raises(GoalRejected) as caught:
-            await client_of(connection).call(3)
-        assert caught.value.reason == "busy: all 2 workers of action 'count' are busy"
-        assert caught.value.is_busy
 
 
 async def test_an_action_that_no_worker_serves_is_not_found(fleet: FakeFleet) -> None:
@@ -227,17 +196,6 @@ async def test_a_goal_that_has_ended_is_answered_without_its_worker(fleet: FakeF
         assert answer == CancelAnswer(CancelCode.GOAL_TERMINATED)
 
 
-async def test_brokers_that_are_away_for_a_moment_delay_a_goal(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
-        client = client_of(connection)
-        assert await client.call(1) == "1"
-        fleet.broker.is_away = True
-        async with Running(lambda: client.call(3)) as calling:
-            await anyio.sleep(5)
-            fleet.broker.is_away = False
-            assert await calling.answer() == "3"
-
-
 # To follow a goal
 
 
@@ -252,16 +210,6 @@ async def test_a_goal_is_followed_at_its_owner(fleet: FakeFleet) -> None:
         for goal in goals:
             followed = await client_of(other).attach(goal.goal_id, after=0)
             assert [await anext(followed.feedback) for _ in range(3)] == [0, 1, 2]
-
-
-async def test_a_goal_without_a_record_is_unknown(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.connect() as connection,
-    ):
-        with pytest.raises(UnknownGoal):
-            await connection.endpoint(COUNT).feedback(GOAL_ID)
-        assert (await connection.endpoint(COUNT).get_result(GOAL_ID)).status.name == "UNKNOWN"
 
 
 async def test_a_goal_whose_owner_is_gone_is_followed_at_the_next_one(fleet: FakeFleet) -> None:
@@ -302,15 +250,6 @@ async def test_a_released_goal_that_no_worker_takes_is_lost_after_a_while(fleet:
     ):
         with pytest.raises(ConnectionLost, match=f"goal {GOAL_ID} has no worker: it was released"):
             await connection.endpoint(COUNT).cancel_goals(GOAL_ID)
-
-
-async def test_an_owner_that_does_not_know_the_goal_yet_is_asked_again(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
-        a.own(GOAL_ID)
-        async with Running(lambda: connection.endpoint(COUNT).feedback(GOAL_ID)) as asking:
-            await anyio.sleep(3)
-            a.take_over("count", GOAL_ID)
-            assert (await asking.answer()).stamp == 7
 
 
 async def test_an_end_that_its_owner_has_forgotten_is_unknown(fleet: FakeFleet) -> None:
@@ -355,17 +294,6 @@ async def test_a_goal_of_a_gateway_does_not_move(fleet: FakeFleet) -> None:
             await goal.outcome()
 
 
-async def test_a_busy_gateway_is_left_for_another(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a", is_kept=False).serve(server(schedule=Schedule(concurrency=1))),
-        fleet.worker("b", is_kept=False).serve(server()),
-        fleet.connect() as connection,
-    ):
-        client = client_of(connection)
-        await client.send_goal(-1)
-        assert [await client.call(3) for _ in range(3)] == ["3"] * 3
-
-
 # To cancel goals
 
 
@@ -404,16 +332,6 @@ async def test_all_goals_are_canceled_at_all_workers(fleet: FakeFleet) -> None:
             assert (await goal.outcome()).status is GoalStatus.CANCELED
 
 
-async def test_the_cancel_of_a_goal_that_no_worker_knows_is_answered_so(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()),
-        fleet.connect() as connection,
-    ):
-        answer = await client_of(connection).cancel_goals(GOAL_ID)
-        assert answer.return_code is CancelCode.UNKNOWN_GOAL_ID
-
-
 async def test_a_cancel_goes_to_the_next_owner_if_the_first_one_is_gone(fleet: FakeFleet) -> None:
     gone = FakeWorker(fleet.broker, "gone")
     gone.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE), attempt=0)
@@ -421,18 +339,6 @@ async def test_a_cancel_goes_to_the_next_owner_if_the_first_one_is_gone(fleet: F
         async with Running(lambda: client_of(connection).cancel_goals(GOAL_ID)) as canceling:
             await anyio.sleep(3)
             a.take_over("count", GOAL_ID)
-            assert (await canceling.answer()).accepted
-
-
-async def test_a_cancel_is_asked_again_if_its_answer_is_lost(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
-        client = client_of(connection)
-        goal = await client.send_goal(-3)
-        serving = a.server
-        a.hang_up()
-        async with Running(lambda: client.cancel_goals(goal.goal_id)) as canceling:
-            await anyio.sleep(1)
-            a.server = serving
             assert (await canceling.answer()).accepted
 
 
@@ -449,29 +355,6 @@ async def test_a_cancel_of_all_goals_leaves_out_a_worker_that_is_gone(fleet: Fak
             await anyio.sleep(3)
             b.end_lease()
             assert (await canceling.answer()).return_code is CancelCode.NONE
-
-
-async def test_a_cancel_of_all_goals_fails_if_a_worker_does_not_answer(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()) as b,
-        fleet.connect(reconnect_timeout=5) as connection,
-    ):
-        b.hang_up()
-        with pytest.raises(ConnectionLost, match="worker 'b' is not there"):
-            await client_of(connection).cancel_goals()
-
-
-async def test_an_error_of_one_worker_is_that_of_the_cancel_of_all_goals(
-    fleet: FakeFleet,
-) -> None:
-    class Broken(ForwardingEndpoint):
-        async def cancel_goals(self, *_: Any, **__: Any) -> Any:
-            raise RuntimeError
-
-    async with fleet.worker("a").serve(Broken(server())), fleet.connect() as connection:
-        with pytest.raises(ServerFailed):
-            await client_of(connection).cancel_goals()
 
 
 # To wait for a server

@@ -13,7 +13,7 @@ from fibaction import GoalID, GoalStatus, Sender, StoreError
 from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goal_query import GoalQuery, PastPage
-from fibaction_transports.nats.broker.broker import BrokerWatch, PutError, PutFailure, Stored
+from fibaction_transports.nats.broker.broker import BrokerWatch
 from fibaction_transports.nats.history import fleet_history, history_writes
 from fibaction_transports.nats.history.fleet_history import HISTORY_TIMEOUT, FleetHistory
 from fibaction_transports.nats.history.history_writes import HistoryWrites
@@ -228,19 +228,6 @@ async def test_what_is_too_large_is_left_out_of_a_goal(size: int, kept: bytes | 
         past = await FleetHistory(broker, NAMES, "count").past_goal(goal().goal_id)
     assert past is not None
     assert (past.goal, past.result) == (b"", kept)
-
-
-async def test_a_refusal_for_another_reason_is_told_in_the_log(
-    log: Hearing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(_subject: str, _data: bytes, *, then: Stored, **_: Any) -> None:
-        then(PutError(PutFailure.TOO_LARGE, "maximum payload exceeded"))
-
-    async with MemoryBrokers() as shared:
-        broker = shared.member()
-        monkeypatch.setattr(broker, "put", refuse)
-        await noted(broker, 1)
-    assert "maximum payload exceeded" in log.warnings[0]
 
 
 # Pages

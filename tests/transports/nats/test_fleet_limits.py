@@ -16,7 +16,6 @@ from fibaction._runtime.notify import Notifier
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import StoreError
 from fibaction_transports.nats.broker.broker import (
-    BrokerAway,
     BrokerStream,
     Message,
     PutError,
@@ -31,11 +30,9 @@ from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.support.memory_broker import (
-    MARKER_TIME,
     MemoryBroker,
     MemoryBrokers,
     MemoryNote,
-    Write,
 )
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.members import LEASE, NAMES, goal, keep, member, waiting
@@ -195,15 +192,6 @@ async def test_one_of_two_workers_gets_the_place_and_then_the_other() -> None:
         assert not b.limits.turns
 
 
-async def test_a_key_without_goals_has_no_record_left() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        a.want()
-        await a.runs()
-        a.end()
-        await sleep(MARKER_TIME + 1)
-        assert shared.newest(SUBJECT) is None
-
-
 async def test_a_place_that_is_not_wanted_any_longer_goes_back() -> None:
     async with MemoryBrokers() as shared, seat(shared, "a", most=2) as a:
         shared.delay = lambda: 0.5
@@ -218,14 +206,6 @@ async def test_a_place_that_is_not_wanted_any_longer_goes_back() -> None:
         assert (holders(entry), entry.waiting) == ({"a": 1}, ())
 
 
-async def test_a_key_that_nobody_wants_takes_nothing() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        a.want(0)
-        assert not a.limits.turns
-        await sleep(1)
-        assert writes(shared) == 0
-
-
 async def test_a_long_key_has_a_short_record() -> None:
     async with MemoryBrokers() as shared, seat(shared, "a") as a:
         long, other = b"x" * 10_000, b"x" * 10_001
@@ -236,29 +216,6 @@ async def test_a_long_key_has_a_short_record() -> None:
         record = shared.newest(NAMES.key("arms", long))
         assert record is not None
         assert len(record.data) < 300
-
-
-async def test_keys_do_not_wait_for_each_other() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
-        a.want(key=b"left")
-        b.want(key=b"right")
-        await a.runs(key=b"left", within=0.1)
-        await b.runs(key=b"right", within=0.1)
-
-
-async def test_workers_take_turns_however_many_goals_one_of_them_has() -> None:
-    order: list[str] = []
-    async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
-        a.want()
-        await a.runs()
-        b.want()
-        await sleep(0.1)
-        for _ in range(6):
-            runs = a if a.running[KEY] else b
-            order.append("a" if runs is a else "b")
-            runs.end(again=True)
-            await sleep(0.1)
-    assert order == ["a", "b", "a", "b", "a", "b"]
 
 
 async def test_one_worker_alone_needs_one_write_for_each_goal() -> None:
@@ -300,23 +257,6 @@ async def test_a_lost_worker_gives_its_places_back_when_its_lease_ends() -> None
         a.kill()
         await b.runs(within=IN_TIME)
         assert b.times[0] > b.limits.membership.lease * 0.5
-
-
-async def test_a_lost_worker_that_waited_is_passed_over() -> None:
-    async with (
-        MemoryBrokers() as shared,
-        seat(shared, "a") as a,
-        seat(shared, "b") as b,
-        seat(shared, "c") as c,
-    ):
-        for one in (a, b, c):
-            one.want()
-            await sleep(0.1)
-        b.kill()
-        a.end()
-        await sleep(0.1)
-        assert holders(stored(shared) or KeyEntry(KEY)) == {"b": 1}
-        await c.runs(within=IN_TIME)
 
 
 @pytest.mark.promise("FLEET-12")
@@ -417,27 +357,6 @@ async def test_a_place_is_not_used_while_a_write_that_gives_it_back_may_land(
         assert counts.running[KEY] == 1
 
 
-async def test_a_write_that_has_landed_without_an_answer_is_found() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
-        lost: list[Write] = []
-
-        def loses(write: Write) -> bool:
-            is_first = write.subject == SUBJECT and write.member == "a" and len(lost) < 3
-            if is_first:
-                lost.append(write)
-            return is_first
-
-        shared.loses_answer = loses
-        a.want()
-        b.want()
-        await b.runs(within=20)
-        b.end()
-        await a.runs(within=20)
-        a.end()
-        await sleep(5)
-        assert stored(shared) is None
-
-
 async def test_an_ask_without_an_answer_leaves_nothing_behind(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -452,21 +371,6 @@ async def test_an_ask_without_an_answer_leaves_nothing_behind(
         await sleep(1)
         assert stored(shared) is None
         assert not a.limits.turns
-
-
-async def test_an_old_record_of_a_broker_that_is_behind_gives_no_place() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
-        a.want()
-        await a.runs()
-        old = shared.newest(SUBJECT)
-        a.end(again=True)
-        await a.runs()
-        b.want()
-        await sleep(0.1)
-        a.broker.old[SUBJECT] = [old, old]
-        a.end(again=True)
-        await b.runs()
-        assert a.running[KEY] == 0
 
 
 async def test_an_old_record_gives_no_place_to_a_worker_that_has_none_any_longer() -> None:
@@ -494,21 +398,6 @@ async def test_a_broker_that_has_no_record_yet_gives_no_second_place() -> None:
         a.want()
         await sleep(3)
         assert a.running[KEY] == 1
-
-
-async def test_an_ask_is_taken_back_although_a_broker_is_behind() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
-        b.want()
-        await b.runs()
-        old = shared.newest(SUBJECT)
-        a.want()
-        await sleep(0.1)
-        a.broker.old[SUBJECT] = [old]
-        a.want(0)
-        await sleep(2)
-        entry = stored(shared)
-        assert entry is not None
-        assert not entry.waiting
 
 
 @pytest.mark.parametrize("fault", [PutFailure.FULL, PutFailure.TOO_LARGE])
@@ -569,16 +458,6 @@ async def test_after_the_loss_of_the_records_workers_write_theirs_again() -> Non
         a.end()
         await b.runs()
         assert counts.most[KEY] == 1
-
-
-async def test_the_first_goal_waits_until_the_stream_is_as_old_as_a_lease() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        shared.stream = BrokerStream("first", 0)
-        a.want()
-        await sleep(3)
-        assert a.times == []
-        shared.stream = BrokerStream("first", LEASE)
-        await a.runs()
 
 
 async def test_an_answer_from_before_the_loss_is_not_believed(
@@ -649,14 +528,6 @@ async def test_goals_that_wait_for_a_place_do_not_go_round_the_workers() -> None
         assert shared.notes == []
 
 
-async def test_a_limit_that_is_closed_lets_nothing_begin() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        a.want()
-        a.places.close()
-        await sleep(1)
-        assert a.times == []
-
-
 async def test_a_limit_waits_for_brokers_that_are_away_for_the_time_of_a_lease() -> None:
     async with MemoryBrokers() as shared, seat(shared, "a") as a:
         a.limits._hints = None
@@ -683,21 +554,6 @@ async def test_a_name_that_was_used_by_a_lost_process_gives_its_places_back() ->
                 first, other = (b, next_a) if b.running[KEY] else (next_a, b)
                 first.end()
                 await other.runs()
-
-
-async def test_brokers_that_do_not_answer_are_asked_again() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        asked: list[str] = []
-
-        async def fail(call: str, subject: str) -> None:
-            if subject == SUBJECT and len(asked) < 2:
-                asked.append(call)
-                raise BrokerAway("no leader")
-
-        a.broker.before = fail
-        a.want()
-        await a.runs()
-        assert asked == ["get", "get"]
 
 
 async def test_the_lease_may_end_while_the_record_is_read() -> None:

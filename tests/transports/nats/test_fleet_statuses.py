@@ -113,16 +113,6 @@ async def test_a_goal_has_a_worker_as_long_as_that_lives(fleet: FakeFleet) -> No
         assert [one.has_worker for one in await client.goals()] == [False]
 
 
-async def test_lists_have_the_worker_and_the_labels_of_a_goal_also_after_its_end(
-    fleet: FakeFleet,
-) -> None:
-    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
-        client = client_of(connection)
-        await client.call(3, labels={"order": "17"})
-        [ended] = await client.goals()
-        assert (ended.worker, ended.labels) == ("a", {"order": "17"})
-
-
 async def test_all_followers_share_one_watch(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()), fleet.connect() as connection:
         client = client_of(connection)
@@ -236,14 +226,6 @@ async def test_the_error_of_a_gateway_is_that_of_the_statuses(fleet: FakeFleet) 
     ):
         with pytest.raises(ServerFailed):
             await client_of(connection).goals()
-
-
-async def test_leaving_ends_the_statuses(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()):
-        async with fleet.connect() as connection:
-            statuses = await client_of(connection).endpoint.status()
-        with pytest.raises(ConnectionLost, match="was closed here"):
-            await statuses.receive()
 
 
 async def test_the_last_follower_that_leaves_ends_those_of_gateways(fleet: FakeFleet) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from unittest.mock import Mock
 
 import pytest
-from anyio import create_task_group, fail_after, sleep, wait_all_tasks_blocked
+from anyio import create_task_group, fail_after, sleep
 from anyio.abc import TaskGroup
 from msgspec.structs import replace
 
@@ -24,8 +24,7 @@ from fibaction.border.goal_store import (
     Then,
 )
 from fibaction.words.errors import StoreError
-from fibaction.words.goals import Sender
-from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
+from fibaction_transports.nats.broker.broker import BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker import record_writes
@@ -34,17 +33,11 @@ from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
 from fibaction_transports.nats.worker.worker import FleetStore
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
-from tests.transports.nats.members import no_places
+from tests.transports.nats.members import goal, no_places
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 NAMES = FleetNames("test")
 LEASE = 6.0
-
-
-def goal(number: int = 1, **changes: object) -> StoredGoal:
-    made = StoredGoal(GoalID(bytes([number]) * 16), number, Sender("me"), b"digest", b"goal")
-    fields = {"is_running": True, "attempt": 1, "meta": {"traceparent": f"00-{number}"}}
-    return replace(made, **{**fields, **changes})
 
 
 def ended(one: StoredGoal, keep_until: int = 0) -> StoredGoal:
@@ -128,10 +121,6 @@ def writes(shared: MemoryBrokers) -> list[Write]:
     return [write for write in shared.writes if ".goal." in write.subject]
 
 
-def notes(shared: MemoryBrokers) -> list[tuple[str, bytes]]:
-    return [(note.subject, note.data) for note in shared.notes]
-
-
 # Writes
 
 
@@ -175,17 +164,6 @@ async def test_writes_of_a_goal_follow_each_other_without_a_wait() -> None:
         assert [one.status for one in kept][-2:] == [GoalStatus.CANCELING, GoalStatus.SUCCEEDED]
 
 
-async def test_many_goals_are_written_at_once_and_answered_in_order() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        shared.delay = lambda: 0.5
-        shared.loses_answer = lambda write: write.subject == NAMES.goal("count", goal(1).goal_id)
-        for number in range(5):
-            robot.write("accept", goal(number), str(number))
-        await robot.answered(5)
-        assert [name for name, _ in robot.answers] == list("01234")
-        assert robot.errors == [None] * 5
-
-
 async def test_a_goal_of_another_worker_is_taken() -> None:
     async with MemoryBrokers() as shared, member(shared, "a") as a, member(shared, "b") as b:
         one = goal()
@@ -217,17 +195,6 @@ async def test_an_outcome_that_the_server_has_forgotten_is_replaced() -> None:
         assert found.goal.status is GoalStatus.ACCEPTED
 
 
-async def test_a_goal_is_accepted_over_a_marker() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        one = goal()
-        shared.put(NAMES.goal("count", one.goal_id), b"old", 0, 1)
-        await sleep(1.5)
-        robot.write("accept", one)
-        await robot.answered(1)
-        assert robot.errors == [None]
-        assert entry(shared, one) is not None
-
-
 async def test_nothing_is_written_over_a_marker_or_rubbish_in_place_of_a_goal() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         for number, data in ((1, b""), (2, b"rubbish")):
@@ -254,17 +221,6 @@ async def test_a_write_whose_answer_is_lost_is_found_by_its_nonce() -> None:
         await robot.answered(2)
         assert robot.errors == [None, None]
         assert len(writes(shared)) == 2, "nothing was written twice"
-
-
-async def test_a_write_that_did_not_arrive_is_written_again() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        robot.broker.is_away = True
-        robot.write("accept", goal())
-        await sleep(2.5)
-        robot.broker.is_away = False
-        await robot.answered(1)
-        assert robot.errors == [None]
-        assert len(writes(shared)) == 1
 
 
 async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away() -> None:
@@ -300,34 +256,6 @@ async def test_the_next_worker_s_write_is_told_from_a_lost_answer() -> None:
         robot.broker.is_away = False
         await robot.answered(2)
         assert robot.errors == [None, GoalTaken]
-
-
-async def test_a_record_is_read_again_while_the_brokers_do_not_answer() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        failures = [1, 2, 3]
-
-        async def away(call: str, subject: str) -> None:
-            if failures and call == "get" and ".goal." in subject:
-                failures.pop()
-                raise BrokerAway("on purpose")
-
-        robot.broker.before = away
-        shared.loses_answer = lambda write: ".goal." in write.subject
-        robot.write("accept", goal())
-        await robot.answered(1)
-        assert robot.errors == [None]
-        assert not failures
-
-
-async def test_no_answer_is_never_taken_for_a_loss_before_the_lease_ends() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        robot.broker.is_away = True
-        robot.write("accept", goal())
-        await sleep(3.9)
-        assert not robot.answers
-        robot.broker.is_away = False
-        await robot.answered(1)
-        assert robot.errors == [None]
 
 
 async def test_all_goals_are_lost_when_the_lease_ends() -> None:
@@ -481,67 +409,7 @@ async def test_the_oldest_outcomes_beyond_the_limit_are_deleted() -> None:
         assert kept == [2, 3]
 
 
-async def test_outcomes_that_have_expired_do_not_count() -> None:
-    async with MemoryBrokers() as shared, member(shared, max_results=1) as robot:
-        for number, keep_until in ((1, 1), (2, 0)):
-            robot.write("accept", goal(number))
-            robot.write("end", ended(goal(number), keep_until))
-        await robot.answered(4)
-        await robot.broker.flush()
-        assert len(writes(shared)) == 4, "the expired one is left to its time to live"
-
-
 # Notes
-
-
-async def test_a_waiting_goal_is_offered_to_other_workers() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        one = goal(is_running=False, attempt=0)
-        robot.write("accept", one)
-        robot.write("accept", goal(2))
-        await robot.answered(2)
-        await robot.broker.flush()
-        assert notes(shared) == [(NAMES.want("count"), bytes(one.goal_id))]
-        assert robot.journal.waits(one.goal_id)
-        assert not robot.journal.waits(goal(2).goal_id)
-        robot.write("begin", one)
-        assert not robot.journal.waits(one.goal_id)
-
-
-async def test_a_released_goal_has_no_owner_and_a_note() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        one = goal()
-        robot.write("accept", one)
-        robot.write("release", replace(one, is_running=False))
-        await robot.answered(2)
-        await robot.broker.flush()
-        found = entry(shared, one)
-        assert found is not None
-        assert (found.incarnation, found.goal.worker) == (b"", "")
-        assert notes(shared) == [(NAMES.left("count"), bytes(one.goal_id))]
-
-
-async def test_goals_that_are_left_when_a_server_stops_are_released() -> None:
-    async with MemoryBrokers() as shared:
-        async with member(shared) as robot:
-            one = goal(is_running=False, attempt=0)
-            robot.write("accept", one)
-            await robot.answered(1)
-        await robot.broker.flush()
-        assert not robot.journals.has_goals_left
-        found = entry(shared, one)
-        assert found is not None
-        assert found.incarnation == b""
-        assert (NAMES.left("count"), bytes(one.goal_id)) in notes(shared)
-
-
-async def test_goals_that_cannot_be_released_are_known() -> None:
-    async with MemoryBrokers() as shared:
-        async with member(shared) as robot:
-            robot.write("accept", goal())
-            await robot.answered(1)
-            shared.is_full = True
-        assert robot.journals.has_goals_left
 
 
 # Takeover
@@ -569,18 +437,6 @@ async def test_a_taken_goal_is_claimed_with_its_former_worker() -> None:
         assert b.errors == [None]
 
 
-async def test_a_goal_that_another_worker_was_faster_to_take_is_not_claimed() -> None:
-    async with MemoryBrokers() as shared, member(shared, "a") as a, member(shared, "b") as b:
-        one = goal()
-        shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, b"", b"1234")), 0, 100)
-        record = shared.newest(NAMES.goal("count", one.goal_id))
-        assert record is not None
-        assert await a.journal.take(record, replace(one))
-        assert not await b.journal.take(record, replace(one))
-        assert not b.claimed
-        assert not b.journal.has(one.goal_id)
-
-
 async def test_a_goal_that_is_being_taken_is_not_accepted_anew() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         one = goal()
@@ -596,17 +452,6 @@ async def test_a_goal_that_is_being_taken_is_not_accepted_anew() -> None:
         assert robot.claimed == [one]
 
 
-async def test_a_goal_is_lost_alone() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        robot.write("accept", goal(1))
-        robot.write("accept", goal(2))
-        await robot.answered(2)
-        robot.journal.lose(goal(1).goal_id)
-        robot.journal.lose(goal(1).goal_id)
-        assert robot.lost == [goal(1).goal_id]
-        assert robot.journal.has(goal(2).goal_id)
-
-
 # The store
 
 
@@ -615,16 +460,6 @@ async def test_an_action_is_served_once() -> None:
         with pytest.raises(StoreError, match="this worker serves the action 'count' already"):
             async with robot.open():
                 pass
-
-
-async def test_goals_are_valid_as_long_as_the_lease() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        assert robot.journal.valid_until == robot.membership.valid_until
-        async with create_task_group() as tasks:
-            tasks.start_soon(robot.journals.room.wait)
-            await wait_all_tasks_blocked()
-            robot.journal.set_room(3, 2)
-        assert (robot.journal.running, robot.journal.waiting) == (3, 2)
 
 
 # Goals that are lost in the middle of a write
@@ -722,17 +557,6 @@ async def test_the_records_of_goals_are_written_again_when_their_stream_was_lost
         robot.write("end", ended(goal(2)))
         await robot.answered(7)
         assert robot.errors == [None] * 7
-
-
-async def test_a_record_that_was_written_to_the_new_stream_already_is_written_over() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        robot.write("accept", goal())
-        await robot.answered(1)
-        robot.journal.rewrite_all()
-        robot.write("end", ended(goal()))
-        await robot.answered(2)
-        assert robot.errors == [None] * 2
-        assert not robot.lost
 
 
 async def test_a_goal_is_kept_although_its_record_cannot_be_written_again() -> None:

@@ -104,20 +104,6 @@ async def test_a_worker_is_gone_once_more_when_the_claim_to_clear_up_after_it_en
         assert not workers.living()
 
 
-async def test_leases_that_ended_while_the_watch_was_interrupted_are_noticed(
-    fleet: FakeFleet,
-) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()),
-        workers_of(fleet) as (workers, gone),
-    ):
-        del fleet.broker.records[NAMES.worker("a")]
-        fleet.broker.restart_watches()
-        await settled()
-        assert (gone, [lease.worker for lease in workers.living()]) == (["a"], ["b"])
-
-
 async def test_workers_that_may_write_their_leases_again_are_not_gone(fleet: FakeFleet) -> None:
     async with (
         fleet.worker("a").serve(server()),
@@ -149,10 +135,3 @@ async def test_brokers_that_do_not_answer_are_an_error_after_a_while(fleet: Fake
         assert anyio.current_time() - began == pytest.approx(5)
         fleet.broker.is_away = False
         await workers.ready()
-
-
-async def test_a_closed_connection_knows_no_workers(fleet: FakeFleet) -> None:
-    async with workers_of(fleet) as (workers, _):
-        workers.close()
-        with pytest.raises(ConnectionLost, match="was closed here"):
-            await workers.ready()

@@ -14,7 +14,6 @@ from fibaction_transports.nats.broker.answers import PendingAnswers
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerRecord,
-    BrokerStream,
     Message,
     PutFailure,
 )
@@ -26,12 +25,10 @@ from fibaction_transports.nats.broker.jetstream import (
     NO_PEERS,
     NO_ROOM_FOR_REPLICAS,
     STREAM_NOT_FOUND,
-    check_account,
     create_streams,
     find_stream,
     outcome,
 )
-from fibaction_transports.nats.broker.login import BrokerInfo
 from fibaction_transports.nats.broker.nats_broker import NatsBroker
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
@@ -127,13 +124,6 @@ async def test_heads_are_complete_though_the_last_records_were_removed_meanwhile
 
 
 @pytest.mark.asyncio
-async def test_flow_control_is_answered_when_records_are_taken(watch: RecordWatch) -> None:
-    watch._on_message(control("flow"))
-    watch._on_message(control(Nats_Consumer_Stalled="stalled"))
-    assert watch._flow == ["flow", "stalled"]
-
-
-@pytest.mark.asyncio
 async def test_a_consumer_that_is_gone_is_broken(watch: RecordWatch) -> None:
     watch._on_message(Message("inbox", b"", "", {"Status": "409"}))
     assert watch._is_broken
@@ -141,17 +131,6 @@ async def test_a_consumer_that_is_gone_is_broken(watch: RecordWatch) -> None:
 
 
 # Answers
-
-
-@pytest.mark.asyncio
-async def test_a_late_answer_is_nobodys() -> None:
-    pending = PendingAnswers("inbox")
-    answer = pending.expect("1")
-    answer.cancel()
-    pending.on_answer(Message("inbox.1", b"", "", {}))
-    pending.forget("1")
-    pending.on_answer(Message("inbox.1", b"", "", {}))
-    assert "1" not in pending
 
 
 @pytest.mark.asyncio
@@ -291,46 +270,6 @@ async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None)
 
 
 @pytest.mark.asyncio
-async def test_an_account_is_asked_again_while_the_brokers_of_a_cluster_elect(
-    no_pause: None,
-) -> None:
-    away, ready = BrokerAway("no answer"), {"api": {"level": 1}}
-    client: Any = ScriptedClient(API_INFO=[NO_RESPONDERS, away, failed(NO_LEADER, 503), ready])
-    client.info = BrokerInfo(cluster="c")
-    await check_account(client)
-    assert len(client.asked) == 4
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize(
-    ("answer", "sentence"),
-    [
-        (NO_RESPONDERS, "JetStream of the broker .* is not enabled: start nats-server with -js"),
-        (BrokerAway("no answer"), "the broker .* does not answer"),
-        (
-            failed(10039, 503, "not for you"),
-            "JetStream of the broker .* cannot be used: not for you",
-        ),
-        ({"api": {"level": 0}}, "JetStream of .* is older than 2.11: update all brokers"),
-    ],
-)
-async def test_an_account_without_jetstream_is_one_sentence(answer: Any, sentence: str) -> None:
-    client: Any = ScriptedClient(API_INFO=[answer])
-    with pytest.raises(TransportError, match=sentence):
-        await check_account(client)
-    assert len(client.asked) == 1
-
-
-@pytest.mark.asyncio
-async def test_a_cluster_that_never_elects_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.05)
-    client: Any = ScriptedClient(API_INFO=[failed(NO_LEADER, 503, "no leader")])
-    client.info = BrokerInfo(cluster="c")
-    with pytest.raises(TransportError, match="cannot be used: no leader"):
-        await check_account(client)
-
-
-@pytest.mark.asyncio
 async def test_streams_that_nobody_makes_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.05)
     with pytest.raises(TransportError, match="cannot be made: JetStream does not answer"):
@@ -409,14 +348,6 @@ async def test_a_consumer_that_was_not_answered_in_time_is_removed(no_pause: Non
     made, removed, _ = [name for name, _ in client.asked]
     assert made == "$JS.API.CONSUMER.CREATE.stream.one.s"
     assert removed == "$JS.API.CONSUMER.DELETE.stream.one"
-
-
-@pytest.mark.asyncio
-async def test_brokers_without_a_leader_are_soon_asked_again(no_pause: None) -> None:
-    consumer = {"num_pending": 0, "delivered": {"consumer_seq": 0}}
-    client: Any = ScriptedClient(CONSUMER_CREATE=[BrokerAway("no answer")] * 4 + [consumer])
-    assert await RecordWatch(client, "stream", "s").next() is None
-    assert client.timeouts == [1, 2, 4, 5, 5]
 
 
 @pytest.mark.asyncio
@@ -542,17 +473,6 @@ async def test_notes_wait_for_the_connection(client: Any) -> None:
 
 
 # Streams that are looked for
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize(
-    ("answer", "found"), [(MISSING, None), (MADE, BrokerStream(MADE["created"], 7.5))]
-)
-async def test_a_stream_has_an_identity_and_an_age(
-    answer: dict[str, Any], found: BrokerStream | None
-) -> None:
-    client: Any = ScriptedClient(STREAM_INFO=[answer])
-    assert await find_stream(client, NAMES.goals) == found
 
 
 @pytest.mark.asyncio

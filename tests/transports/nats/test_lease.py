@@ -5,11 +5,10 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from functools import partial
 from typing import Any
 
 import pytest
-from anyio import create_task_group, current_time, fail_after, sleep
+from anyio import current_time, sleep
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
@@ -80,16 +79,6 @@ async def test_a_term_counts_from_before_the_first_write_that_may_be_stored() ->
     assert term.valid_until == 113
     term.end()
     assert term.valid_until < 0
-
-
-@pytest.mark.parametrize(("lease", "pause"), [(15, 6.9), (50, 23)])
-async def test_a_term_survives_a_pause_of_the_brokers_that_begins_before_a_renewal(
-    lease: float, pause: float
-) -> None:
-    term = Term(lease)
-    term.sent(0)
-    term.stored()
-    assert term.renew_at + pause < term.valid_until
 
 
 # Stay
@@ -275,30 +264,11 @@ async def test_a_name_in_use_is_refused_in_one_sentence() -> None:
         assert current_time() - began <= LEASE / 3 + 1.1
 
 
-async def test_the_lease_of_a_lost_process_of_that_name_is_waited_for() -> None:
-    async with MemoryBrokers() as shared:
-        lost = Member(shared.member())
-        await lost.join()
-        await sleep(1)
-        began = current_time()
-        async with joined(shared.member()) as member:
-            assert member.incarnation != lost.incarnation
-            assert current_time() - began < LEASE + 1
-
-
 async def test_a_lease_that_does_not_end_is_given_up() -> None:
     async with MemoryBrokers() as shared:
         shared.put(NAMES.worker("robot"), encode(LeaseEntry("robot", b"other")), 0, 1000)
         with pytest.raises(TransportError, match="the lease of 'robot' does not end"):
             await Member(shared.member()).join()
-
-
-async def test_a_name_that_is_cleared_up_after_can_be_used() -> None:
-    async with MemoryBrokers() as shared:
-        entry = LeaseEntry("robot", b"", cleared_by="other")
-        shared.put(NAMES.worker("robot"), encode(entry), 0, 1000)
-        async with joined(shared.member()) as member:
-            assert member.incarnation
 
 
 async def test_joining_without_brokers_fails_in_one_sentence() -> None:
@@ -307,14 +277,6 @@ async def test_joining_without_brokers_fails_in_one_sentence() -> None:
         broker.is_away = True
         with pytest.raises(TransportError, match="the fleet: the brokers do not answer"):
             await Member(broker).join()
-
-
-async def test_joining_is_tried_again_when_an_answer_is_lost() -> None:
-    async with MemoryBrokers() as shared:
-        shared.loses_answer = lambda _: len(shared.writes) == 1
-        async with joined(shared.member()) as member:
-            assert member.incarnation
-            assert puts(shared) == 2
 
 
 @pytest.mark.parametrize(
@@ -353,15 +315,6 @@ async def test_a_worker_that_leaves_ends_its_lease(*, is_clean: bool) -> None:
             pass
 
 
-async def test_leaving_ends_a_lease_whose_renewal_was_not_answered() -> None:
-    async with MemoryBrokers() as shared:
-        async with joined(shared.member()) as member:
-            shared.loses_answer = lambda _: len(shared.writes) == 2
-            await sleep(LEASE / 3 + 0.5)
-        await member.leave(is_clean=False)
-        assert lease(shared) is None
-
-
 async def test_leaving_ends_nothing_that_another_worker_has() -> None:
     async with MemoryBrokers() as shared:
         member = Member(shared.member())
@@ -373,17 +326,6 @@ async def test_leaving_ends_nothing_that_another_worker_has() -> None:
             assert entry is not None
             assert entry.incarnation == other.incarnation
             await member.leave(is_clean=True)  # it has left already
-
-
-async def test_leaving_without_brokers_takes_no_longer_than_a_lease() -> None:
-    async with MemoryBrokers() as shared:
-        broker = shared.member()
-        member = Member(broker)
-        await member.join()
-        broker.is_away = True
-        with fail_after(LEASE + 0.1):
-            async with create_task_group() as tasks:
-                tasks.start_soon(partial(member.leave, is_clean=True))
 
 
 # Time that passes in between

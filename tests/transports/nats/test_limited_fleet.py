@@ -11,9 +11,7 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule, connect, serve
-from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.settings import FleetSettings
 from tests.support.nats_server import NatsServer
 from tests.transports.hearing import Hearing
 from tests.transports.nats.test_lost_streams import delete, renewals
@@ -96,14 +94,3 @@ async def test_a_goal_keeps_its_place_when_the_stream_of_the_places_is_lost(
             for goal in (first, *others):
                 await goal.result()
     assert arms.most == {"left": 1}
-
-
-async def test_a_fleet_without_a_limit_has_no_stream_for_it(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    arms, url, names = Arms(), shared_broker.url(fleet), FleetNames(fleet)
-    async with serve(ActionServer(MOVE, arms.move), url), connect(url, MOVE) as client:
-        assert await client.call("left 1") == "left 1"
-        async with open_broker(FleetSettings("x", (shared_broker.address,))) as broker:
-            assert await broker.find_stream(names.goals) is not None
-            assert await broker.find_stream(names.keys) is None

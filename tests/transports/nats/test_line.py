@@ -8,80 +8,22 @@ from contextlib import asynccontextmanager
 import anyio
 import pytest
 
-from fibaction import ActionServer, GoalHandle, ServerNotFound, connect, serve
+from fibaction import ServerNotFound
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader
-from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction_transports.nats.broker.broker import Message
 from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker
 from fibaction_transports.nats.lines import WINDOW, ClientLines, PieceLine, WorkerLines
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.nats_server import NatsServer
-from tests.transports.hearing import Hearing
-from tests.transports.nats.worker_lines import LineTransport
 
 pytestmark = pytest.mark.asyncio
 
 
-def transport_to(server: NatsServer, fleet: str, heartbeat: float = 1.0) -> LineTransport:
-    return LineTransport(
-        FleetSettings(fleet, (server.address,)),
-        ClientSettings(heartbeat=heartbeat),
-        WireSettings(heartbeat=heartbeat),
-    )
-
-
 # The wire protocol on them
-
-
-async def test_a_frame_may_be_larger_than_a_message_of_the_broker(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async def large(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        yield Result(list(range(goal.request.order)))
-
-    transport = transport_to(shared_broker, fleet)
-    async with serve(ActionServer(FIBONACCI, large), transport):
-        async with connect(transport, FIBONACCI) as client:
-            result = await (await client.send_goal(Goal(2_000_000))).result()
-            assert len(result.sequence) == 2_000_000
-
-
-async def test_a_goal_goes_on_while_the_broker_is_killed_and_started_again(
-    own_broker: NatsServer, fleet: str, log: Hearing
-) -> None:
-    runs: list[int] = []
-    go_on = anyio.Event()
-
-    async def counting(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        runs.append(1)
-        for number in range(goal.request.order):
-            yield Feedback([number])
-            if number == 10:
-                await go_on.wait()
-        yield Result([])
-
-    transport = transport_to(own_broker, fleet, heartbeat=0.1)
-    async with serve(ActionServer(FIBONACCI, counting), transport):
-        async with connect(transport, FIBONACCI) as client:
-            goal = await client.send_goal(Goal(50))
-            numbers: list[int] = []
-            with anyio.fail_after(20):
-                async for item in goal.feedback:
-                    numbers += item.partial_sequence
-                    if numbers[-1] == 10:
-                        own_broker.kill()
-                        go_on.set()
-                        await log.until("is lost")
-                        own_broker.start()
-                await goal.result()
-    assert numbers == list(range(50))
-    assert runs == [1]
-    assert not any(record.exc_info for record in log.records)
 
 
 # Each end alone
@@ -163,18 +105,6 @@ async def test_has_no_responders_where_no_worker_is(shared_broker: NatsServer, f
         lines = ClientLines(broker, FleetNames(fleet))
         await lines.open()
         with anyio.fail_after(10), pytest.raises(ServerNotFound, match="'w' does not answer"):
-            await lines.dial("w")
-
-
-async def test_a_worker_that_does_not_answer_is_given_up(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with open_broker(FleetSettings(fleet, (shared_broker.address,))) as broker:
-        await broker.subscribe(names.up("w"), lambda message: None)
-        lines = ClientLines(broker, names)
-        await lines.open()
-        with anyio.fail_after(5), pytest.raises(ServerNotFound):
             await lines.dial("w")
 
 
@@ -412,13 +342,3 @@ async def test_a_message_for_an_unknown_line_is_ignored(
             while not heard:
                 await ends.broker.flush()
         assert [(one.subject, one.data[:1]) for one in heard] == [(ends.names.down("d", "2"), b"X")]
-
-
-async def test_limits_of_the_server_hold_on_a_line(shared_broker: NatsServer, fleet: str) -> None:
-    transport = LineTransport(
-        FleetSettings(fleet, (shared_broker.address,)),
-        server=WireSettings(limits=Limits(frame=2048)),
-    )
-    async with serve(ActionServer(FIBONACCI, fibonacci), transport):
-        async with connect(transport, FIBONACCI) as client:
-            assert (await (await client.send_goal(Goal(2))).result()).sequence == [0, 1, 1]

@@ -16,7 +16,6 @@ from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerRecord,
     BrokerWatch,
-    Message,
     PutError,
     PutFailure,
 )
@@ -78,33 +77,7 @@ async def until(watch: BrokerWatch, data: bytes) -> list[BrokerRecord]:
 # Messages
 
 
-async def test_a_subscription_that_is_closed_gets_nothing_more(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async with open_broker(settings_of(shared_broker)) as broker:
-        heard: list[bytes] = []
-
-        def once(message: Message) -> None:
-            heard.append(message.data)
-            subscription.close()
-
-        subscription = await broker.subscribe(f"fib.{fleet}.x", once)
-        broker.publish(f"fib.{fleet}.x", b"one")
-        broker.publish(f"fib.{fleet}.x", b"two")
-        await broker.flush()
-        assert heard == [b"one"]
-
-
 # Records
-
-
-async def test_a_put_into_a_stream_that_is_missing_is_unknown(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async with open_broker(settings_of(shared_broker)) as broker:
-        outcome = await put(broker, FleetNames(fleet).worker("w"), b"x")
-        assert isinstance(outcome, PutError)
-        assert outcome.kind is PutFailure.UNKNOWN
 
 
 async def test_a_stream_that_is_missing_is_empty_until_it_is_made(
@@ -118,24 +91,6 @@ async def test_a_stream_that_is_missing_is_empty_until_it_is_made(
             await broker.create_streams(names)
             await stored(broker, names.worker("w"), b"one")
             assert [record.data for record in await until(watch, b"one")] == [b"one"]
-
-
-async def test_a_watch_returns_the_newest_records_then_none_then_each_change(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with opened(shared_broker, fleet) as broker:
-        for number in range(1000):
-            broker.put(names.worker(f"w{number}"), b"x", expected=0, then=lambda _: None)
-        last = await stored(broker, names.worker("v"), b"first")
-        await stored(broker, names.worker("v"), b"second", last)
-        async with broker.watch(names.workers, names.worker()) as watch:
-            records = await first_of(watch)
-            assert len(records) == 1001
-            assert records == sorted(records, key=lambda record: record.sequence)
-            assert records[-1].data == b"second"
-            await stored(broker, names.worker("u"), b"new")
-            assert [record.data for record in await until(watch, b"new")] == [b"new"]
 
 
 # Notes
@@ -154,15 +109,6 @@ async def test_streams_that_are_there_are_kept_and_checked(
         assert await broker.get(names.workers, names.worker("w")) == BrokerRecord(
             names.worker("w"), b"one", first
         )
-
-
-async def test_many_workers_may_make_the_streams_at_once(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async with opened(shared_broker, fleet) as broker:
-        async with anyio.create_task_group() as tasks:
-            for _ in range(10):
-                tasks.start_soon(broker.create_streams, FleetNames(f"{fleet}x"))
 
 
 async def test_a_stream_of_something_else_is_one_sentence(
@@ -187,21 +133,6 @@ async def test_more_replicas_than_brokers_are_one_sentence(
     async with open_broker(settings_of(shared_broker)) as broker:
         with pytest.raises(TransportError, match=r"cannot be made: .*replicas"):
             await broker.create_streams(FleetNames(fleet), replicas=3)
-
-
-async def test_a_stream_that_is_deleted_is_empty_again(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with opened(shared_broker, fleet) as broker:
-        await stored(broker, names.worker("w"), b"one")
-        async with broker.watch(names.workers, names.worker()) as watch:
-            assert len(await first_of(watch)) == 1
-            await broker.request(f"$JS.API.STREAM.DELETE.{names.workers}", b"", 5)
-            assert await first_of(watch) == []
-            await broker.create_streams(names)
-            await stored(broker, names.worker("w"), b"two")
-            assert [record.data for record in await until(watch, b"two")] == [b"two"]
 
 
 # Brokers that come and go

@@ -14,9 +14,8 @@ from typing import Any
 import anyio
 import pytest
 from anyio.abc import SocketStream
-from anyio.streams.tls import TLSStream
 
-from fibaction import AuthenticationFailed, LimitReached, ServerNotFound
+from fibaction import AuthenticationFailed, ServerNotFound
 from fibaction.border.event_loop import asyncio_loop
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.nats.broker.broker import Message
@@ -90,18 +89,6 @@ async def test_a_user_with_a_key_is_let_in(tmp_path: Path) -> None:
 
 
 @needs_broker
-async def test_a_credentials_file_is_let_in_by_its_operator(tmp_path: Path) -> None:
-    ours, others = tmp_path / "our.creds", tmp_path / "other.creds"
-    operator = Operator()
-    operator.write_credentials(ours)
-    Operator().write_credentials(others)
-    with nats_server(f"jetstream: {{}}\n{operator.config}") as server:
-        await check_use(settings_for(server.address, creds=str(ours)))
-        error = await error_of(settings_for(server.address, creds=str(others)))
-    assert isinstance(error, AuthenticationFailed)
-
-
-@needs_broker
 async def test_a_credentials_file_is_read_for_each_connection(tmp_path: Path, log: Hearing) -> None:
     path = tmp_path / "my.creds"
     operator = Operator()
@@ -120,17 +107,6 @@ async def test_a_credentials_file_is_read_for_each_connection(tmp_path: Path, lo
 async def test_a_nonce_does_not_keep_a_client_without_keys_out() -> None:
     async with saying(b"+OK\r\nPONG\r\n", nonce="n") as address:
         await (await dialer_to(address).dial(address)).cut()
-
-
-@needs_broker
-async def test_a_password_is_sent_to_a_broker_that_has_a_user_for_those_without_one() -> None:
-    users = "{user: me, password: secret}, {user: guest, password: guest}"
-    config = f"jetstream: {{}}\nno_auth_user: guest\nauthorization: {{users: [{users}]}}"
-    with nats_server(config) as server:
-        await check_use(settings_for(server.address))
-        await check_use(settings_for(server.address, user="me", password="secret"))
-        error = await error_of(settings_for(server.address, user="me", password="other"))
-    assert isinstance(error, AuthenticationFailed)
 
 
 @needs_broker
@@ -165,43 +141,6 @@ async def test_a_broker_may_want_tls_before_its_first_line(log: Hearing) -> None
             await log.until("is lost")
             server.start()
             await log.until("is back")
-
-
-async def test_a_broker_that_wanted_tls_first_is_not_waited_for_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    files = pems()
-    async with tls_first(files) as address:
-        dialer = dialer_to(address, tls=TlsFiles(ca=files.ca))
-        monkeypatch.setattr("fibaction_transports.nats.broker.dial.SILENCE", 0.1)
-        await (await dialer.dial(address)).cut()
-        monkeypatch.setattr("fibaction_transports.nats.broker.dial.SILENCE", 60)
-        await (await dialer.dial(address)).cut()
-
-
-@asynccontextmanager
-async def tls_first(files: Any) -> AsyncGenerator[str, None]:
-    """A broker that says nothing before TLS."""
-
-    async def handle(stream: SocketStream) -> None:
-        context = TlsFiles(cert=files.cert).server()
-        async with await TLSStream.wrap(stream, ssl_context=context) as secured:
-            await secured.send(b"INFO %s\r\n" % json.dumps(INFO).encode())
-            await secured.receive()
-            await secured.send(b"PONG\r\n")
-            await anyio.sleep_forever()
-
-    async with listening(handle) as address:
-        yield address
-
-
-@needs_broker
-async def test_a_broker_may_leave_tls_to_its_clients() -> None:
-    files = pems()
-    with nats_server(tls_config(files) + "\nallow_non_tls: true") as server:
-        await check_use(settings_for(server.address))
-        async with open_broker(settings_for(server.address, tls=TlsFiles(ca=files.ca))) as broker:
-            await broker.flush()
 
 
 @needs_broker
@@ -285,15 +224,6 @@ async def test_a_broker_that_closes_after_the_login_is_not_found(
     monkeypatch.setattr(LoginLines, "data_received", lose)
     async with saying(b"PONG\r\n") as address:
         assert await not_found(address) == f"the broker {address} has closed the connection"
-
-
-async def test_a_broker_without_room_is_one_sentence() -> None:
-    async with saying(b"-ERR 'maximum connections exceeded'\r\n") as address:
-        error = await error_of(settings_for(address))
-    assert isinstance(error, LimitReached)
-    assert str(error) == (
-        f"the broker {address} rejects the connection: maximum connections exceeded"
-    )
 
 
 @pytest.mark.parametrize("line", [b"220 mail ready\r\n", bytes(LONGEST_LINE + 1), b""])

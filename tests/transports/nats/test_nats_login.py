@@ -19,7 +19,7 @@ from fibaction_transports.nats.broker.login import (
     is_let_in,
 )
 from fibaction_transports.nats.settings import FleetSettings
-from tests.support.nats_keys import USER, Key, Operator, bytes_of
+from tests.support.nats_keys import Operator, bytes_of
 
 # As the documentation of NATS has them.
 SEED = "SUACSSL3UAHUDXKFSNVUZRF5UHPMWZ6BFDTJ7M6USDXIEDNPPQYYYCU3VY"
@@ -60,14 +60,6 @@ def test_the_first_line_has_what_matters_of_a_broker() -> None:
 def test_a_first_line_of_something_else_is_an_error(line: bytes) -> None:
     with pytest.raises(ValueError, match="INFO"):
         info_of(line)
-
-
-def test_the_login_ends_with_the_answer_to_the_ping() -> None:
-    assert is_let_in("b", b"PONG")
-    assert not is_let_in("b", b"INFO {}")
-    assert not is_let_in("b", b"+OK")
-    with pytest.raises(ValueError, match="an unknown line"):
-        is_let_in("b", b"220 ready")
 
 
 @pytest.mark.parametrize(
@@ -149,7 +141,3 @@ def test_a_file_without_the_key_of_a_user_is_one_sentence(tmp_path: Path, text: 
         f"{path} is not a credentials file: it has no secret key of a user of NATS"
     )
     assert caught.value.__cause__ is None
-
-
-def test_keys_of_the_tests_are_those_of_nats() -> None:
-    assert NatsCredentials(Key(USER).seed, "").answer("")["nkey"].startswith("U")

@@ -86,15 +86,6 @@ def test_messages_are_read_however_they_are_cut_into_pieces(size: int) -> None:
     assert opened.transport.written == [b"PONG\r\n"]
 
 
-def test_a_large_message_comes_in_many_pieces() -> None:
-    opened = Opened()
-    data = bytes(range(256)) * 4096
-    stream = b"MSG a 1 %d\r\n%s\r\nMSG b 2 0\r\n\r\n" % (len(data), data)
-    for start in range(0, len(stream), 4000):
-        opened.read(stream[start : start + 4000])
-    assert [message.data for _, message in opened.messages] == [data, b""]
-
-
 def test_an_error_of_a_receiver_is_logged_and_the_next_message_comes(log: Hearing) -> None:
     opened = Opened()
     opened.read(b"MSG a 1 3\r\nbad\r\nMSG a 1 4\r\ngood\r\n")

@@ -41,13 +41,6 @@ def test_a_url_has_brokers_a_login_a_fleet_and_settings() -> None:
     assert transport.url == "nats://one:4222,two:5000,[::1]:4222/my%2Ffleet"
 
 
-def test_what_is_not_given_has_defaults() -> None:
-    settings = transport_of("nats:///f").settings
-    assert settings.servers == ("127.0.0.1:4222",)
-    assert (settings.worker, settings.lease, settings.replicas, settings.tls) == ("", 0, 0, None)
-    assert NatsTransport().settings.fleet == "fibaction"
-
-
 def test_a_history_has_both_bounds_if_one_of_them_is_given() -> None:
     assert transport_of("nats:///f").settings.history is None
     in_days = transport_of("nats:///f?history_days=0.5").settings.history
@@ -111,24 +104,7 @@ def test_a_login_is_in_no_error() -> None:
     assert "secret" not in str(caught.value)
 
 
-def test_a_setting_that_does_not_exist_is_a_type_error() -> None:
-    with pytest.raises(TypeError, match="has no setting 'fleets'"):
-        NatsTransport(fleets="x")  # type: ignore[call-arg]
-
-
 # Connections
-
-
-@pytest.mark.asyncio
-async def test_no_broker_is_one_sentence_within_two_seconds() -> None:
-    url = "nats://127.0.0.1:1/f"
-    with anyio.fail_after(2):
-        with pytest.raises(ServerNotFound, match="no broker of NATS answers at"):
-            async with connect(url, FIBONACCI):
-                pass
-        with pytest.raises(ServerNotFound, match="no broker of NATS answers at"):
-            async with serve(ActionServer(FIBONACCI, fibonacci), url):
-                pass
 
 
 def test_trio_is_rejected_in_one_sentence() -> None:

@@ -60,14 +60,6 @@ async def test_goals_that_wait_are_asked_for_together(fleet: FakeFleet) -> None:
         assert goals_asked(fleet)[3:] == [1]
 
 
-async def test_many_goals_at_once_need_few_questions(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
-        async with anyio.create_task_group() as tasks:
-            for number in range(100):
-                tasks.start_soon(client_of(connection).call, number)
-        assert len(goals_asked(fleet)) == 7
-
-
 # Places that goals have left
 
 
@@ -78,17 +70,6 @@ async def test_quick_goals_one_after_another_need_few_questions(fleet: FakeFleet
             await client.call(0)
         assert goals_asked(fleet) == [1]
         await anyio.sleep(OFFER_LIFE)
-        await client.call(0)
-        assert goals_asked(fleet) == [1, 1]
-
-
-async def test_a_goal_that_takes_longer_than_an_offer_leaves_no_place(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
-        client = client_of(connection)
-        goal = await client.send_goal(-1)
-        await anyio.sleep(OFFER_LIFE)
-        await goal.cancel()
-        await goal.outcome()
         await client.call(0)
         assert goals_asked(fleet) == [1, 1]
 
@@ -161,12 +142,6 @@ async def test_a_worker_that_has_no_room_any_more_is_followed_by_a_question(
         assert goals_asked(fleet) == [1, 1, 1]
 
 
-async def test_an_offer_for_no_goal_counts_as_one_for_one(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
-        a.room = 0
-        assert (await places.take("count")).worker == "a"
-
-
 async def test_a_goal_that_waits_no_longer_needs_no_place(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
         a.is_frozen = True
@@ -197,15 +172,6 @@ async def test_workers_that_do_not_answer_are_asked_less_and_less(fleet: FakeFle
         with pytest.raises(ConnectionLost, match=text):
             await places.take("count")
         assert len(a.asked) == 8
-
-
-async def test_brokers_that_are_away_are_not_asked_all_the_time(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), places_of(fleet) as places:
-        fleet.broker.is_away = True
-        async with Running(lambda: places.take("count")) as taking:
-            await anyio.sleep(3)
-            fleet.broker.is_away = False
-            assert (await taking.answer()).worker == "a"
 
 
 async def test_an_answer_that_cannot_be_read_is_like_none(fleet: FakeFleet) -> None:
@@ -281,18 +247,3 @@ async def test_workers_are_waited_for_that_come_back_to_the_brokers_later_than_t
         fleet.broker.returned_at -= RETURN_WAIT
         with pytest.raises(GoalRejected, match="busy"):
             await places.take("count")
-
-
-async def test_an_error_is_that_of_each_goal_that_was_asked_for(fleet: FakeFleet) -> None:
-    errors: list[ServerNotFound] = []
-
-    async def take() -> None:
-        with pytest.raises(ServerNotFound) as caught:
-            await places.take("count")
-        errors.append(caught.value)
-
-    async with places_of(fleet) as places:
-        async with anyio.create_task_group() as tasks:
-            for _ in range(3):
-                tasks.start_soon(take)
-    assert len({id(error) for error in errors}) == 3

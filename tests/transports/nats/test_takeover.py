@@ -64,18 +64,6 @@ async def test_one_survivor_clears_up_and_then_removes_the_lease(
         ]
 
 
-async def test_a_worker_that_leaves_in_good_order_is_not_cleared_up_after(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    async with MemoryBrokers() as shared, member(shared, "b"):
-        left = Membership(shared.member("a"), NAMES, "a", LEASE)
-        await left.join()
-        with caplog.at_level(logging.WARNING, "fibaction.nats"):
-            await left.leave(is_clean=True)
-            await sleep(2 * LEASE)
-        assert not caplog.text
-
-
 async def test_the_goals_of_a_worker_that_joins_again_are_found() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         first = Membership(shared.member("a"), NAMES, "a", LEASE)
@@ -86,40 +74,6 @@ async def test_the_goals_of_a_worker_that_joins_again_are_found() -> None:
         again._mine.add(first.incarnation)
         await again.join()
         assert await b.claims(1, within=1) == [goal(worker="a")]
-
-
-async def test_clearing_up_is_tried_again_while_the_brokers_do_not_answer() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
-        await lost.join()
-        keep(shared, goal(worker="a"), lost.incarnation)
-        shared.loses_answer = lambda write: write.subject == NAMES.worker("a")
-        await sleep(LEASE + 0.1)
-        b.broker.is_away = True
-        await sleep(2.5)
-        b.broker.is_away = False
-        assert await b.claims(1) == [goal(worker="a")]
-
-
-async def test_another_survivor_clears_up_if_the_first_one_is_lost_too() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b, member(shared, "c") as c:
-        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
-        await lost.join()
-        survivors = {"b": b, "c": c}
-        claims: list[str] = []
-
-        def cut(write: Write) -> bool:
-            by = lease_entry(write.data).cleared_by if write.subject == NAMES.worker("a") else ""
-            if by:
-                claims.append(by)
-                survivors[by].broker.is_away = len(claims) == 1
-            return False
-
-        shared.loses_answer = cut
-        await sleep(3 * LEASE)
-        assert sorted(claims) == ["b", "c"]
-        await sleep(3 * LEASE)
-        assert len(claims) == 2, "it is done"
 
 
 async def test_clearing_up_that_was_interrupted_is_done_when_its_claim_ends() -> None:
@@ -180,25 +134,6 @@ async def test_the_claim_of_a_name_that_is_used_again_is_not_touched() -> None:
 # Scans
 
 
-async def test_a_scan_is_tried_again_while_the_brokers_do_not_answer() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        await sleep(1)
-        cuts = [1, 2]
-
-        async def away(call: str, _subject: str) -> None:
-            if call == "watch" and cuts:
-                cuts.pop()
-                raise BrokerAway("on purpose")
-
-        b.broker.before = away
-        keep(shared, goal(worker="gone"), b"gone")
-        first = Membership(shared.member("a"), NAMES, "a", LEASE)
-        await first.join()
-        await first.leave(is_clean=True)  # a reason to scan
-        await b.claims(1, within=4)
-        assert not cuts
-
-
 async def test_a_worker_finds_goals_without_an_owner_when_it_starts() -> None:
     async with MemoryBrokers() as shared:
         keep(shared, goal(1, worker="gone"), b"gone")
@@ -220,16 +155,6 @@ async def test_late_writes_of_a_lost_worker_are_found_in_the_end() -> None:
         await sleep(1)
         keep(shared, goal(worker="gone"), b"gone")
         await b.claims(1, within=(SCAN_INTERVAL + 1) * LEASE)
-
-
-async def test_a_goal_is_noted_once_by_the_scans_of_a_worker() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        b.journal.lose_all()
-        b.membership.incarnation, kept = b"", b.membership.incarnation
-        keep(shared, goal(worker="gone"), b"gone")
-        await sleep(3 * SCAN_INTERVAL * LEASE)
-        assert kept
-        assert len(shared.notes) + len(b.claimed) == 1
 
 
 async def test_a_worker_whose_lease_is_not_known_yet_is_asked_for() -> None:
@@ -321,30 +246,6 @@ async def test_a_worker_without_room_takes_no_waiting_goals() -> None:
             assert not b.claimed
             b.journal.set_room(1, 0)
             await b.claims(1, within=1)
-
-
-async def test_a_note_that_comes_when_there_is_no_room_any_more_is_given_back() -> None:
-    async with MemoryBrokers() as shared:
-        async with member(shared, "a") as a, member(shared, "b", running=1) as b:
-            await sleep(1)
-            b.journal.set_room(0, 0)
-            a.accept(waiting())
-            await sleep(1)
-            assert not b.claimed
-            assert len(shared.notes) == 1
-            async with member(shared, "c", running=1) as c:
-                await c.claims(1, within=1)
-
-
-async def test_a_note_of_a_goal_that_waits_here_comes_again() -> None:
-    async with MemoryBrokers() as shared, member(shared, "a", running=1) as a:
-        a.accept(waiting())
-        await sleep(2)
-        assert len(shared.notes) == 1
-        a.journal.begin(goal(), lambda _error: None)
-        await sleep(10)
-        assert not shared.notes
-        assert not a.claimed
 
 
 async def test_notes_of_goals_that_do_not_wait_are_removed() -> None:

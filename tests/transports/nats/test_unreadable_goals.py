@@ -90,16 +90,6 @@ async def test_a_goal_that_no_living_worker_can_run_waits_for_one_that_can(log: 
             assert len(b.claimed) == 2
 
 
-async def test_a_goal_that_nobody_can_run_keeps_one_note() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        keep(shared, waiting())
-        b.cannot_run = {waiting().goal_id}
-        for _ in range(5):
-            b.broker.add_note(NAMES.left("count"), bytes(waiting().goal_id))
-        await sleep(LEASE)
-        assert len(shared.notes) == 1
-
-
 async def test_many_goals_are_remembered_up_to_a_number(
     log: Hearing, monkeypatch: pytest.MonkeyPatch
 ) -> None:

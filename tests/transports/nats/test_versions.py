@@ -86,13 +86,6 @@ async def mixed() -> AsyncGenerator[VersionedFleet, None]:
 @pytest.mark.anyio
 @in_virtual_time()
 class TestNewGoals:
-    async def test_each_goes_to_a_worker_that_can_read_it(self, mixed: VersionedFleet) -> None:
-        for name in ("new-1", "new-2", "new-3"):
-            await mixed.add(name, Second)
-        await mixed.add("old", First)
-        client = await mixed.client(First)
-        assert [await client.call(First(1)) for _ in range(8)] == ["old"] * 8
-
     async def test_one_that_no_worker_can_read_is_rejected_once_by_each_version(
         self, mixed: VersionedFleet
     ) -> None:
@@ -131,15 +124,6 @@ class TestNewGoals:
         with pytest.raises(GoalRejected) as caught:
             await client.call(First(1))
         assert caught.value.is_busy
-
-    async def test_a_reader_that_is_gone_is_left_for_another(self, mixed: VersionedFleet) -> None:
-        for name, goal in (("a", Second), ("b", First), ("c", First)):
-            await mixed.add(name, goal)
-            mixed.fleet.workers[name].deafen()
-        mixed.fleet.workers["a"].listen(NAMES.offer("steps"))
-        mixed.fleet.workers["b"].server = None  # its lease has not ended
-        client = await mixed.client(First)
-        assert await client.call(First(1)) == "c"
 
     async def test_an_answer_of_a_worker_whose_lease_has_ended_does_not_end_the_search(
         self, mixed: VersionedFleet

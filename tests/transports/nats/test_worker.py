@@ -12,7 +12,7 @@ from anyio import create_task_group, fail_after, sleep, sleep_forever
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
 from fibaction.words.errors import GoalRejected, TransportError
-from fibaction_transports.nats.broker.broker import BrokerAway, BrokerStream
+from fibaction_transports.nats.broker.broker import BrokerStream
 from fibaction_transports.nats.client.connection import open_fleet
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import (
@@ -127,41 +127,6 @@ async def test_a_question_that_is_not_one_is_not_answered() -> None:
             assert not found
 
 
-async def test_waiting_goals_run_at_the_worker_that_is_free() -> None:
-    async with MemoryBrokers() as shared:
-        schedules = [Schedule(concurrency=1, queue=9) for _ in range(2)]  # one shares its places
-        servers = [ActionServer(COUNT, count, schedule=schedule) for schedule in schedules]
-        async with serving(shared.member(), servers[0], "a"):
-            async with client(shared.member()) as caller, create_task_group() as tasks:
-                for _ in range(4):
-                    tasks.start_soon(caller.call, 4)
-                await sleep(1)
-                async with serving(shared.member(), servers[1], "b"):
-                    await sleep(8.5)  # two by each, and not four after each other
-                    assert not servers[0]._parts.runs
-                    assert not servers[1]._parts.runs
-                    assert not shared.notes
-
-
-async def test_a_fenced_worker_lets_its_goals_go_and_runs_others_later() -> None:
-    async with MemoryBrokers() as shared:
-        broker = shared.member()
-        async with serving(broker, ActionServer(COUNT, count, recovery="rerun")):
-            async with client(shared.member()) as caller, create_task_group() as tasks:
-                found: list[int] = []
-
-                async def call() -> None:
-                    found.append(await caller.call(20))
-
-                tasks.start_soon(call)
-                await sleep(2)
-                broker.is_away = True
-                await sleep(2 * LEASE)
-                broker.is_away = False
-                await sleep(30)
-                assert found == [2], "it is the second attempt"
-
-
 async def test_a_worker_without_brokers_says_so_in_one_sentence() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
@@ -199,24 +164,6 @@ async def test_a_worker_listens_again_when_the_brokers_are_back() -> None:
             await sleep(LEASE)
             with fail_after(10):
                 assert await caller.call(1) == 1
-
-
-async def test_listening_is_tried_again_when_the_brokers_did_not_answer() -> None:
-    async with MemoryBrokers() as shared:
-        broker = shared.member()
-        cuts = [1]
-
-        async def away(_call: str, subject: str) -> None:
-            if subject == NAMES.offer("count") and cuts:
-                cuts.pop()
-                raise BrokerAway("on purpose")
-
-        broker.before = away
-        async with serving(broker, ActionServer(COUNT, count)):
-            assert not cuts
-            await sleep(1)
-            answer = await shared.member().request(NAMES.offer("count"), encode(RoomQuestion(1)), 5)
-            assert offer(answer).worker == "robot"
 
 
 # Workers of different versions
@@ -316,14 +263,3 @@ async def test_a_worker_fills_the_streams_again_as_soon_as_they_can_be_made(log:
         "the stream FIB_test_NOTES was lost, and with it notes of goals that wait or are left",
     ]
     assert "worker 'robot': there is no space left" in log.warnings
-
-
-async def test_streams_that_are_deleted_again_at_once_are_made_again(log: Hearing) -> None:
-    async with MemoryBrokers() as shared:
-        async with serving(shared.member(), ActionServer(COUNT, count)):
-            shared.lose_streams()
-            await sleep(LEASE / 4 + 0.1)  # they are made, and gone when the worker looks
-            shared.stream = BrokerStream("second", 1.0)
-            await sleep(LEASE / 4)
-            assert lease(shared).actions
-    assert len(log.warnings) == 3, "each loss is told once"
