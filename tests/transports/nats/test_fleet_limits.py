@@ -373,6 +373,21 @@ async def test_an_ask_without_an_answer_leaves_nothing_behind(
         assert not a.limits.turns
 
 
+async def test_an_old_record_of_a_broker_that_is_behind_gives_no_place() -> None:
+    async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
+        a.want()
+        await a.runs()
+        old = shared.newest(SUBJECT)
+        a.end(again=True)
+        await a.runs()
+        b.want()
+        await sleep(0.1)
+        a.broker.old[SUBJECT] = [old, old]
+        a.end(again=True)
+        await b.runs()
+        assert a.running[KEY] == 0
+
+
 async def test_an_old_record_gives_no_place_to_a_worker_that_has_none_any_longer() -> None:
     async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
         a.want()
