@@ -54,7 +54,7 @@ def stores_whatever_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the brokers refuse no record."""
 
     def put(self: Any, subject: str, data: bytes, expected: int, ttl: float) -> Any:
-        return self._store(subject, data, ttl)
+        return self.store(subject, data, ttl)
 
     monkeypatch.setattr(MemoryBrokers, "put", put)
 

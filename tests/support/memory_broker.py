@@ -132,9 +132,10 @@ class MemoryBrokers:
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
         self._news = Notifier()
-        self._tasks = Background()
+        self._tasks: Background
 
     async def __aenter__(self) -> MemoryBrokers:
+        self._tasks = Background()
         tasks = await self._tasks.__aenter__()
         tasks.start_soon(self._run)
         return self
@@ -193,9 +194,10 @@ class MemoryBrokers:
             return PutError(PutFailure.FULL, "maximum bytes exceeded")
         if (0 if newest is None else newest.sequence) != expected:
             return PutError(PutFailure.REFUSED, "wrong last sequence")
-        return self._store(subject, data, ttl)
+        return self.store(subject, data, ttl)
 
-    def _store(self, subject: str, data: bytes, ttl: float) -> int:
+    def store(self, subject: str, data: bytes, ttl: float) -> int:
+        """Store a record whatever there is, and return its sequence."""
         stream = subject.split(".")[2]
         sequence = self._sequences[stream] = self._sequences.get(stream, 0) + 1
         if not data:
@@ -213,7 +215,7 @@ class MemoryBrokers:
         record = kept.record
         if self.records.get(record.subject) is kept:
             if record.data:
-                self._store(record.subject, b"", math.inf)
+                self.store(record.subject, b"", math.inf)
             else:
                 del self.records[record.subject]
 

@@ -18,7 +18,6 @@ from fibaction import (
     GoalID,
     GoalStatus,
 )
-from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection
 from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import (
@@ -33,21 +32,14 @@ from fibaction.wire.channel import Line
 from fibaction.wire.settings import ClientSettings, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ServerNotFound
-from fibaction.words.goal_history import GoalHistory
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from fibaction_transports.nats.broker.broker import (
-    Broker,
-    BrokerAway,
     BrokerRecord,
     BrokerStream,
     BrokerSubscription,
-    BrokerWatch,
+    Message,
     NoResponders,
-    Note,
-    OnMessage,
     PutError,
-    PutFailure,
-    Stored,
 )
 from fibaction_transports.nats.client.connection import FleetConnection
 from fibaction_transports.nats.names import FleetNames
@@ -59,7 +51,12 @@ from fibaction_transports.nats.records import (
     encode,
     goal_entry,
 )
-from tests.support.memory_broker import Before, nothing
+from tests.support.memory_broker import (
+    MemoryBroker,
+    MemoryBrokers,
+    MemorySubscription,
+    MemoryWatch,
+)
 from tests.wire.memory import MemoryChannel, pair
 
 NAMES = FleetNames("test")
@@ -93,161 +90,67 @@ def client_of(connection: Connection) -> ActionClient[int, int, str]:
     return ActionClient(connection.endpoint(COUNT), COUNT)
 
 
-class FakeBroker(Broker):
-    """Records and requests in memory, which can be away."""
-
-    max_record = 2**20
-    brokers = 1
+class FakeBroker(MemoryBroker):
+    """The one connection of a fleet in memory, which carries everything out at once."""
 
     def __init__(self) -> None:
-        self.records: dict[str, BrokerRecord] = {}
-        self.stream: BrokerStream | None = BrokerStream("first", math.inf)
-        """The answer about each stream."""
-        self.sequence = 0
-        self.is_away = False
+        super().__init__(MemoryBrokers(), "all")
+        self.shared.members.append(self)
         self.returned_at = -math.inf
-        self.before: Before = nothing
-        """What happens before a stream is looked for, or a record is read."""
-        self.news = Notifier()
         self.gets = 0
         self.watches = 0
-        self.restarts = 0
         self.questions: list[bytes] = []
-        self.listeners: dict[str, list[Callable[[bytes], bytes | None]]] = {}
-
-    @property
-    def is_connected(self) -> bool:
-        return not self.is_away
 
     @property
     def reconnected_at(self) -> float:
         return self.returned_at
 
-    async def find_stream(self, stream: str) -> BrokerStream | None:
-        await self.before("find_stream", stream)
-        await anyio.lowlevel.checkpoint()
-        if self.is_away:
-            raise BrokerAway("away")
-        return self.stream
-
-    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
-        raise NotImplementedError
-
-    async def subscribe(
-        self, subject: str, on_message: OnMessage, queue: str = ""
-    ) -> BrokerSubscription:
-        raise NotImplementedError
-
-    async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
-        await anyio.lowlevel.checkpoint()
-        if self.is_away:
-            raise BrokerAway("away")
-        listeners = self.listeners.get(subject)
-        if not listeners:
-            raise NoResponders
-        self.questions.append(data)
-        listeners.append(listeners.pop(0))  # in turn
-        answer = listeners[-1](data)
-        if answer is None:
-            await anyio.sleep(timeout)
-            raise BrokerAway("no answer")
-        return answer
+    def _send(self, act: Callable[[], None]) -> None:
+        act()
 
     async def flush(self) -> None:
-        raise NotImplementedError
+        await anyio.lowlevel.checkpoint()
+        self._check_there()
 
-    async def create_streams(
-        self,
-        names: FleetNames,
-        *,
-        replicas: int = 0,
-        has_keys: bool = False,
-        history: GoalHistory | None = None,
-    ) -> None:
-        """Do nothing."""
+    async def find_stream(self, stream: str) -> BrokerStream | None:
+        await self.before("find_stream", stream)
+        return await super().find_stream(stream)
 
-    def put(
-        self,
-        subject: str,
-        data: bytes,
-        *,
-        expected: int,
-        ttl: float | None = None,
-        head: bytes = b"",
-        then: Stored,
-    ) -> None:
-        last = self.records.get(subject)
-        if expected != (last.sequence if last else 0):
-            then(PutError(PutFailure.REFUSED, "refused"))
-        else:
-            then(self.store(subject, data))
+    async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
+        await self.flush()
+        self.questions.append(data)
+        try:
+            return await super().request(subject, data, timeout)
+        except NoResponders:
+            self.questions.remove(data)
+            raise
+
+    def listen(self, subject: str, answer: Callable[[bytes], bytes | None]) -> BrokerSubscription:
+        """Answer questions, in turn with others; None is no answer."""
+
+        def on_message(message: Message) -> None:
+            if (data := answer(message.data)) is not None:
+                self.publish(message.reply, data)
+
+        self.subscriptions.append(MemorySubscription(self, subject, on_message, "group"))
+        return self.subscriptions[-1]
 
     def store(self, subject: str, data: bytes) -> int:
-        """Store a record whatever there is."""
-        self.sequence += 1
-        self.records[subject] = BrokerRecord(subject, data, self.sequence)
-        self.news.notify()
-        return self.sequence
+        """Store a record whatever there is; it is its own head."""
+        self.shared.heads[subject] = data
+        return self.shared.store(subject, data, math.inf)
 
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
-        await self.before("get", subject)
-        await anyio.lowlevel.checkpoint()
         self.gets += 1
-        if self.is_away:
-            raise BrokerAway("away")
-        return self.records.get(subject)
+        return await super().get(stream, subject)
 
     @asynccontextmanager
     async def watch(
         self, stream: str, subject: str, *, heads_since: int | None = None
-    ) -> AsyncGenerator[BrokerWatch, None]:
-        """Watch records, which are their own heads."""
-        await anyio.lowlevel.checkpoint()
-        if self.is_away:
-            raise BrokerAway("away")
+    ) -> AsyncGenerator[MemoryWatch, None]:
         self.watches += 1
-        yield _Watch(self, subject.partition("*")[0])
-
-    def add_note(self, subject: str, data: bytes) -> None:
-        raise NotImplementedError
-
-    async def notes(self, subject: str) -> AsyncGenerator[Note, None]:
-        raise NotImplementedError
-        yield
-
-    def restart_watches(self) -> None:
-        """Let every watch begin anew."""
-        self.restarts += 1
-        self.news.notify()
-
-
-class _Watch(BrokerWatch):
-    def __init__(self, broker: FakeBroker, prefix: str) -> None:
-        self._broker = broker
-        self._prefix = prefix
-        self._sequence = 0
-        self._is_listed = False
-        self._restarts = broker.restarts
-
-    async def next(self) -> list[BrokerRecord] | None:
-        while True:
-            await anyio.lowlevel.checkpoint()
-            if self._restarts != self._broker.restarts:
-                self._restarts = self._broker.restarts
-                self._sequence, self._is_listed = 0, False
-            records = [
-                record
-                for record in self._broker.records.values()
-                if record.subject.startswith(self._prefix) and record.sequence > self._sequence
-            ]
-            if records:
-                records.sort(key=lambda record: record.sequence)
-                self._sequence = records[-1].sequence
-                return records
-            if not self._is_listed:
-                self._is_listed = True
-                return None
-            await self._broker.news.wait()
+        async with super().watch(stream, subject, heads_since=heads_since) as watch:
+            yield watch
 
 
 class FakeJournal(GoalJournal):
@@ -317,6 +220,7 @@ class FakeWorker:
         self.server: Any = None
         self.lines: list[MemoryChannel] = []
         self.asked: list[bytes] = []
+        self.listening: list[BrokerSubscription] = []
         self.journals: dict[str, Any] = {}
         self.actions: tuple[ServedAction, ...] = ()
         self.since = 1
@@ -340,13 +244,12 @@ class FakeWorker:
 
     def listen(self, subject: str) -> None:
         """Answer questions."""
-        self.broker.listeners.setdefault(subject, []).append(self._answer)
+        self.listening.append(self.broker.listen(subject, self._answer))
 
     def deafen(self) -> None:
         """Answer no more questions."""
-        for listeners in self.broker.listeners.values():
-            if self._answer in listeners:
-                listeners.remove(self._answer)
+        for one in self.listening:
+            one.close()
 
     def _answer(self, question: bytes) -> bytes | None:
         self.asked.append(question)
@@ -398,7 +301,8 @@ class FakeWorker:
     def take_over(self, action: str, goal_id: GoalID) -> None:
         """Become the owner of a goal of another worker."""
         subject = NAMES.goal(action, goal_id)
-        record = self.broker.records[subject]
+        record = self.broker.shared.newest(subject)
+        assert record is not None
         stored = goal_entry(record.data).goal
         stored.worker = self.name
         journal, claim, _ = self.journals[action]

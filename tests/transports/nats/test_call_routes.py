@@ -13,7 +13,6 @@ from fibaction import (
 )
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.client import worker_connections
-from fibaction_transports.nats.records import goal_entry
 from tests.support.matching import End
 from tests.support.memory_broker import nothing
 from tests.support.virtual_time import in_virtual_time
@@ -81,8 +80,8 @@ async def test_a_goal_whose_record_may_be_written_again_is_waited_for(fleet: Fak
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         goal = await client_of(connection).send_goal(-3)
         subject = NAMES.goal("count", goal.goal_id)
-        record = fleet.broker.records.pop(subject)
-        fleet.broker.stream = None
+        record = fleet.broker.shared.records.pop(subject)
+        fleet.broker.shared.stream = None
         a.hang_up()
         a.end_lease()
         await anyio.sleep(2)
@@ -90,7 +89,7 @@ async def test_a_goal_whose_record_may_be_written_again_is_waited_for(fleet: Fak
         await anyio.sleep(2)
         fleet.broker.before = nothing
         assert goal.status.is_active
-        fleet.broker.records[subject] = record
+        fleet.broker.shared.records[subject] = record
         a.own(goal.goal_id, **ENDED)
         assert await goal.outcome() == End(GoalStatus.SUCCEEDED, "3")
 
@@ -163,8 +162,7 @@ async def test_a_worker_that_does_not_know_its_goal_yet_is_asked_again(fleet: Fa
         goal = await client_of(connection).send_goal(-3)
         await read_three(goal)
         async with fleet.worker("b").serve(server()) as b:
-            record = fleet.broker.records[NAMES.goal("count", goal.goal_id)]
-            b.own(goal.goal_id, stamp=goal_entry(record.data).goal.stamp)
+            b.own(goal.goal_id, stamp=goal.stamp)
             a.die()
             async with Running(goal.outcome) as waiting:
                 await anyio.sleep(8)

@@ -97,8 +97,8 @@ async def test_a_worker_is_gone_once_more_when_the_claim_to_clear_up_after_it_en
         a.end_lease()
         fleet.broker.store(subject, claim)
         await settled()
-        del fleet.broker.records[subject]
-        fleet.broker.restart_watches()
+        del fleet.broker.shared.records[subject]
+        fleet.broker.begin_anew()
         await settled()
         assert gone == ["a"] * 4
         assert not workers.living()
@@ -110,15 +110,15 @@ async def test_workers_that_may_write_their_leases_again_are_not_gone(fleet: Fak
         fleet.worker("b").serve(server()) as b,
         workers_of(fleet) as (workers, gone),
     ):
-        fleet.broker.records.clear()
-        fleet.broker.stream = BrokerStream("second", workers.longest_lease - 1)
-        fleet.broker.restart_watches()
+        fleet.broker.shared.records.clear()
+        fleet.broker.shared.stream = BrokerStream("second", workers.longest_lease - 1)
+        fleet.broker.begin_anew()
         await anyio.sleep(2)
         assert (gone, len(workers.living())) == ([], 2)
         b.renew()
         fleet.broker.is_away = True
         await anyio.sleep(2)
-        fleet.broker.stream = BrokerStream("second", workers.longest_lease)
+        fleet.broker.shared.stream = BrokerStream("second", workers.longest_lease)
         assert gone == []
         fleet.broker.is_away = False
         await anyio.sleep(1)

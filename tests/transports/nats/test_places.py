@@ -176,15 +176,14 @@ async def test_workers_that_do_not_answer_are_asked_less_and_less(fleet: FakeFle
 
 async def test_an_answer_that_cannot_be_read_is_like_none(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()), places_of(fleet) as places:
-        fleet.broker.listeners[NAMES.offer("count")].append(lambda data: b"?")
+        fleet.broker.listen(NAMES.offer("count"), lambda data: b"?")
         for _ in range(2):
             assert (await places.take("count")).worker == "a"
 
 
 async def test_workers_with_room_in_their_queue_are_asked_last(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
-        queue = [lambda data: encode(RoomOffer("queue", 1))]
-        fleet.broker.listeners[NAMES.queue("count")] = list(queue)
+        fleet.broker.listen(NAMES.queue("count"), lambda data: encode(RoomOffer("queue", 1)))
         assert (await places.take("count")).worker == "a"
         a.deafen()
         assert (await places.take("count")).worker == "queue"
