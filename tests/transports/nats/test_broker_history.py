@@ -33,7 +33,6 @@ from fibaction_transports.nats.names import FleetNames
 from tests.fleet.workers import Setup, workers
 from tests.kills.victim import WORK, Work
 from tests.support.nats_server import NatsServer
-from tests.transports.nats.test_lost_streams import delete
 from tests.transports.nats.test_nats_broker import first_of, settings_of
 from tests.transports.web.http_client import fetch
 
@@ -233,20 +232,6 @@ async def test_the_goal_of_a_client_that_is_killed_is_in_the_history(
         [past] = await pages_of(client, 1)
     assert (past.goal_id, past.status) == (begun.goal_id, GoalStatus.CANCELED)
     assert past.labels == {"order": "17"}
-
-
-async def test_a_history_that_was_deleted_is_made_again(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    url = shared_broker.url(fleet)
-    async with serve(server(), f"{url}?lease=2&history_days=1"), connect(url, COUNT) as client:
-        await client.call(1)
-        await pages_of(client, 1)
-        await delete(shared_broker, FleetNames(fleet).history)
-        assert await client.endpoint.past_goals(PastPage()) == []
-        await client.call(2)
-        [past] = await pages_of(client, 1)
-        assert past.feedback_count == 2
 
 
 # The stream

@@ -124,8 +124,9 @@ async def test_an_action_that_no_worker_serves_is_not_found(fleet: FakeFleet) ->
                 await ask()
 
 
-async def test_a_goal_goes_elsewhere_if_its_worker_ends_before_the_answer(
-    fleet: FakeFleet,
+@pytest.mark.parametrize("is_frozen", [False, True])
+async def test_a_goal_goes_elsewhere_if_its_worker_is_lost_before_the_answer(
+    fleet: FakeFleet, is_frozen: bool
 ) -> None:
     mute = _Mute(server())
     async with fleet.worker("a").serve(mute) as a, fleet.connect() as connection:
@@ -133,20 +134,10 @@ async def test_a_goal_goes_elsewhere_if_its_worker_ends_before_the_answer(
             await mute.asked.wait()
             async with fleet.worker("b").serve(server()):
                 a.deafen()
-                a.hang_up()  # its lease goes on for a while
-                assert await calling.answer() == "3"
-
-
-async def test_a_goal_goes_elsewhere_if_its_worker_is_frozen_before_the_answer(
-    fleet: FakeFleet,
-) -> None:
-    mute = _Mute(server())
-    async with fleet.worker("a").serve(mute) as a, fleet.connect() as connection:
-        async with Running(lambda: client_of(connection).call(3)) as calling:
-            await mute.asked.wait()
-            async with fleet.worker("b").serve(server()):
-                a.deafen()
-                a.end_lease()  # its line is open
+                if is_frozen:
+                    a.end_lease()  # its line is open
+                else:
+                    a.hang_up()  # its lease goes on for a while
                 assert await calling.answer() == "3"
 
 
@@ -199,32 +190,28 @@ async def test_a_goal_that_has_ended_is_answered_without_its_worker(fleet: FakeF
 # To follow a goal
 
 
-async def test_a_goal_is_followed_at_its_owner(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()),
-        fleet.connect() as one,
-        fleet.connect() as other,
-    ):
-        goals = [await client_of(one).send_goal(-3) for _ in range(2)]
-        for goal in goals:
-            followed = await client_of(other).attach(goal.goal_id, after=0)
-            assert [await anext(followed.feedback) for _ in range(3)] == [0, 1, 2]
-
-
-async def test_a_goal_whose_owner_is_gone_is_followed_at_the_next_one(fleet: FakeFleet) -> None:
+async def test_a_goal_whose_owner_is_gone_is_found_at_the_next_one(fleet: FakeFleet) -> None:
     gone = FakeWorker(fleet.broker, "gone")
-    gone.own(GOAL_ID)
+    gone.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE), attempt=0)
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
-        async with Running(lambda: connection.endpoint(COUNT).feedback(GOAL_ID)) as asking:
+        endpoint = connection.endpoint(COUNT)
+        async with (
+            Running(lambda: endpoint.feedback(GOAL_ID)) as asking,
+            Running(lambda: endpoint.cancel_goals(GOAL_ID)) as canceling,
+        ):
             await anyio.sleep(3)
             a.take_over("count", GOAL_ID)
             assert (await asking.answer()).stamp == 7
+            assert (await canceling.answer()).accepted
 
 
-async def test_a_goal_whose_owner_is_gone_is_lost_after_a_while(fleet: FakeFleet) -> None:
-    gone = FakeWorker(fleet.broker, "gone")
-    gone.own(GOAL_ID)
+@pytest.mark.parametrize(
+    ("owner", "former"), [("gone", "'gone', which had it, is gone"), ("", "it was released")]
+)
+async def test_a_goal_whose_owner_is_gone_is_lost_after_a_while(
+    fleet: FakeFleet, owner: str, former: str
+) -> None:
+    FakeWorker(fleet.broker, owner).own(GOAL_ID)
     async with (
         fleet.worker("a").serve(server()),
         fleet.connect(reconnect_timeout=8) as connection,
@@ -235,21 +222,10 @@ async def test_a_goal_whose_owner_is_gone_is_lost_after_a_while(fleet: FakeFleet
             with pytest.raises(ConnectionLost) as caught:
                 await ask(GOAL_ID)
             assert str(caught.value) == (
-                f"goal {GOAL_ID} has no worker: 'gone', which had it, is gone, and no other one has"
+                f"goal {GOAL_ID} has no worker: {former}, and no other one has"
                 f" taken it over; start a worker that has room, and whose version can read the goal"
             )
             assert anyio.current_time() - began == pytest.approx(8)
-
-
-async def test_a_released_goal_that_no_worker_takes_is_lost_after_a_while(fleet: FakeFleet) -> None:
-    former = FakeWorker(fleet.broker, "")
-    former.own(GOAL_ID)
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.connect(reconnect_timeout=8) as connection,
-    ):
-        with pytest.raises(ConnectionLost, match=f"goal {GOAL_ID} has no worker: it was released"):
-            await connection.endpoint(COUNT).cancel_goals(GOAL_ID)
 
 
 async def test_an_end_that_its_owner_has_forgotten_is_unknown(fleet: FakeFleet) -> None:
@@ -297,16 +273,18 @@ async def test_a_goal_of_a_gateway_does_not_move(fleet: FakeFleet) -> None:
 # To cancel goals
 
 
-async def test_a_goal_is_canceled_at_its_owner(fleet: FakeFleet) -> None:
+async def test_a_goal_is_followed_and_canceled_at_its_owner(fleet: FakeFleet) -> None:
     async with (
         fleet.worker("a").serve(server()),
         fleet.worker("b").serve(server()),
-        fleet.connect() as connection,
+        fleet.connect() as one,
+        fleet.connect() as other,
     ):
-        client = client_of(connection)
-        goals = [await client.send_goal(-3) for _ in range(2)]
+        goals = [await client_of(one).send_goal(-3) for _ in range(2)]
         for goal in goals:
-            answer = await client.cancel_goals(goal.goal_id)
+            followed = await client_of(other).attach(goal.goal_id, after=0)
+            assert [await anext(followed.feedback) for _ in range(3)] == [0, 1, 2]
+            answer = await client_of(other).cancel_goals(goal.goal_id)
             assert [info.goal_id for info in answer.goals_canceling] == [goal.goal_id]
             assert (await goal.outcome()).status is GoalStatus.CANCELED
 
@@ -330,16 +308,6 @@ async def test_all_goals_are_canceled_at_all_workers(fleet: FakeFleet) -> None:
         }
         for goal in goals:
             assert (await goal.outcome()).status is GoalStatus.CANCELED
-
-
-async def test_a_cancel_goes_to_the_next_owner_if_the_first_one_is_gone(fleet: FakeFleet) -> None:
-    gone = FakeWorker(fleet.broker, "gone")
-    gone.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE), attempt=0)
-    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
-        async with Running(lambda: client_of(connection).cancel_goals(GOAL_ID)) as canceling:
-            await anyio.sleep(3)
-            a.take_over("count", GOAL_ID)
-            assert (await canceling.answer()).accepted
 
 
 async def test_a_cancel_of_all_goals_leaves_out_a_worker_that_is_gone(fleet: FakeFleet) -> None:

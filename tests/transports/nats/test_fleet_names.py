@@ -65,17 +65,3 @@ def test_what_subjects_name_can_be_read_from_them(fleet: str, action: str) -> No
     assert last_token(subject) == str(goal_id)
     assert last_token(names.worker(action)) == token_of(action)
     assert {stream_of_note(names.want(action)), stream_of_note(names.left(action))} == {names.notes}
-
-
-def test_subjects_with_wildcards_match_all_of_a_kind() -> None:
-    names = FleetNames("f")
-    assert names.goal("a") == "fib.f.goal.a.*"
-    assert names.all_goals() == "fib.f.goal.*.*"
-    assert names.worker() == "fib.f.worker.*"
-    assert (names.all_want(), names.all_left()) == ("fib.f.want.*", "fib.f.left.*")
-    assert names.up("w") == "fib.f.up.w.>"
-    assert names.up("w", "c", "1") == "fib.f.up.w.c.1"
-    assert names.down("c") == "fib.f.down.c.*"
-    assert names.offer("a") == "fib.f.offer.a"
-    assert names.queue("a") == "fib.f.queue.a"
-    assert names.taken("a b") == "fib.f.taken.a=20b"

@@ -10,7 +10,7 @@ import pytest
 
 from fibaction import TransportError
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports.nats.settings import FleetSettings, new_name
+from fibaction_transports.nats.settings import FleetSettings
 
 
 def test_the_url_has_no_logins_and_no_settings() -> None:
@@ -58,7 +58,3 @@ def test_a_lease_that_is_shorter_than_the_failover_is_rejected() -> None:
     assert FleetSettings("f", lease=2.0).of_worker(1).lease == 2
     with pytest.raises(TransportError, match="a lease of 11 s is too short for 3 brokers"):
         FleetSettings("f", lease=11.0).of_worker(3)
-
-
-def test_no_two_workers_get_the_same_name() -> None:
-    assert new_name() != new_name()

@@ -26,67 +26,76 @@ def wants(name: str, running: int = 0, asked: int = 1) -> Demand:
     return Demand(name, name.encode(), running, asked)
 
 
-def holders(entry: KeyEntry) -> dict[str, int]:
-    return {one.worker: one.count for one in entry.holders}
+def counts(shares: tuple[KeyShare, ...]) -> dict[str, int]:
+    return {one.worker: one.count for one in shares}
 
 
-def queue(entry: KeyEntry) -> list[tuple[str, int]]:
-    return [(one.worker, one.count) for one in entry.waiting]
+A, B, C = share("a"), share("b"), share("c")
 
 
-def test_a_free_place_is_given_at_once() -> None:
-    entry = next_entry(KeyEntry(KEY), wants("a", asked=3), set(), 2, gives=True)
-    assert (holders(entry), queue(entry)) == ({"a": 2}, [("a", 1)])
-
-
-def test_places_are_given_by_turns() -> None:
-    entry = KeyEntry(KEY, (share("a"),), (share("b", 2), share("c", 2)))
-    entry = next_entry(entry, wants("a"), set(), 3, gives=True)
-    assert (holders(entry), queue(entry)) == (
-        {"a": 1, "b": 1, "c": 1},
-        [("b", 1), ("c", 1)],
+@pytest.mark.parametrize(
+    ("before", "demand", "gone", "most", "holders", "queue"),
+    [
+        pytest.param(((), ()), wants("a", asked=3), "", 2, {"a": 2}, {"a": 1}, id="free"),
+        pytest.param(
+            ((A,), (share("b", 2), share("c", 2))),
+            wants("a"),
+            "",
+            3,
+            {"a": 1, "b": 1, "c": 1},
+            {"b": 1, "c": 1},
+            id="by turns",
+        ),
+        pytest.param(
+            ((A,), (B,)), wants("a"), "", 1, {"b": 1}, {"a": 1}, id="behind the others after an end"
+        ),
+        pytest.param(
+            ((share("z"),), (A, B)),
+            wants("a", asked=5),
+            "",
+            1,
+            {"z": 1},
+            {"a": 5, "b": 1},
+            id="its turn is kept",
+        ),
+        pytest.param(((A,), (A, B)), wants("a", asked=0), "", 1, {"b": 1}, {}, id="no demand"),
+        pytest.param(((B,), ()), wants("b", asked=0), "", 1, {}, {}, id="empty"),
+        pytest.param(((A,), (B, C)), wants("c"), "ab", 1, {"c": 1}, {}, id="lost workers"),
+        pytest.param(
+            ((B,), (C,)),
+            wants("a", running=1, asked=0),
+            "",
+            1,
+            {"a": 1, "b": 1},
+            {"c": 1},
+            id="above the limit",
+        ),
+        pytest.param(
+            ((A, B), (C,)), wants("b", asked=0), "", 1, {"a": 1}, {"c": 1}, id="down to the limit"
+        ),
+    ],
+)
+def test_places_are_given_by_turns(
+    before: tuple[tuple[KeyShare, ...], tuple[KeyShare, ...]],
+    demand: Demand,
+    gone: str,
+    most: int,
+    holders: dict[str, int],
+    queue: dict[str, int],
+) -> None:
+    entry = KeyEntry(KEY, *before)
+    after = next_entry(entry, demand, {one.encode() for one in gone}, most, gives=True)
+    assert (counts(after.holders), list(counts(after.waiting).items())) == (
+        holders,
+        list(queue.items()),
     )
-
-
-def test_a_worker_that_ends_a_goal_stands_behind_the_others() -> None:
-    entry = KeyEntry(KEY, (share("a"),), (share("b"),))
-    after = next_entry(entry, wants("a"), set(), 1, gives=True)
-    assert (holders(after), queue(after)) == ({"b": 1}, [("a", 1)])
-    assert given(entry, after) == ["b"]
-
-
-def test_a_worker_that_waits_keeps_its_turn_when_it_wants_more() -> None:
-    entry = KeyEntry(KEY, (share("z"),), (share("a"), share("b")))
-    assert queue(next_entry(entry, wants("a", asked=5), set(), 1, gives=True)) == [
-        ("a", 5),
-        ("b", 1),
-    ]
-
-
-def test_a_worker_that_wants_nothing_is_not_in_the_record() -> None:
-    entry = KeyEntry(KEY, (share("a"),), (share("a"), share("b")))
-    after = next_entry(entry, wants("a", asked=0), set(), 1, gives=True)
-    assert (holders(after), queue(after)) == ({"b": 1}, [])
-    assert next_entry(after, wants("b", asked=0), set(), 1, gives=True).is_empty
-
-
-def test_workers_that_are_gone_are_left_out() -> None:
-    entry = KeyEntry(KEY, (share("a"),), (share("b"), share("c")))
-    after = next_entry(entry, wants("c"), {b"a", b"b"}, 1, gives=True)
-    assert (holders(after), queue(after)) == ({"c": 1}, [])
-
-
-def test_goals_that_run_are_written_also_above_the_limit_and_then_nobody_gets_a_place() -> None:
-    entry = KeyEntry(KEY, (share("b"),), (share("c"),))
-    after = next_entry(entry, wants("a", running=1, asked=0), set(), 1, gives=True)
-    assert (holders(after), queue(after)) == ({"a": 1, "b": 1}, [("c", 1)])
-    after = next_entry(after, wants("b", asked=0), set(), 1, gives=True)
-    assert (holders(after), queue(after)) == ({"a": 1}, [("c", 1)])
+    assert after.is_empty == (not holders and not queue)
+    assert given(entry, after) == [one for one in holders if one not in counts(entry.holders)]
 
 
 def test_in_a_new_stream_nobody_gets_a_place() -> None:
     entry = next_entry(KeyEntry(KEY), wants("a"), set(), 1, gives=False)
-    assert (holders(entry), queue(entry), entry.gives_none) == ({}, [("a", 1)], True)
+    assert (entry.holders, counts(entry.waiting), entry.gives_none) == ((), {"a": 1}, True)
     assert key_entry(encode(entry)) == entry
 
 

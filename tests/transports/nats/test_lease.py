@@ -107,20 +107,6 @@ async def test_a_worker_without_answers_is_fenced_a_margin_before_its_lease_ends
         assert lease(shared) is None, "the brokers have ended the lease later"
 
 
-async def test_a_short_absence_fences_nobody() -> None:
-    async with MemoryBrokers() as shared:
-        broker = shared.member()
-        async with joined(broker) as member:
-            first = member.incarnation
-            for _ in range(10):
-                broker.is_away = True
-                await sleep(1.5)
-                broker.is_away = False
-                await sleep(LEASE / 2)
-            assert member.incarnation == first
-            assert not member.fences
-
-
 async def test_a_renewal_whose_answer_is_lost_counts_from_when_it_was_sent() -> None:
     async with MemoryBrokers() as shared, joined(shared.member()) as member:
         lost: list[float] = []
@@ -271,28 +257,24 @@ async def test_a_lease_that_does_not_end_is_given_up() -> None:
             await Member(shared.member()).join()
 
 
-async def test_joining_without_brokers_fails_in_one_sentence() -> None:
-    async with MemoryBrokers() as shared:
-        broker = shared.member()
-        broker.is_away = True
-        with pytest.raises(TransportError, match="the fleet: the brokers do not answer"):
-            await Member(broker).join()
-
-
 @pytest.mark.parametrize(
     ("record", "text"),
-    [(b"rubbish", "the lease of a worker of the fleet cannot be read"), (b"", "maximum bytes")],
+    [
+        (b"rubbish", "the lease of a worker of the fleet cannot be read"),
+        (b"full", "maximum bytes"),
+        (b"away", "the brokers do not answer"),
+    ],
 )
 async def test_what_is_wrong_at_the_brokers_is_said_in_one_sentence(
     record: bytes, text: str
 ) -> None:
     async with MemoryBrokers() as shared:
-        if record:
+        broker = shared.member()
+        shared.is_full, broker.is_away = record == b"full", record == b"away"
+        if record == b"rubbish":
             shared.put(NAMES.worker("robot"), record, 0, 1000)
-        else:
-            shared.is_full = True
         with pytest.raises(TransportError, match=f"cannot join the fleet: {text}"):
-            await Member(shared.member()).join()
+            await Member(broker).join()
 
 
 # Leave

@@ -190,33 +190,25 @@ async def test_a_write_at_once_is_not_put_off(shared_broker: NatsServer, fleet: 
             tasks.cancel_scope.cancel()
 
 
-@pytest.mark.parametrize("is_left", [False, True])
-async def test_an_error_of_a_handler_ends_the_line(
-    shared_broker: NatsServer, fleet: str, is_left: bool
+@pytest.mark.parametrize("fails_at", [1, 2])
+async def test_an_error_of_a_handler_or_a_source_ends_the_line(
+    shared_broker: NatsServer, fleet: str, fails_at: int
 ) -> None:
     calls = 0
 
-    def fail(frames: list[bytes]) -> list[bytes]:
+    def fail(frames: list[bytes] | None = None) -> list[bytes]:
         nonlocal calls
         calls += 1
-        if is_left and calls == 1:
-            return frames
+        if frames and calls < fails_at:
+            return frames  # they are left
         raise ProtocolError("no")
 
     async with ends_of(shared_broker, fleet) as ends:
         await ends.client.line.send([b"x"])
         with anyio.fail_after(30):
             await ends.worker.run(fail)
-        assert isinstance(ends.worker.error, ProtocolError)
-
-
-async def test_an_error_of_a_source_ends_the_line(shared_broker: NatsServer, fleet: str) -> None:
-    def fail() -> list[bytes]:
-        raise ProtocolError("no")
-
-    async with ends_of(shared_broker, fleet) as ends:
-        with anyio.fail_after(30):
             await ends.client.run(None, fail)
+        assert isinstance(ends.worker.error, ProtocolError)
         assert isinstance(ends.client.error, ProtocolError)
 
 
@@ -261,17 +253,6 @@ async def test_an_end_that_is_gone_is_noticed_at_once(
             await line.send([b"x"])
             await here.flush()
         assert await End(line).lost() == "worker 'w' is gone"
-
-
-async def test_a_worker_that_does_not_know_a_line_closes_it(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    async with ends_of(shared_broker, fleet) as ends:
-        await ends.worker.line.aclose()
-        await ends.broker.flush()
-        ends.client.line._error = None  # as if the message of the end had been lost
-        await ends.client.line.send([b"x"])
-        assert await ends.client.lost() == "worker 'w' closed its side"
 
 
 async def test_more_pieces_than_the_window_break_the_line(

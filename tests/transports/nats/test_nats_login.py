@@ -103,10 +103,6 @@ def test_a_key_signs_the_nonce_of_a_broker() -> None:
     assert SEED not in repr(credentials)
 
 
-def test_a_key_is_not_used_at_a_broker_without_a_nonce() -> None:
-    assert set(fields_of(FleetSettings("f"), NatsCredentials(SEED, ""))) == {"no_responders"}
-
-
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_credentials_file_has_a_key_and_a_jwt(tmp_path: Path, end: str) -> None:
     path = tmp_path / "my.creds"

@@ -97,22 +97,6 @@ async def test_clearing_up_that_was_interrupted_is_done_when_its_claim_ends() ->
         assert [note.subject for note in shared.notes] == [NAMES.left("other")]
 
 
-async def test_clearing_up_that_takes_longer_than_a_lease_ends() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
-        await lost.join()
-        scans = []
-
-        async def slow(call: str, subject: str) -> None:
-            if (call, subject) == ("watch", NAMES.all_goals()):
-                scans.append(subject)
-                await sleep(2.5 * LEASE)
-
-        b.broker.before = slow
-        await sleep(30 * LEASE)
-        assert 1 < len(scans) <= 4
-
-
 async def test_the_claim_of_a_name_that_is_used_again_is_not_touched() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         lost = Membership(shared.member("a"), NAMES, "a", LEASE)
@@ -227,25 +211,18 @@ async def test_a_note_comes_again_if_its_goal_cannot_be_read() -> None:
 # Notes of goals that wait
 
 
-async def test_a_waiting_goal_runs_at_a_worker_with_room() -> None:
-    async with MemoryBrokers() as shared:
-        async with member(shared, "a") as a, member(shared, "b", running=3) as b:
-            a.accept(waiting())
-            assert await b.claims(1, within=1) == [replace(waiting(), worker="a")]
-            await sleep(0.5)
-            assert a.lost == [waiting().goal_id], "it has got a hint"
-            assert entry(shared, goal()).goal.worker == "b"
-            assert not shared.notes
-
-
-async def test_a_worker_without_room_takes_no_waiting_goals() -> None:
+async def test_a_waiting_goal_runs_at_a_worker_as_soon_as_that_has_room() -> None:
     async with MemoryBrokers() as shared:
         async with member(shared, "a") as a, member(shared, "b") as b:
             a.accept(waiting())
             await sleep(2 * LEASE)
             assert not b.claimed
             b.journal.set_room(1, 0)
-            await b.claims(1, within=1)
+            assert await b.claims(1, within=1) == [replace(waiting(), worker="a")]
+            await sleep(0.5)
+            assert a.lost == [waiting().goal_id], "it has got a hint"
+            assert entry(shared, goal()).goal.worker == "b"
+            assert not shared.notes
 
 
 async def test_notes_of_goals_that_do_not_wait_are_removed() -> None:

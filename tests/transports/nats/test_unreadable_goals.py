@@ -21,7 +21,6 @@ from tests.transports.nats.members import (
     NAMES,
     ServesCount,
     entry,
-    goal,
     keep,
     member,
     waiting,
@@ -35,44 +34,6 @@ CANNOT_RUN = (
     f" has no field `unit`; start a worker of the version that accepted them, or end them with"
     f" unreadable='abort'"
 )
-
-
-async def test_a_waiting_goal_that_a_worker_cannot_run_is_left_to_others(
-    log: Hearing,
-) -> None:
-    async with MemoryBrokers() as shared:
-        async with member(shared, "a") as a, member(shared, "b", running=9) as b:
-            b.cannot_run = {waiting(1).goal_id}
-            a.accept(waiting(1), waiting(2))
-            await b.claims(1, within=1)
-            await sleep(10 * LEASE)
-            assert [one.stamp for one in b.claimed] == [2]
-            assert entry(shared, waiting(1)).goal.worker == "a"
-            assert not log.warnings
-            assert b.journals.unreadable == {}
-            async with member(shared, "c", running=1) as c:
-                await c.claims(1, within=IN_TURN)
-
-
-async def test_a_lost_goal_that_a_worker_cannot_run_is_taken_over_by_others(log: Hearing) -> None:
-    async with MemoryBrokers() as shared:
-        async with (
-            member(shared, "a") as a,
-            member(shared, "b") as b,
-            member(shared, "c") as c,
-        ):
-            goals = [goal(number) for number in range(1, 41)]
-            b.cannot_run = {one.goal_id for one in goals[:20]}
-            a.accept(*goals)
-            await sleep(1)
-            a.broker.is_away = True
-            await sleep(LEASE + 2)
-            taken = sorted(one.stamp for one in b.claimed + c.claimed)
-            assert taken == list(range(1, 41))
-            assert not b.cannot_run & {one.goal_id for one in b.claimed}
-            assert not shared.notes
-            await sleep(2 * LEASE)
-            assert not b.journals.unreadable.get("count")
 
 
 async def test_a_goal_that_no_living_worker_can_run_waits_for_one_that_can(log: Hearing) -> None:

@@ -151,21 +151,6 @@ async def test_a_worker_that_loses_the_brokers_as_it_joins_says_so() -> None:
                 await sleep_forever()
 
 
-async def test_a_worker_listens_again_when_the_brokers_are_back() -> None:
-    async with MemoryBrokers() as shared:
-        broker = shared.member()
-        server = ActionServer(COUNT, count, schedule=Schedule(concurrency=1))
-        async with serving(broker, server), client(shared.member()) as caller:
-            with fail_after(10):
-                assert await caller.call(1) == 1
-            broker.is_away = True
-            await sleep(2 * LEASE)
-            broker.is_away = False
-            await sleep(LEASE)
-            with fail_after(10):
-                assert await caller.call(1) == 1
-
-
 # Workers of different versions
 
 
