@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -18,7 +17,6 @@ from fibaction import (
     GoalID,
     GoalRejected,
     GoalStatus,
-    ServerNotFound,
     UnknownGoal,
     connect,
     serve,
@@ -337,27 +335,6 @@ async def test_a_wait_ends_when_the_server_goes_away(url: str) -> None:
     assert ends == ["the server of 'fibonacci' has gone away"] * 2
 
 
-async def test_a_wait_ends_when_the_connection_is_closed_here(url: str) -> None:
-    ends: list[str] = []
-
-    async def wait(goal: Any) -> None:
-        try:
-            await goal.outcome()
-        except ConnectionLost as exc:
-            ends.append(str(exc))
-
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, forever), url),
-            anyio.create_task_group() as tasks,
-        ):
-            async with connect(url, FIBONACCI) as client:
-                tasks.start_soon(wait, await client.send_goal(Goal(1)))
-                await anyio.wait_all_tasks_blocked()
-            await anyio.wait_all_tasks_blocked()
-            assert ends == ["the connection was closed here"]
-
-
 async def test_a_request_fails_after_ros_was_shut_down(url: str) -> None:
     with anyio.fail_after(PATIENCE):
         async with connect(url) as connection:
@@ -431,17 +408,6 @@ async def test_a_middleware_that_has_told_of_a_sign_of_life_is_trusted(
         with anyio.fail_after(PATIENCE):
             while not seen._tells_signs:
                 await client.call(Goal(2))
-
-
-async def test_a_server_that_has_left_is_missed_at_once(url: str) -> None:
-    with anyio.fail_after(PATIENCE):
-        async with connect(f"{url}&discovery_timeout=60", FIBONACCI) as client:
-            async with serve(ActionServer(FIBONACCI, fibonacci), url):
-                assert await client.call(Goal(2)) == Result([0, 1, 1])
-            with pytest.raises(ServerNotFound):
-                while True:
-                    with suppress(ConnectionLost):  # it leaves just now
-                        await client.cancel_goals()
 
 
 async def test_a_server_that_seems_to_be_gone_for_a_moment_keeps_its_goals(
@@ -607,14 +573,6 @@ async def test_the_nodes_are_those_of_others(
             while f"{place}/robot" not in found:
                 found = await connection.nodes()
             assert f"{place}/onlooker" not in found
-
-
-async def test_a_new_client_sees_the_goals_that_there_are(url: str) -> None:
-    async with both_ends(url, forever) as client:
-        assert await client.goals() == []
-        goal = await client.send_goal(Goal(1))
-        async with connect(url, FIBONACCI) as other:
-            assert [one.goal_id for one in await other.goals()] == [goal.goal_id]
 
 
 def test_an_action_whose_type_is_not_installed_has_no_schemas() -> None:

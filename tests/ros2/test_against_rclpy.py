@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import GoalID, GoalStatus, Schedule, serve
+from fibaction import GoalStatus, Schedule, serve
 from fibaction_transports.ros2.on_rclpy import ends, rcl
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, Behaviour
@@ -179,18 +179,6 @@ async def test_feedback_arrives_in_order_and_the_result_after_it(stock: Peer) ->
     await feedback(stock, goal, [sequence[:length] for length in (3, 4, 5, 6)])
 
 
-async def test_feedback_reaches_its_own_goal_only(stock: Peer, ours: Behaviour) -> None:
-    waiting = await accepted(stock, orders.WAITS)
-    await eventually(lambda: stock.ask("feedback", goal=waiting), lambda seen: seen == [[1]])
-
-    other = await accepted(stock, 3)
-
-    assert await result(stock, other) == (SUCCEEDED, [0, 1, 1, 2])
-    await feedback(stock, other, [[0, 1, 1], [0, 1, 1, 2]])
-    assert await stock.ask("feedback", goal=waiting) == [[1]]
-    await end_all(stock, ours)
-
-
 async def test_every_status_is_published_accepted_before_executing(stock: Peer) -> None:
     goal = await accepted(stock, 3)
 
@@ -301,17 +289,6 @@ async def test_canceling_all_names_those_that_end_and_no_other(
     assert [(await result(stock, goal))[0] for goal in stubborn] == [SUCCEEDED] * 3
 
 
-@pytest.mark.promise("CANCEL-16")
-async def test_canceling_all_can_be_rejected(stock: Peer, ours: Behaviour) -> None:
-    goal = await accepted(stock, orders.STUBBORN)
-    await eventually(lambda: stock.ask("feedback", goal=goal), len)
-
-    assert await stock.ask("raw_cancel", action="ours") == {"code": REJECTED, "goals": []}
-
-    ours.released.notify()
-    assert (await result(stock, goal))[0] == SUCCEEDED
-
-
 @pytest.mark.parametrize(("stamp", "by_id", "canceled"), [(1, None, {0, 1}), (0, 2, {0, 2})])
 async def test_canceling_by_time_includes_that_very_stamp_and_a_goal_that_is_named(
     stock: Peer, ours: Behaviour, stamp: int, by_id: int | None, canceled: set[int]
@@ -370,10 +347,6 @@ async def test_a_result_expires_and_then_the_id_is_free_again(stock: Peer) -> No
     again = await accepted(stock, 4, "hasty", goal_id=goals[0])
     assert await result(stock, again) == (SUCCEEDED, [0, 1, 1, 2, 3])
     await stock.ask("raw_cancel", action="hasty")
-
-
-async def test_an_unknown_goal_has_no_result(stock: Peer) -> None:
-    assert await raw_result(stock, GoalID.random().hex()) == (UNKNOWN, [])
 
 
 # What others in the graph see
@@ -465,16 +438,4 @@ async def test_a_goal_waits_as_accepted_and_one_without_a_place_is_rejected(stoc
     await eventually(lambda: statuses_of(stock, waiting, "line"), lambda said: said == [ACCEPTED])
     assert (await stock.ask("cancel", goal=running))["code"] == NONE
     assert await result(stock, waiting) == (SUCCEEDED, [0, 1, 1, 2, 3])
-    assert (await result(stock, running))[0] == CANCELED
-
-
-@pytest.mark.promise("SCHEDULE-3")
-async def test_a_goal_canceled_while_it_waits_ends_as_canceled(stock: Peer) -> None:
-    running = await accepted(stock, orders.WAITS, "line")
-    waiting = await accepted(stock, 4, "line")
-
-    assert await stock.ask("cancel", goal=waiting) == {"code": NONE, "goals": [waiting]}
-    assert (await result(stock, waiting))[0] == CANCELED
-    assert await statuses_of(stock, waiting, "line") == [ACCEPTED, CANCELING, CANCELED]
-    assert (await stock.ask("cancel", goal=running))["code"] == NONE
     assert (await result(stock, running))[0] == CANCELED

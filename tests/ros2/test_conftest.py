@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from fibaction_transports.ros2.on_rclpy.rcl import middleware
-from tests.ros2.conftest import DOMAIN
-from tests.support.ros_domain import DOMAINS, claim_domain
+from tests.support.ros_domain import claim_domain
 
 CONFTEST = Path(__file__).with_name("conftest.py")
 SKIPPING = """
@@ -61,11 +59,6 @@ def run(folder: Path, *, required: bool, conftest: str | None = None) -> tuple[i
     return ended.returncode, ended.stdout
 
 
-def test_the_run_has_a_domain_of_its_own() -> None:
-    assert os.environ["ROS_DOMAIN_ID"] == str(DOMAIN)
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-
-
 def test_a_domain_is_claimed_by_one_run_at_a_time() -> None:
     first, claim = claim_domain(7)
     second, another = claim_domain(first)
@@ -76,13 +69,6 @@ def test_a_domain_is_claimed_by_one_run_at_a_time() -> None:
     assert third == first
     for socket in (another, again):
         socket.close()
-
-
-def test_domains_beyond_the_last_begin_again() -> None:
-    domain, claim = claim_domain(DOMAINS * 41 + 3)
-
-    claim.close()
-    assert 0 <= domain < DOMAINS
 
 
 def test_a_skip_is_a_failure_where_ros_is_required(tmp_path: Path) -> None:
@@ -96,24 +82,6 @@ def test_a_skip_is_a_failure_where_ros_is_required(tmp_path: Path) -> None:
     assert "no robot" in said
 
 
-def test_a_skip_is_a_skip_elsewhere(tmp_path: Path) -> None:
-    (tmp_path / "test_it.py").write_text(SKIPPING)
-
-    code, said = run(tmp_path, required=False)
-
-    assert code == 0
-    assert "1 passed, 1 skipped, 1 xfailed" in said
-
-
-def test_a_module_that_skips_itself_is_a_failure_where_ros_is_required(tmp_path: Path) -> None:
-    (tmp_path / "test_it.py").write_text("import pytest\npytest.importorskip('no_such_module')\n")
-
-    code, said = run(tmp_path, required=True)
-
-    assert code == 2
-    assert re.search("a skip is a failure.*no_such_module", said, re.DOTALL)
-
-
 @pytest.mark.skipif("fastrtps" not in middleware(), reason="the threads are those of Fast DDS")
 def test_a_node_that_a_test_leaves_in_the_graph_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(LEAVING)
@@ -124,17 +92,3 @@ def test_a_node_that_a_test_leaves_in_the_graph_is_an_error(tmp_path: Path) -> N
     assert "1 passed" in said
     assert "1 error" in said
     assert "assert 1 <= 0" in said
-
-
-@pytest.mark.parametrize("required", [True, False])
-def test_without_ros_nothing_is_collected_and_that_is_an_error_where_it_is_required(
-    tmp_path: Path, required: bool
-) -> None:
-    (tmp_path / "test_it.py").write_text("raise AssertionError('it is imported')")
-    conftest = CONFTEST.read_text().replace('"rclpy"', '"no_such_package"')
-
-    code, said = run(tmp_path, required=required, conftest=conftest)
-
-    assert "it is imported" not in said
-    assert code == (pytest.ExitCode.USAGE_ERROR if required else pytest.ExitCode.NO_TESTS_COLLECTED)
-    assert ("not found: no_such_package" in said) is required

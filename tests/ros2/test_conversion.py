@@ -14,7 +14,6 @@ from functools import reduce
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -194,22 +193,9 @@ def test_floats_in_an_array_may_be_infinite_or_none(name: str, count: int) -> No
     assert repr(decode(codec.from_ros(message))[name]) == repr(numbers)
 
 
-@pytest.mark.parametrize("name", ["a_float32", "a_float64"])
-def test_a_float_field_takes_an_int(name: str) -> None:
-    assert repr(put(UNTYPED, name, 3)) == "3.0"
-
-
-def test_an_array_of_floats_takes_ints() -> None:
+def test_a_float_and_an_array_of_floats_take_ints() -> None:
     assert put(UNTYPED, "float64s", [1, 2]) == array.array("d", [1, 2])
-
-
-def test_a_message_without_fields_is_a_struct_without_fields() -> None:
-    found = NOTHING.codecs(NOTHING.info("nothing"))
-    for part, type_ in zip(PARTS, NOTHING.types, strict=True):
-        codec: RosCodec = getattr(found, part)
-        assert type_.__struct_fields__ == ()
-        message = codec.to_ros(encode(type_()))
-        assert decode(codec.from_ros(over_the_wire(message))) == {}
+    assert repr(put(UNTYPED, "a_float32", 3)) == "3.0"
 
 
 def test_arrays_are_what_ros_has_them_in() -> None:
@@ -327,31 +313,21 @@ def test_a_nested_message_may_be_null() -> None:
         *((f"a_uint{n}", -1, "", "Expected `int` >= 0") for n in (8, 16, 32, 64)),
         ("a_bool", 1, "", "Expected `bool`, got `int`"),
         ("a_byte", 256, "", "Expected `int` <= 255"),
-        ("a_byte", b"ab", "", "Expected `bytes` of length <= 1"),
-        ("a_char", -1, "", "Expected `int` >= 0"),
         ("a_float32", 1e39, "", "Expected `float` of 32 bits"),
         ("a_float32", -(2.0**128 - 2.0**103), "", "Expected `float` of 32 bits"),
         ("a_float64", "1", "", "Expected `float`, got `str`"),
         ("an_int32", 1.5, "", "Expected `int`, got `float`"),
-        ("an_int32", True, "", "Expected `int`, got `bool`"),
         ("a_string", "a\0b", "", "Expected `str` without a NUL"),
-        ("a_string", None, "", "Expected `str`, got `None`"),
         ("a_bounded_string", "123456", "", "Expected `str` of length <= 5"),
         ("a_bounded_wstring", "123456", "", "Expected `str` of length <= 5"),
         ("fixed_bools", [True], "", "Expected `array` of length >= 2"),
         ("fixed_bytes", b"abc", "", "Expected `bytes` of length <= 2"),
-        ("fixed_chars", [1, 2, 3], "", "Expected `array` of length <= 2"),
         ("fixed_uint8s", b"a", "", "Expected `bytes` of length >= 2"),
-        ("fixed_int32s", [1], "", "Expected `array` of length >= 3"),
         ("fixed_int32s", [1, 2, 2**31], "[2]", "Expected `int` <= 2147483647"),
-        ("fixed_float32s", [0, 1e39], "[1]", "Expected `float` of 32 bits"),
         ("fixed_strings", ["", "\0"], "[1]", "Expected `str` without a NUL"),
         ("bounded_int16s", [0] * 6, "", "Expected `array` of length <= 5"),
-        ("bounded_bounded_strings", ["", "123456"], "[1]", "Expected `str` of length <= 5"),
         ("bytes", [1, 256], "[1]", "Expected `int` <= 255"),
-        ("uint8s", [1, -1], "[1]", "Expected `int` >= 0"),
         ("int8s", b"ab", "", "Expected `array`, got `bytes`"),
-        ("float32s", [math.inf, 1e39], "[1]", "Expected `float` of 32 bits"),
         ("float64s", [1.0, [2.0]], "[1]", "Expected `float`, got `array`"),
         ("int32s", 1, "", "Expected `array`, got `int`"),
         ("int32s", [0] * LARGE_ARRAY + [2**31], f"[{LARGE_ARRAY}]", "Expected `int` <= 2147483647"),
@@ -373,7 +349,6 @@ def test_a_nested_message_may_be_null() -> None:
             "[1].labels[1]",
             "Expected `str` without a NUL",
         ),
-        ("parts", [{"position": [1.0, 2.0]}], "[0].position", "Expected `array` of length >= 3"),
         ("parts", [{"colour": 1}], "[0]", "Object contains unknown field `colour`"),
         ("fixed_parts", [{}], "", "Expected `array` of length >= 2"),
         (
@@ -592,10 +567,6 @@ def test_a_time_is_received_as_text_to_the_nanosecond() -> None:
     assert over == "2024-02-29T12:00:04.294967295Z"
 
 
-def test_a_time_is_received_by_fields_unless_the_user_wants_another() -> None:
-    assert read(UNTYPED, "time", time__sec=1, time__nanosec=2) == {"sec": 1, "nanosec": 2}
-
-
 @given(strategies.datetimes(datetime.datetime(1902, 1, 1), datetime.datetime(2038, 1, 1)))
 def test_any_datetime_comes_back_as_it_was(value: datetime.datetime) -> None:
     value = value.replace(tzinfo=datetime.UTC)
@@ -627,10 +598,6 @@ def test_a_duration_is_received_to_the_nearest_microsecond() -> None:
     assert msgspec.convert(text, datetime.timedelta) == datetime.timedelta(
         seconds=1, microseconds=2
     )
-
-
-def test_a_duration_is_received_by_fields_unless_the_user_wants_another() -> None:
-    assert read(UNTYPED, "duration", duration__sec=1) == {"sec": 1, "nanosec": 0}
 
 
 # Large arrays
@@ -800,29 +767,20 @@ A_POINT = f"{ROS_HAS} the struct geometry_msgs/Point"
     ("path", "type_", "ros", "ours"),
     [
         ("goal.an_int32", str, "int32", "a string"),
-        ("goal.an_int32", float, "int32", "a float"),
         ("goal.an_int32", bool, "int32", "a bool"),
-        ("goal.an_int32", bool | None, "int32", "a bool"),
         ("goal.an_int32", Colour, "int32", "a string"),
         ("goal.an_int32", Cat, "int32", "a struct"),
         ("goal.an_int32", type(None), "int32", "nothing (null)"),
         ("goal.a_float32", int, "float32", "an int"),
-        ("goal.a_byte", float, "byte", "a float"),
         ("goal.a_char", bytes, "uint8", "bytes"),
         ("goal.a_string", bytes, "string", "bytes"),
         ("goal.a_string", Aware, "string", "a datetime"),
-        ("goal.a_bounded_wstring", int, "wstring<=5", "an int"),
         ("goal.default_fixed", tuple[int, int], "int32[3]", "2 elements"),
         ("goal.default_fixed[]", tuple[int, float, int], "int32", "a float"),
-        ("goal.default_bounded[]", list[int], "float64", "an int"),
-        ("goal.default_bounded", str, "float64[<=5]", "a string"),
         ("goal.default_bytes", str, "uint8[]", "a string"),
         ("result.int8s", bytes, "int8[]", "bytes"),
-        ("result.bytes[]", list[float], "byte", "a float"),
-        ("feedback.point", float, "the struct geometry_msgs/Point", "a float"),
         ("feedback.point", Flat, "the struct geometry_msgs/Point", "a list"),
         ("feedback.time", datetime.timedelta, "the struct builtin_interfaces/Time", "a timedelta"),
-        ("feedback.duration", str, "the struct builtin_interfaces/Duration", "a string"),
     ],
     ids=repr,
 )
@@ -880,20 +838,6 @@ def test_all_mismatches_are_reported_at_once() -> None:
         "feedback.point.w: the ROS type has no such field",
         f"result.int8s: {ROS_HAS} int8[], the action has bytes",
     ]
-
-
-def test_a_message_is_not_a_plain_value() -> None:
-    plain_values = Action("a", goal=int, feedback=str, result=bool, type_name=NOTHING.type_name)
-    with pytest.raises(TransportError) as caught:
-        NOTHING.codecs(plain_values.info)
-    assert str(caught.value) == (
-        "action 'a' does not match its ROS type fibaction_test_msgs/action/Nothing:\n"
-        f"  goal: {ROS_HAS} the struct fibaction_test_msgs/Nothing_Goal, the action has an int;\n"
-        f"  feedback: {ROS_HAS} the struct fibaction_test_msgs/Nothing_Feedback,"
-        " the action has a string;\n"
-        f"  result: {ROS_HAS} the struct fibaction_test_msgs/Nothing_Result,"
-        " the action has a bool"
-    )
 
 
 @pytest.mark.parametrize(
@@ -1027,15 +971,6 @@ def test_an_invalid_type_name_is_an_error(name: str) -> None:
     )
 
 
-def test_the_action_that_has_no_type_is_named() -> None:
-    with pytest.raises(TransportError) as caught:
-        find("", "arm/dock")
-    assert str(caught.value) == (
-        "give the Action 'arm/dock' a type_name such as 'example_interfaces/action/Fibonacci',"
-        " which ROS needs: '' is not a ROS action type"
-    )
-
-
 def test_a_package_that_is_not_there_is_named() -> None:
     assert error_of("missing_msgs/action/Thing") == (
         "the ROS package 'missing_msgs', which has missing_msgs/action/Thing, is not installed"
@@ -1093,15 +1028,6 @@ def test_a_type_without_its_compiled_part_says_so(package: Path) -> None:
     )
 
 
-def test_a_type_that_is_found_later_is_found(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    error_of("broken_msgs/action/Fibonacci")
-    module = SimpleNamespace(Fibonacci=import_module("test_msgs.action").Fibonacci)
-    monkeypatch.setitem(sys.modules, "broken_msgs.action", module)
-    assert find("broken_msgs/action/Fibonacci").impl is module.Fibonacci.Impl
-
-
 def test_a_field_that_ros_cannot_handle_is_named() -> None:
     with pytest.raises(TransportError) as caught:
         message_kind(message_class(letter="wchar"))
@@ -1148,13 +1074,6 @@ def test_two_values_of_a_type_from_ros_share_nothing() -> None:
     assert feedback_type().fixed_parts[0].position == [0.0, 0.0, 0.0]
 
 
-def test_values_of_types_from_ros_come_back_as_they_were() -> None:
-    for type_, codec in zip(EVERYTHING.types, TYPED, strict=True):
-        payload = encode(type_())
-        assert decode(codec.from_ros(codec.to_ros(payload)), type=type_) == type_()
-        assert codec.from_ros(codec.to_ros(None)) == payload
-
-
 def test_types_are_made_from_interface_files_where_there_is_no_rclpy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -1166,8 +1085,3 @@ def test_types_are_made_from_interface_files_where_there_is_no_rclpy(
 def test_the_function_that_makes_types_is_an_entry_point() -> None:
     (entry,) = entry_points(group="fibaction.interfaces", name="ros2")
     assert entry.load() is message_types
-
-
-def test_an_action_from_ros_that_is_not_there_is_a_transport_error() -> None:
-    with pytest.raises(TransportError, match="the ROS package 'missing_msgs'"):
-        Action.from_ros("missing_msgs/action/Thing", name="thing")

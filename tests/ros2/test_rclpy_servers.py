@@ -118,12 +118,6 @@ async def test_a_callback_that_raises_is_an_abort_without_a_result(client: Clien
     assert await goal.outcome() == End(GoalStatus.ABORTED, None)
 
 
-async def test_a_callback_that_sets_no_status_is_an_abort_with_its_result(client: Client) -> None:
-    goal = await client.send_goal(Goal(orders.FORGETS))
-
-    assert await goal.outcome() == End(GoalStatus.ABORTED, PARTLY)
-
-
 async def test_several_goals_run_side_by_side_and_each_gets_its_own(client: Client) -> None:
     waiting = await client.send_goal(Goal(orders.WAITS))
     goals = [await client.send_goal(Goal(order)) for order in (3, 4)]
@@ -134,16 +128,6 @@ async def test_several_goals_run_side_by_side_and_each_gets_its_own(client: Clie
     assert [len((await goal.result()).sequence) for goal in goals] == [4, 5]
     await waiting.cancel()
     assert [one.partial_sequence async for one in waiting.feedback] == [[1]]
-
-
-async def test_an_id_that_is_in_use_is_rejected(client: Client) -> None:
-    goal = await client.send_goal(Goal(orders.WAITS))
-
-    with pytest.raises(GoalRejected):
-        await client.send_goal(Goal(3), goal_id=goal.goal_id)
-
-    await goal.cancel()
-    assert (await goal.outcome()).status is GoalStatus.CANCELED
 
 
 async def test_500_goals_at_once_all_succeed(tutorial: Client) -> None:
@@ -187,13 +171,6 @@ async def test_a_rejected_cancel_is_reported_and_the_goal_goes_on(
     assert not answer.accepted
     await release(client)
     assert await goal.result() == PARTLY
-
-
-async def test_leaving_the_block_cancels(client: Client) -> None:
-    async with client.send_goal(Goal(orders.WAITS)) as goal:
-        pass
-
-    assert (await goal.outcome()).status is GoalStatus.CANCELED
 
 
 async def test_canceling_all_and_by_time(client: Client) -> None:
@@ -326,12 +303,6 @@ async def test_actions_are_listed_with_their_types(connection: ClientConnection)
     assert infos == dict.fromkeys(("stock", "stock_hasty", "tutorial"), TYPE)
 
 
-@pytest.mark.promise("ACCEPT-3")
-async def test_a_goal_out_of_range_is_rejected_before_it_is_sent(client: Client) -> None:
-    with pytest.raises(GoalRejected, match="order"):
-        await client.send_goal(Goal(2**31))
-
-
 class OtherFeedback(msgspec.Struct):
     sequence: list[int]
 
@@ -382,16 +353,3 @@ async def test_the_tutorial_rejects_a_cancel_and_that_is_reported(tutorial: Clie
         assert not answer.accepted
 
         assert await goal.result() == Result([0, 1, 1, 2, 3])
-
-
-async def test_the_tutorial_rejects_the_cancel_of_a_goal_that_waits_for_its_turn(
-    tutorial: Client,
-) -> None:
-    first = await tutorial.send_goal(Goal(3))
-    second = await tutorial.send_goal(Goal(4))
-
-    answer = await second.cancel()
-
-    assert answer.return_code in (CancelCode.REJECTED, CancelCode.GOAL_TERMINATED)
-    assert await first.result() == Result([0, 1, 1, 2])
-    assert await second.result() == Result([0, 1, 1, 2, 3])
