@@ -119,7 +119,7 @@ class RosNode(GraphView):
 
     types: RosTypes
     clock: RosClock
-    error: ConnectionLost | None
+    error: ConnectionLost | None = None
     """The reason for which nothing more will arrive, if so."""
     full_name: str
     """The name with the namespace, for example `/robot/arm`."""
@@ -128,10 +128,13 @@ class RosNode(GraphView):
     tells_signs: bool
     """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
 
+    def __init__(self) -> None:
+        self._lost: list[Callable[[ConnectionLost], None]] = []
+
     @property
-    @abstractmethod
     def is_up(self) -> bool:
         """True if ROS can still be used."""
+        return self.error is None
 
     @abstractmethod
     def resolve(self, name: str) -> str:
@@ -141,13 +144,16 @@ class RosNode(GraphView):
             TransportError: ROS does not allow this name.
         """
 
-    @abstractmethod
     def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
         """Call this if nothing more will arrive."""
+        self._lost.append(call)
 
-    @abstractmethod
     def fail(self, error: ConnectionLost) -> None:
         """End everything that is pending, and everything that is tried later, with an error."""
+        if self.error is None:
+            self.error = error
+            for call in self._lost:
+                call(error)
 
     @abstractmethod
     def warn(self, text: str) -> None:

@@ -15,7 +15,7 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
-from fibaction.words.errors import ConnectionLost, TransportError
+from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.node.graph_view import DiscoveryState
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
@@ -90,10 +90,10 @@ class DdsNode(RosNode):
         *,
         has_rosout: bool,
     ) -> None:
+        super().__init__()
         self.types = types
         self.clock = self._clock = DdsClock()
         self.parameters = DdsParameters(self._use_simulated_time)
-        self.error: ConnectionLost | None = None
         self.full_name = str(name)
         self.namespace = name.namespace
         self._resolver = resolver
@@ -101,7 +101,6 @@ class DdsNode(RosNode):
         self.network = network
         """The participant with its sockets."""
         self._tasks = tasks
-        self._lost: list[Callable[[ConnectionLost], None]] = []
         self._takers: dict[Guid, Callable[[Sample], None]] = {
             self.graph.reader.guid: self.graph.receive
         }
@@ -139,21 +138,8 @@ class DdsNode(RosNode):
 
     # The node itself
 
-    @property
-    def is_up(self) -> bool:
-        return self.error is None
-
     def resolve(self, name: str) -> str:
         return self._resolver.resolve(name)
-
-    def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
-        self._lost.append(call)
-
-    def fail(self, error: ConnectionLost) -> None:
-        if self.error is None:
-            self.error = error
-            for call in self._lost:
-                call(error)
 
     def warn(self, text: str) -> None:
         self._log(logging.WARNING, text)

@@ -31,12 +31,16 @@ Attempt: TypeAlias = Callable[..., Any]
 """Calls rclpy: see `RclpyNode.attempt`."""
 
 
-class RclpyPublisher(TopicPublisher):
-    """A publisher of a topic."""
+class _RclpyEnd:
+    """An end over a raw handle."""
 
     def __init__(self, handle: Any, attempt: Attempt) -> None:
         self.handle = handle
         self._attempt = attempt
+
+
+class RclpyPublisher(_RclpyEnd, TopicPublisher):
+    """A publisher of a topic."""
 
     def publish(self, message: Any) -> None:
         self._attempt(self.handle.publish, message)
@@ -49,24 +53,16 @@ class RclpyPublisher(TopicPublisher):
         return count
 
 
-class RclpySubscription(TopicSubscription):
+class RclpySubscription(_RclpyEnd, TopicSubscription):
     """A subscription to a topic."""
-
-    def __init__(self, handle: Any, attempt: Attempt) -> None:
-        self.handle = handle
-        self._attempt = attempt
 
     def publisher_count(self) -> int:
         count: int = self._attempt(self.handle.get_publisher_count, otherwise=0)
         return count
 
 
-class RclpyCaller(ServiceCaller):
+class RclpyCaller(_RclpyEnd, ServiceCaller):
     """A client of a service."""
-
-    def __init__(self, handle: Any, attempt: Attempt) -> None:
-        self.handle = handle
-        self._attempt = attempt
 
     def send(self, request: Any) -> int:
         try:
@@ -80,12 +76,8 @@ class RclpyCaller(ServiceCaller):
         return there
 
 
-class RclpyProvider(ServiceProvider):
+class RclpyProvider(_RclpyEnd, ServiceProvider):
     """A server of a service."""
-
-    def __init__(self, handle: Any, attempt: Attempt) -> None:
-        self.handle = handle
-        self._attempt = attempt
 
     def answer(self, header: Any, response: Any) -> bool:
         answered: bool = self._attempt(has_answered, self.handle, response, header, otherwise=True)

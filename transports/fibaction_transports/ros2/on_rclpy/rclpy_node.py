@@ -109,6 +109,7 @@ class RclpyNode(RosNode):
     """A node of rclpy with a `RosWaitable`, for as long as a block lasts."""
 
     def __init__(self, node: Any, scout: ScoutOpener = no_scout) -> None:
+        super().__init__()
         self.node = node
         self._scout = scout
         self.types = RclpyTypes()
@@ -121,8 +122,6 @@ class RclpyNode(RosNode):
         self.sources = RosWaitable(self._mailbox)
         """The sources of fibaction at this node."""
         self._handles: list[Any] = []
-        self._lost: list[Callable[[ConnectionLost], None]] = []
-        self.error: ConnectionLost | None = None
 
     @property
     def is_up(self) -> bool:
@@ -306,9 +305,6 @@ class RclpyNode(RosNode):
 
     # Its end
 
-    def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
-        self._lost.append(call)
-
     def wake(self) -> None:
         """Make the executor collect again what it waits for."""
         executor = self.node.executor
@@ -321,12 +317,6 @@ class RclpyNode(RosNode):
             logger.info("nothing more arrives over ROS: %s", reason)
             self.fail(ConnectionLost(reason))
             self._destroy()
-
-    def fail(self, error: ConnectionLost) -> None:
-        if self.error is None:
-            self.error = error
-            for call in self._lost:
-                call(error)
 
     def lose_later(self, reason: str) -> None:
         """Call `lose` on the event loop, from any thread."""
