@@ -11,8 +11,9 @@ from msgspec.structs import replace
 from fibaction import GoalID
 from fibaction._runtime.notify import Notifier
 from fibaction.border.event_loop import Background
-from fibaction.border.goal_store import KeyPlaces, StoredGoal
+from fibaction.border.goal_store import KeyPlaces, StoredGoal, Then
 from fibaction.types.action import ActionInfo
+from fibaction.words.errors import StoreError
 from fibaction.words.goals import Sender
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import (
@@ -45,7 +46,7 @@ def waiting(number: int = 1) -> StoredGoal:
 
 
 class Member:
-    """A worker whose server notes what it is told, and begins what it has room for."""
+    """A worker whose server notes what it is told, and begins what it is given."""
 
     def __init__(self, shared: MemoryBrokers, name: str) -> None:
         self.broker = shared.member(name)
@@ -54,10 +55,12 @@ class Member:
         self.journals: WorkerJournals
         self.journal: FleetJournal
         self.takeover: Takeover
+        self.store: FleetStore
         self.claimed: list[StoredGoal] = []
         self.lost: list[GoalID] = []
         self.cannot_run: set[GoalID] = set()
         self.begins = True
+        self.answers: list[tuple[str, StoreError | None]] = []
         self.news = Notifier()
 
     def claim(self, one: StoredGoal) -> None:
@@ -69,6 +72,25 @@ class Member:
 
     def obstacle(self, one: StoredGoal) -> str:
         return "it has no field `unit`" if one.goal_id in self.cannot_run else ""
+
+    def then(self, name: str) -> Then:
+        def answered(error: StoreError | None) -> None:
+            self.answers.append((name, error))
+            self.news.notify()
+
+        return answered
+
+    def write(self, kind: str, one: StoredGoal, name: str = "") -> None:
+        getattr(self.journal, kind)(one, self.then(name or kind))
+
+    @property
+    def errors(self) -> list[type[StoreError] | None]:
+        return [None if error is None else type(error) for _, error in self.answers]
+
+    async def answered(self, count: int) -> None:
+        with fail_after(2 * LEASE):
+            while len(self.answers) < count:
+                await self.news.wait()
 
     def accept(self, *goals: StoredGoal) -> None:
         for one in goals:
@@ -95,9 +117,11 @@ async def no_places(_limit: str, _most: int) -> KeyPlaces:
 @asynccontextmanager
 async def member(
     shared: MemoryBrokers,
-    name: str,
+    name: str = "robot",
     *,
     running: float = 0,
+    max_results: int = 9,
+    is_frozen: bool = False,
     cannot_run: Iterable[StoredGoal] = (),
     ends_unreadable: bool = False,
     key_places: Callable[[str, int], Awaitable[KeyPlaces]] = no_places,
@@ -109,18 +133,19 @@ async def member(
     async with AsyncExitStack() as stack:
         tasks = await stack.enter_async_context(Background())
         stack.callback(lambda: setattr(made.broker, "is_away", False))
-        tasks.start_soon(made.membership.run)
-        tasks.start_soon(made.membership.fence_in_time)
+        if not is_frozen:
+            tasks.start_soon(made.membership.run)
+            tasks.start_soon(made.membership.fence_in_time)
         workers = FleetWorkers(made.broker, NAMES, tasks, 5)
         made.journals = WorkerJournals(made.broker, NAMES, made.membership, tasks)
         lost = LostWorkers(made.broker, NAMES, made.membership, workers)
         takeover = made.takeover = Takeover(made.journals, workers, lost)
         await takeover.open()
-        store = FleetStore(made.journals, takeover, key_places)
+        made.store = FleetStore(made.journals, takeover, key_places)
         made.journal = await stack.enter_async_context(
-            store.open(
+            made.store.open(
                 "count",
-                max_results=9,
+                max_results=max_results,
                 claim=made.claim,
                 lose=made.lost.append,
                 obstacle=made.obstacle,

@@ -3,41 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncGenerator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from typing import Any
-from unittest.mock import Mock
 
 import pytest
-from anyio import create_task_group, fail_after, sleep
-from anyio.abc import TaskGroup
+from anyio import create_task_group, sleep
 from msgspec.structs import replace
 
-from fibaction import GoalID, GoalStatus
-from fibaction._runtime.notify import Notifier
-from fibaction.border.event_loop import Background
+from fibaction import GoalStatus
 from fibaction.border.goal_store import (
     GoalTaken,
     RecordTooLarge,
     StoredGoal,
     StoreFull,
-    Then,
 )
 from fibaction.words.errors import StoreError
 from fibaction_transports.nats.broker.broker import BrokerRecord
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker import record_writes
-from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
-from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
-from fibaction_transports.nats.worker.worker import FleetStore
-from tests.support.memory_broker import MemoryBroker, MemoryBrokers, Write
+from fibaction_transports.nats.worker.lease import FIRST_PAUSE
+from tests.support.memory_broker import MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
-from tests.transports.nats.members import goal, no_places
+from tests.transports.nats.members import LEASE, NAMES, entry, goal, member
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
-NAMES = FleetNames("test")
-LEASE = 6.0
 
 
 def ended(one: StoredGoal, keep_until: int = 0) -> StoredGoal:
@@ -52,69 +39,9 @@ def ended(one: StoredGoal, keep_until: int = 0) -> StoredGoal:
     )
 
 
-class Member:
-    """A worker with a journal of the action `count`."""
-
-    def __init__(self, shared: MemoryBrokers, name: str) -> None:
-        self.shared = shared
-        self.broker: MemoryBroker = shared.member(name)
-        self.membership = Membership(self.broker, NAMES, name, LEASE)
-        self.journals: WorkerJournals
-        self.journal: FleetJournal
-        self.claimed: list[StoredGoal] = []
-        self.lost: list[GoalID] = []
-        self.answers: list[tuple[str, StoreError | None]] = []
-        self._news = Notifier()
-
-    def then(self, name: str) -> Then:
-        def answered(error: StoreError | None) -> None:
-            self.answers.append((name, error))
-            self._news.notify()
-
-        return answered
-
-    @property
-    def errors(self) -> list[type[StoreError] | None]:
-        return [None if error is None else type(error) for _, error in self.answers]
-
-    async def answered(self, count: int) -> None:
-        with fail_after(LEASE * 2):
-            while len(self.answers) < count:
-                await self._news.wait()
-
-    def write(self, kind: str, one: StoredGoal, name: str = "") -> None:
-        getattr(self.journal, kind)(one, self.then(name or kind))
-
-    @asynccontextmanager
-    async def serve(self, max_results: int = 9) -> AsyncGenerator[TaskGroup, None]:
-        """Open the journal, with tasks of the worker."""
-        async with Background() as tasks:
-            self.journals = WorkerJournals(self.broker, NAMES, self.membership, tasks)
-            async with self.open(max_results) as self.journal:
-                yield tasks
-
-    def open(self, max_results: int = 9) -> AbstractAsyncContextManager[FleetJournal]:
-        takeover: Any = Mock()  # no goals of others come
-        return FleetStore(self.journals, takeover, no_places).open(
-            "count", max_results=max_results, claim=self.claimed.append, lose=self.lost.append
-        )
-
-
-@asynccontextmanager
-async def member(
-    shared: MemoryBrokers, name: str = "robot", max_results: int = 1000
-) -> AsyncGenerator[Member, None]:
-    made = Member(shared, name)
-    await made.membership.join()
-    async with made.serve(max_results) as tasks:
-        tasks.start_soon(made.membership.run)
-        tasks.start_soon(made.membership.fence_in_time)
-        yield made
-
-
-def entry(shared: MemoryBrokers, one: StoredGoal) -> GoalEntry | None:
+def is_kept(shared: MemoryBrokers, one: StoredGoal) -> bool:
     record = shared.newest(NAMES.goal("count", one.goal_id))
-    return None if record is None or not record.data else goal_entry(record.data)
+    return record is not None and bool(record.data)
 
 
 def writes(shared: MemoryBrokers) -> list[Write]:
@@ -131,7 +58,6 @@ async def test_a_goal_is_kept_from_its_acceptance_to_its_end() -> None:
         assert not robot.answers, "an answer came within the call"
         await robot.answered(1)
         found = entry(shared, one)
-        assert found is not None
         assert found.incarnation == robot.membership.incarnation
         assert found.goal == replace(one, worker="robot")
         assert len(robot.journal) == 1
@@ -139,7 +65,6 @@ async def test_a_goal_is_kept_from_its_acceptance_to_its_end() -> None:
         await robot.answered(2)
         assert robot.errors == [None, None]
         found = entry(shared, one)
-        assert found is not None
         assert found.goal == replace(ended(one), worker="robot", ended_at=found.goal.ended_at)
         assert len(robot.journal) == 0
         assert one.worker == "", "the server's own goal is as it was"
@@ -175,7 +100,6 @@ async def test_a_goal_of_another_worker_is_taken() -> None:
         assert b.errors == [GoalTaken, GoalTaken]
         assert len(b.journal) == 0
         found = entry(shared, one)
-        assert found is not None
         assert found.goal.worker == "a"
         b.write("begin", one)  # of a goal that it does not have
         assert b.errors == [GoalTaken] * 3
@@ -191,7 +115,6 @@ async def test_an_outcome_that_the_server_has_forgotten_is_replaced() -> None:
         await robot.answered(3)
         assert robot.errors == [None] * 3
         found = entry(shared, one)
-        assert found is not None
         assert found.goal.status is GoalStatus.ACCEPTED
 
 
@@ -274,28 +197,23 @@ async def test_all_goals_are_lost_when_the_lease_ends() -> None:
         assert robot.errors[2:] == [GoalTaken, GoalTaken]
         robot.broker.is_away = False
         await sleep(LEASE)
-        assert entry(shared, two) is None, "nothing of the old incarnation was written"
+        assert not is_kept(shared, two), "nothing of the old incarnation was written"
         robot.write("accept", goal(4))
         await robot.answered(5)
         found = entry(shared, goal(4))
-        assert found is not None
         assert found.incarnation == robot.membership.incarnation
 
 
 async def test_a_frozen_worker_writes_nothing() -> None:
-    async with MemoryBrokers() as shared:
-        robot = Member(shared, "robot")
-        await robot.membership.join()
-        async with robot.serve():
-            robot.write("accept", goal())
-            await robot.answered(1)
-            await sleep(LEASE)  # none of its tasks ran
-            robot.write("end", ended(goal()))
-            assert robot.errors == [None, GoalTaken]
-            assert robot.lost == [goal().goal_id]
-            found = entry(shared, goal())
-            assert found is not None
-            assert found.goal.status.is_active
+    async with MemoryBrokers() as shared, member(shared, is_frozen=True) as robot:
+        robot.write("accept", goal())
+        await robot.answered(1)
+        await sleep(LEASE)  # none of its tasks ran
+        robot.write("end", ended(goal()))
+        assert robot.errors == [None, GoalTaken]
+        assert robot.lost == [goal().goal_id]
+        found = entry(shared, goal())
+        assert found.goal.status.is_active
 
 
 # Sizes
@@ -393,9 +311,9 @@ async def test_an_outcome_ends_by_its_time_to_live() -> None:
         robot.write("end", ended(one, time.time_ns() + 4_500_000_000))
         await robot.answered(2)
         await sleep(4)
-        assert entry(shared, one) is not None
+        assert is_kept(shared, one)
         await sleep(1.1)
-        assert entry(shared, one) is None
+        assert not is_kept(shared, one)
 
 
 async def test_the_oldest_outcomes_beyond_the_limit_are_deleted() -> None:
@@ -405,11 +323,8 @@ async def test_the_oldest_outcomes_beyond_the_limit_are_deleted() -> None:
             robot.write("end", ended(goal(number)))
         await robot.answered(8)
         await robot.broker.flush()
-        kept = [number for number in range(4) if entry(shared, goal(number)) is not None]
+        kept = [number for number in range(4) if is_kept(shared, goal(number))]
         assert kept == [2, 3]
-
-
-# Notes
 
 
 # Takeover
@@ -426,7 +341,6 @@ async def test_a_taken_goal_is_claimed_with_its_former_worker() -> None:
         assert b.claimed == [replace(one, worker="a")]
         assert b.journal.has(one.goal_id)
         found = entry(shared, one)
-        assert found is not None
         assert (found.goal.worker, found.incarnation) == ("b", b.membership.incarnation)
         assert not await b.journal.take(record, one), "it has it already"
         a.write("begin", one)
@@ -458,7 +372,9 @@ async def test_a_goal_that_is_being_taken_is_not_accepted_anew() -> None:
 async def test_an_action_is_served_once() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         with pytest.raises(StoreError, match="this worker serves the action 'count' already"):
-            async with robot.open():
+            async with robot.store.open(
+                "count", max_results=9, claim=robot.claim, lose=robot.lost.append
+            ):
                 pass
 
 
@@ -492,17 +408,14 @@ async def test_a_later_write_that_did_not_arrive_is_written_again() -> None:
 
 
 async def test_a_frozen_worker_clears_no_doubt() -> None:
-    async with MemoryBrokers() as shared:
-        robot = Member(shared, "robot")
-        await robot.membership.join()
-        async with robot.serve():
-            shared.loses_answer = lambda write: ".goal." in write.subject
-            await sleep(LEASE / 2)
-            robot.write("accept", goal())
-            await robot.answered(1)
-            assert robot.errors == [GoalTaken]
-            assert robot.lost == [goal().goal_id]
-            assert len(writes(shared)) == 1
+    async with MemoryBrokers() as shared, member(shared, is_frozen=True) as robot:
+        shared.loses_answer = lambda write: ".goal." in write.subject
+        await sleep(LEASE / 2)
+        robot.write("accept", goal())
+        await robot.answered(1)
+        assert robot.errors == [GoalTaken]
+        assert robot.lost == [goal().goal_id]
+        assert len(writes(shared)) == 1
 
 
 @pytest.mark.parametrize("when", ["while its record is read", "before it is written again"])
@@ -547,12 +460,9 @@ async def test_the_records_of_goals_are_written_again_when_their_stream_was_lost
         robot.journal.rewrite_all()
         await robot.answered(5)
         await sleep(1)
-        kept = [entry(shared, goal(number)) for number in (1, 2, 3)]
-        assert [None if one is None else one.goal.status for one in kept] == [
-            GoalStatus.ACCEPTED,
-            GoalStatus.CANCELING,
-            None,
-        ]
+        kept = [entry(shared, goal(number)).goal.status for number in (1, 2)]
+        assert kept == [GoalStatus.ACCEPTED, GoalStatus.CANCELING]
+        assert not is_kept(shared, goal(3))
         robot.write("end", ended(goal(1)))
         robot.write("end", ended(goal(2)))
         await robot.answered(7)
