@@ -145,18 +145,6 @@ async def test_something_that_is_no_broker_is_not_found() -> None:
     )
 
 
-async def test_a_broker_that_says_nothing_is_given_up() -> None:
-    async def silent(stream: SocketStream) -> None:
-        async with stream:
-            await anyio.sleep_forever()
-
-    async with listening(silent) as address:
-        with anyio.fail_after(30):
-            error = await error_of(settings_for(address))
-    assert isinstance(error, ServerNotFound)
-    assert "did not answer in 2 s" in str(error)
-
-
 async def test_a_host_that_does_not_exist_is_not_found() -> None:
     error = await error_of(settings_for("no-such-host.invalid:4222"))
     assert isinstance(error, ServerNotFound)

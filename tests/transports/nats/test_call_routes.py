@@ -120,19 +120,6 @@ async def test_a_goal_that_no_worker_goes_on_with_is_lost_in_time(fleet: FakeFle
         assert anyio.current_time() - began == pytest.approx(20, abs=0.1)
 
 
-async def test_without_reconnect_a_goal_is_lost_at_once(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()) as a,
-        fleet.connect(reconnect=False) as connection,
-    ):
-        goal = await client_of(connection).send_goal(-3)
-        began = anyio.current_time()
-        a.die()
-        with pytest.raises(ConnectionLost):
-            await goal.outcome()
-        assert anyio.current_time() - began < 0.1
-
-
 async def test_a_line_that_flickers_is_dialed_again(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         goal = await client_of(connection).send_goal(-3)

@@ -46,13 +46,6 @@ def numbered(number: int) -> StoredGoal:
     return past(number, GoalID(bytes([number]) * 16))
 
 
-async def test_a_page_needs_no_worker(fleet: FakeFleet) -> None:
-    note(fleet, numbered(1), numbered(2))
-    async with fleet.connect() as connection:
-        found = await connection.endpoint(COUNT).past_goals(PastPage())
-    assert found == [numbered(2).info, numbered(1).info]
-
-
 async def test_a_goal_of_the_past_is_followed_as_if_it_were_remembered(fleet: FakeFleet) -> None:
     note(fleet, past())
     async with fleet.connect() as connection:

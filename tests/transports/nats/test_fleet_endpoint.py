@@ -37,7 +37,7 @@ from tests.transports.nats.fake_fleet import (
     client_of,
     server,
 )
-from tests.wire.memory import Running, settled
+from tests.wire.memory import Running
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 
@@ -323,23 +323,6 @@ async def test_a_cancel_of_all_goals_leaves_out_a_worker_that_is_gone(fleet: Fak
             await anyio.sleep(3)
             b.end_lease()
             assert (await canceling.answer()).return_code is CancelCode.NONE
-
-
-# To wait for a server
-
-
-async def test_a_server_is_waited_for_until_a_worker_serves_the_action(fleet: FakeFleet) -> None:
-    fleet.broker.is_away = True
-    async with fleet.connect() as connection:
-        async with Running(connection.endpoint(COUNT).wait_for_server) as waiting:
-            await anyio.sleep(60)
-            fleet.broker.is_away = False
-            async with fleet.worker("a").serve():
-                await settled()
-                await anyio.sleep(60)
-                assert not waiting.is_done
-                async with fleet.worker("b").serve(server()):
-                    await waiting.answer()
 
 
 # Gateways and owners that leave in the middle

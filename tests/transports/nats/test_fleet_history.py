@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import GoalID, GoalStatus, Sender, StoreError
+from fibaction import GoalID, GoalStatus, StoreError
 from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goal_query import GoalQuery, PastPage
@@ -61,20 +61,6 @@ async def run_one(worker: Member, number: int = 1, **fields: Any) -> None:
     one.is_running, one.keep_until = False, fields.get("keep_until", 0)
     worker.journal.end(one, lambda _error: done.set())
     await done.wait()
-
-
-async def test_a_goal_that_ends_is_added_with_its_request_and_all_that_a_list_tells() -> None:
-    async with MemoryBrokers() as shared, member(shared, "a") as a:
-        a.journals.history.open(a.journals.tasks, LEASE)
-        await run_one(a)
-        await a.journals.history.settle()
-        [info] = await a.journal.past_goals(PastPage())
-        past = await a.journal.past_goal(goal().goal_id)
-        assert await a.journal.past_goal(goal(2).goal_id) is None
-    assert past is not None
-    assert (past.goal, past.result) == (b"goal", b"result")
-    assert info == past.info
-    assert (info.worker, info.labels, info.client) == ("a", {"order": "1"}, str(Sender("me")))
 
 
 async def test_without_a_history_nothing_is_added() -> None:

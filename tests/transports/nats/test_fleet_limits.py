@@ -357,22 +357,6 @@ async def test_a_place_is_not_used_while_a_write_that_gives_it_back_may_land(
         assert counts.running[KEY] == 1
 
 
-async def test_an_ask_without_an_answer_leaves_nothing_behind(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        late = Late(a.broker, monkeypatch)
-        a.want()
-        await sleep(0.5)
-        a.want(0)
-        late.is_on = False
-        await sleep(2)
-        late.land()
-        await sleep(1)
-        assert stored(shared) is None
-        assert not a.limits.turns
-
-
 async def test_an_old_record_of_a_broker_that_is_behind_gives_no_place() -> None:
     async with MemoryBrokers() as shared, seat(shared, "a") as a, seat(shared, "b") as b:
         a.want()
@@ -403,16 +387,6 @@ async def test_an_old_record_gives_no_place_to_a_worker_that_has_none_any_longer
         assert a.running[KEY] == 0
         b.end()
         await a.runs()
-
-
-async def test_a_broker_that_has_no_record_yet_gives_no_second_place() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        a.want()
-        await a.runs()
-        a.broker.old[SUBJECT] = [None]
-        a.want()
-        await sleep(3)
-        assert a.running[KEY] == 1
 
 
 @pytest.mark.parametrize("fault", [PutFailure.FULL, PutFailure.TOO_LARGE])
@@ -552,23 +526,6 @@ async def test_a_limit_waits_for_brokers_that_are_away_for_the_time_of_a_lease()
         shared.at(current_time() + 1, lambda: setattr(a.broker, "is_away", False))
         places = await a.limits.places("x", 1)
         assert places.most == 1
-
-
-async def test_a_name_that_was_used_by_a_lost_process_gives_its_places_back() -> None:
-    async with MemoryBrokers() as shared, seat(shared, "b") as b:
-        async with seat(shared, "a") as a:
-            a.want()
-            await a.runs()
-            a.kill()
-            await sleep(LEASE + 1)
-            async with seat(shared, "a") as next_a:
-                b.want()
-                next_a.want()
-                await sleep(3)
-                assert b.running[KEY] + next_a.running[KEY] == 1
-                first, other = (b, next_a) if b.running[KEY] else (next_a, b)
-                first.end()
-                await other.runs()
 
 
 async def test_the_lease_may_end_while_the_record_is_read() -> None:

@@ -34,23 +34,6 @@ def test_two_names_are_two_tokens(one: str, other: str) -> None:
     assert (token_of(one) == token_of(other)) == (one == other)
 
 
-@pytest.mark.parametrize(
-    ("name", "token"),
-    [
-        ("robot-7_a", "robot-7_a"),
-        ("arm.move", "arm=2Emove"),
-        ("a b", "a=20b"),
-        ("*", "=2A"),
-        (">", "=3E"),
-        ("a=b", "a=3Db"),
-        ("ü", "=C3=BC"),
-        ("", ""),
-    ],
-)
-def test_what_has_a_meaning_in_subjects_is_escaped(name: str, token: str) -> None:
-    assert token_of(name) == token
-
-
 @pytest.mark.parametrize("token", ["=", "=4", "=ZZ", "=FF", "ü"])
 def test_what_is_not_such_a_token_is_an_error(token: str) -> None:
     with pytest.raises(ValueError):

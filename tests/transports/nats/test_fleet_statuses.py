@@ -5,8 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from fibaction import ConnectionLost, GoalID, GoalStatus, Schedule, ServerFailed
-from fibaction.border.abc import ForwardingEndpoint, StatusStream
+from fibaction import ConnectionLost, GoalID, GoalStatus, Schedule
+from fibaction.border.abc import StatusStream
 from fibaction.words.goals import Sender
 from fibaction_transports.nats.client import statuses as statuses_module
 from fibaction_transports.nats.client.statuses import steps
@@ -212,19 +212,6 @@ async def test_goals_of_a_gateway_are_told_as_well(fleet: FakeFleet) -> None:
             g.die()
             await settled()
         await settled()
-
-
-async def test_the_error_of_a_gateway_is_that_of_the_statuses(fleet: FakeFleet) -> None:
-    class Broken(ForwardingEndpoint):
-        async def status(self) -> StatusStream:
-            raise RuntimeError
-
-    async with (
-        fleet.worker("g", is_kept=False).serve(Broken(server())),
-        fleet.connect() as connection,
-    ):
-        with pytest.raises(ServerFailed):
-            await client_of(connection).goals()
 
 
 async def test_the_last_follower_that_leaves_ends_those_of_gateways(fleet: FakeFleet) -> None:

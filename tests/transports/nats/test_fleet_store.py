@@ -135,17 +135,6 @@ async def test_nothing_is_written_over_a_marker_or_rubbish_in_place_of_a_goal() 
 # Doubt
 
 
-async def test_a_write_whose_answer_is_lost_is_found_by_its_nonce() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        shared.loses_answer = lambda write: ".goal." in write.subject
-        one = goal()
-        robot.write("accept", one)
-        robot.write("end", ended(one))
-        await robot.answered(2)
-        assert robot.errors == [None, None]
-        assert len(writes(shared)) == 2, "nothing was written twice"
-
-
 async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         one = goal()
@@ -394,19 +383,6 @@ async def test_a_write_within_an_answer_is_answered_after_it() -> None:
         assert robot.errors == [None, GoalTaken]
 
 
-async def test_a_later_write_that_did_not_arrive_is_written_again() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        robot.write("accept", goal())
-        await robot.answered(1)
-        robot.broker.is_away = True
-        robot.write("end", ended(goal()))
-        await sleep(2.5)
-        robot.broker.is_away = False
-        await robot.answered(2)
-        assert robot.errors == [None, None]
-        assert len(writes(shared)) == 2
-
-
 async def test_a_frozen_worker_clears_no_doubt() -> None:
     async with MemoryBrokers() as shared, member(shared, is_frozen=True) as robot:
         shared.loses_answer = lambda write: ".goal." in write.subject
@@ -467,18 +443,3 @@ async def test_the_records_of_goals_are_written_again_when_their_stream_was_lost
         robot.write("end", ended(goal(2)))
         await robot.answered(7)
         assert robot.errors == [None] * 7
-
-
-async def test_a_goal_is_kept_although_its_record_cannot_be_written_again() -> None:
-    async with MemoryBrokers() as shared, member(shared) as robot:
-        robot.write("accept", goal())
-        await robot.answered(1)
-        shared.lose_streams()
-        shared.is_full = True
-        robot.journal.rewrite_all()
-        await sleep(1)
-        assert robot.journal.has(goal().goal_id)
-        shared.is_full = False
-        robot.write("end", ended(goal()))
-        await robot.answered(2)
-        assert robot.errors == [None] * 2

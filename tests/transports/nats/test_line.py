@@ -23,9 +23,6 @@ from tests.support.nats_server import NatsServer
 pytestmark = pytest.mark.asyncio
 
 
-# The wire protocol on them
-
-
 # Each end alone
 
 

@@ -74,9 +74,6 @@ async def until(watch: BrokerWatch, data: bytes) -> list[BrokerRecord]:
     return records
 
 
-# Messages
-
-
 # Records
 
 
@@ -93,22 +90,7 @@ async def test_a_stream_that_is_missing_is_empty_until_it_is_made(
             assert [record.data for record in await until(watch, b"one")] == [b"one"]
 
 
-# Notes
-
-
 # Streams
-
-
-async def test_streams_that_are_there_are_kept_and_checked(
-    shared_broker: NatsServer, fleet: str
-) -> None:
-    names = FleetNames(fleet)
-    async with opened(shared_broker, fleet) as broker:
-        first = await stored(broker, names.worker("w"), b"one")
-        await broker.create_streams(names, replicas=1)
-        assert await broker.get(names.workers, names.worker("w")) == BrokerRecord(
-            names.worker("w"), b"one", first
-        )
 
 
 async def test_a_stream_of_something_else_is_one_sentence(

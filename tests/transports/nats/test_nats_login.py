@@ -19,7 +19,7 @@ from fibaction_transports.nats.broker.login import (
     is_let_in,
 )
 from fibaction_transports.nats.settings import FleetSettings
-from tests.support.nats_keys import Operator, bytes_of
+from tests.support.nats_keys import bytes_of
 
 # As the documentation of NATS has them.
 SEED = "SUACSSL3UAHUDXKFSNVUZRF5UHPMWZ6BFDTJ7M6USDXIEDNPPQYYYCU3VY"
@@ -45,12 +45,6 @@ def check_signature(public: str, signature: str, nonce: bytes) -> None:
 
 
 # What a broker says
-
-
-def test_the_first_line_has_what_matters_of_a_broker() -> None:
-    line = b'INFO {"version":"2.15.1","nonce":"n","connect_urls":["a:1"],"jetstream":true} '
-    assert info_of(line) == BrokerInfo("2.15.1", nonce="n", connect_urls=("a:1",))
-    assert info_of(b"INFO {}") == BrokerInfo(max_payload=2**20)
 
 
 @pytest.mark.parametrize(
@@ -84,14 +78,6 @@ def test_an_error_of_a_broker_is_one_sentence(
 # What the client answers
 
 
-def test_a_user_and_a_token_are_sent_as_they_are() -> None:
-    settings = FleetSettings("f", user="me", password='a "b"', login_token="t")
-    assert fields_of(settings) == {
-        "user": "me", "pass": 'a "b"', "auth_token": "t", "no_responders": False
-    }  # fmt: skip
-    assert fields_of(FleetSettings("f"), headers=True) == {"no_responders": True}
-
-
 def test_a_key_signs_the_nonce_of_a_broker() -> None:
     credentials = NatsCredentials(SEED, "")
     fields = fields_of(FleetSettings("f"), credentials, nonce="once")
@@ -101,18 +87,6 @@ def test_a_key_signs_the_nonce_of_a_broker() -> None:
         check_signature(PUBLIC, fields["sig"], b"twice")
     assert SEED not in str(fields)
     assert SEED not in repr(credentials)
-
-
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_a_credentials_file_has_a_key_and_a_jwt(tmp_path: Path, end: str) -> None:
-    path = tmp_path / "my.creds"
-    user = Operator().write_credentials(path)
-    path.write_bytes(path.read_text().replace("\n", end).encode())
-    fields = fields_of(FleetSettings("f"), NatsCredentials.read(str(path)), nonce="once")
-    assert "nkey" not in fields
-    claims = msgspec.json.decode(bytes_of(fields["jwt"].split(".")[1], is_url=True))
-    assert claims["sub"] == user.public
-    check_signature(user.public, fields["sig"], b"once")
 
 
 @pytest.mark.parametrize(

@@ -64,18 +64,6 @@ async def test_one_survivor_clears_up_and_then_removes_the_lease(
         ]
 
 
-async def test_the_goals_of_a_worker_that_joins_again_are_found() -> None:
-    async with MemoryBrokers() as shared, member(shared, "b") as b:
-        first = Membership(shared.member("a"), NAMES, "a", LEASE)
-        await first.join()
-        await b.broker.flush()
-        keep(shared, goal(worker="a"), first.incarnation)
-        again = Membership(first._broker, NAMES, "a", LEASE)
-        again._mine.add(first.incarnation)
-        await again.join()
-        assert await b.claims(1, within=1) == [goal(worker="a")]
-
-
 async def test_clearing_up_that_was_interrupted_is_done_when_its_claim_ends() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         lost = Membership(shared.member("a"), NAMES, "a", LEASE)

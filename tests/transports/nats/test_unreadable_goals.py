@@ -163,17 +163,6 @@ async def test_a_goal_that_another_worker_may_be_able_to_run_is_left_to_it(
             assert bool(asked) == (answer is not None)
 
 
-async def test_a_goal_that_no_other_worker_can_run_is_ended() -> None:
-    async with (
-        MemoryBrokers() as shared,
-        other_worker(shared, unreadable_goals.CANNOT_RUN) as asked,
-    ):
-        keep(shared, waiting())
-        async with member(shared, "b", cannot_run=[waiting()], ends_unreadable=True) as b:
-            await b.claims(1, within=12 * LEASE)
-            assert asked == [bytes(waiting().goal_id)]
-
-
 async def test_a_worker_says_whether_it_can_run_a_goal() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
         keep(shared, waiting(1), b"12345678")
