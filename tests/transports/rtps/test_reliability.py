@@ -72,6 +72,17 @@ def test_every_sample_of_a_reliable_writer_arrives_in_order_and_once(
     assert other.participant.counters.invalid == 0
 
 
+def test_a_sample_of_a_megabyte_arrives_with_loss() -> None:
+    world = World(3, loss=0.2, delay=0.002)
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    assert world.run_until(lambda: bool(writer.readers and reader.writers))
+    text = "".join(map(str, range(200_000)))[:1_000_000]
+    write(world, writer, text, "after")
+    assert world.run_until(lambda: len(other.texts(reader)) == 2)
+    assert other.texts(reader) == [text, "after"]
+
+
 def test_no_fragment_is_sent_twice_if_none_is_lost() -> None:
     world = World()
     one, other = world.pair()
