@@ -17,6 +17,7 @@ from fibaction.words.goal_query import cancel_stamp_of
 from fibaction_transports.web.rest.goal_list import page_of
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE
+from fibaction_transports.web.rest.routes import METHODS, PARAMETERS, Resource
 from tests.support.fibonacci import FIBONACCI
 from tests.support.nested_actions import COUNT, FETCH
 
@@ -154,13 +155,27 @@ def test_the_values_of_defaults_are_no_schemas() -> None:
     assert goal["properties"]["a"] == schema["properties"]["a"]
 
 
+def test_the_parameters_are_those_that_the_server_takes() -> None:
+    paths = described(FETCH.info)["paths"]
+    of_goals = "/actions/fetch/goals"
+    for resource, path in {
+        Resource.GOALS: of_goals,
+        Resource.GOAL: f"{of_goals}/{{goal_id}}",
+        Resource.EVENTS: f"{of_goals}/{{goal_id}}/events",
+    }.items():
+        for method in METHODS[resource]:
+            parameters = paths[path][method.lower()].get("parameters", [])
+            told = [one["name"] for one in parameters if one["in"] == "query"]
+            assert sorted(told) == sorted(PARAMETERS.get((resource, method), ()))
+
+
 def test_parameters_allow_what_the_server_accepts() -> None:
     paths = described(FETCH.info)["paths"]
     goals, events = paths["/actions/fetch/goals"], paths["/actions/fetch/goals/{goal_id}/events"]
     wait, label = goals["post"]["parameters"]
     assert wait["schema"]["maximum"] == 3600
     assert (label["name"], label["schema"]["maxItems"]) == ("label", 8)
-    (before,) = goals["delete"]["parameters"]
+    *_, before = goals["delete"]["parameters"]
     date_time, other = before["schema"]["anyOf"]
     assert date_time == {"format": "date-time"}
     for text in ("1", "10m", "1.5h", str(10**30), f"{1:019}"):

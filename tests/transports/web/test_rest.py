@@ -361,6 +361,66 @@ async def test_all_goals_are_canceled_or_those_before_a_time() -> None:
         assert len(answer.json["goals_canceling"]) == 1
 
 
+async def test_the_goals_that_a_filter_chooses_are_canceled_and_no_others() -> None:
+    async with served(Held().server) as url:
+        for label in ("order=17", "order=17", "order=18"):
+            await fetch(url, "POST", f"{GOALS}?label={label}", {"order": 0})
+        stamps = [goal["stamp"] for goal in (await fetch(url, "GET", GOALS)).json]
+        canceled = list[int]()
+        for query in (
+            "label=order=16",
+            "status=SUCCEEDED",
+            "client=nobody",
+            "since=2100-01-01",
+            f"parent={ID}",
+            f"label=order=17&before={stamps[0]}",
+            "label=order=17",
+            "status=EXECUTING",
+        ):
+            answer = await fetch(url, "DELETE", f"{GOALS}?{query}")
+            assert answer.status == 202
+            canceled.append(len(answer.json["goals_canceling"]))
+
+        assert canceled == [0, 0, 0, 0, 0, 1, 1, 1]
+
+
+async def test_a_cancel_of_chosen_goals_that_is_rejected_has_its_reason() -> None:
+    def never(_: object) -> None:
+        raise CancelRejected("the arm is over the table")
+
+    async with served(ActionServer(FIBONACCI, Held(), on_cancel=never)) as url:
+        await fetch(url, "POST", f"{GOALS}?label=order=17", {"order": 0})
+        answer = await fetch(url, "DELETE", f"{GOALS}?label=order=17")
+        assert (answer.status, answer.json["detail"]) == (409, "the arm is over the table")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "hint"),
+    [
+        ("DELETE", f"{GOALS}?befor=10m", "did you mean before?"),
+        (
+            "DELETE",
+            f"{GOALS}?limit=1",
+            "it has status, client, label, since, until, parent, before",
+        ),
+        ("GET", f"{GOALS}?stauts=EXECUTING", "did you mean status?"),
+        ("GET", "/actions?x=1", "it has none"),
+        ("GET", f"{GOALS}/{ID}?after=3", "it has wait"),
+        ("GET", f"{GOALS}/{ID}/events?wait=3", "it has after"),
+        ("POST", f"{GOALS}?wiat=10", "did you mean wait?"),
+        ("PUT", f"{GOALS}/{ID}?lable=a=b", "did you mean label?"),
+    ],
+)
+async def test_a_parameter_that_would_not_count_is_refused(
+    method: str, path: str, hint: str
+) -> None:
+    async with served(Held().server) as url:
+        answer = await fetch(url, method, path, {"order": 0} if method[0] == "P" else None)
+        assert answer.status == 400
+        assert answer.json["detail"].endswith(f" here: {hint}")
+        assert (await fetch(url, "GET", GOALS)).json == []
+
+
 # Tokens and permissions
 
 
@@ -436,6 +496,7 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("DELETE", f"{GOALS}?before=now", None, {}, 400),
         ("DELETE", f"{GOALS}?before=0", None, {}, 400),
         ("DELETE", f"{GOALS}?before=", None, {}, 400),
+        ("DELETE", f"{GOALS}?label=", None, {}, 400),
         ("GET", f"{GOALS}?parent=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=x", None, {}, 400),

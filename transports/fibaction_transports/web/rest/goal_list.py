@@ -217,15 +217,7 @@ async def listed(
     """
     pause = _pauses(turn)
     of_past = {_place_of(info): info for info in past}
-    found: list[GoalInfo] = []
-    for _ in range(statuses.known):
-        info = await statuses.receive()
-        if info is None:
-            break
-        of_past.pop(_place_of(info), None)
-        if page.has(info):
-            found.append(info)
-        await pause()
+    found = await chosen(statuses, page, turn, of_past)
     found = [*of_past.values(), *found]
     has_more = page.limit is not None and len(found) > page.limit
     if page.limit is not None:
@@ -236,6 +228,32 @@ async def listed(
         await pause()
     last = f"{found[-1].stamp}.{found[-1].goal_id}" if has_more else ""
     return b"[" + b",".join(parts) + b"]", last
+
+
+async def chosen(
+    statuses: StatusStream,
+    page: Page,
+    turn: anyio.Lock,
+    past: dict[tuple[int, bytes], GoalInfo] | None = None,
+) -> list[GoalInfo]:
+    """Return the goals that a server knows now and that are on a page or after it; each goal that
+    it knows is removed from those of the past.
+
+    Raises:
+        ActionError: As for `StatusStream.receive`.
+    """
+    pause = _pauses(turn)
+    found: list[GoalInfo] = []
+    for _ in range(statuses.known):
+        info = await statuses.receive()
+        if info is None:
+            break
+        if past:
+            past.pop(_place_of(info), None)
+        if page.has(info):
+            found.append(info)
+        await pause()
+    return found
 
 
 def _place_of(info: GoalInfo) -> tuple[int, bytes]:

@@ -11,6 +11,7 @@ keep running.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from hashlib import blake2b
 from time import time_ns
@@ -31,12 +32,13 @@ from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
 from fibaction.words.goal_query import cancel_stamp_of
-from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.words.meta import trace_meta, with_labels
 from fibaction_transports._http.exchange import Exchange
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of
 from fibaction_transports.web.rest.goal_list import (
+    chosen,
     facts_of,
     labels_in,
     listed,
@@ -46,7 +48,13 @@ from fibaction_transports.web.rest.goal_list import (
     refusing,
 )
 from fibaction_transports.web.rest.openapi import describe
-from fibaction_transports.web.rest.routes import Resource, Route, route_of
+from fibaction_transports.web.rest.routes import (
+    FILTERS,
+    Resource,
+    Route,
+    check_parameters,
+    route_of,
+)
 
 CANCEL_TIMEOUT = 5.0
 """Seconds for the cancel of a goal whose client has gone."""
@@ -86,6 +94,7 @@ class RestInterface:
         """
         client = self.admit(exchange)
         route = route_of(exchange.method, exchange.path, self._endpoints)
+        check_parameters(exchange.query, route, exchange.method)
         await self._handlers[route.resource, exchange.method](exchange, client, route)
 
     def admit(self, exchange: Exchange) -> SessionClient:
@@ -263,7 +272,14 @@ class RestInterface:
             with refusing("before"):
                 stamp = cancel_stamp_of(before, time_ns(), is_local=False)
         endpoint = await self._endpoint(client, route, Permission.CANCEL)
-        await self._answer_cancel(exchange, await endpoint.cancel_goals(None, stamp))
+        if exchange.query.keys().isdisjoint(FILTERS):
+            answer = await endpoint.cancel_goals(None, stamp)
+        else:
+            page = page_of(exchange.query, time_ns())
+            with await endpoint.status() as statuses:
+                infos = await chosen(statuses, page, self._turn)
+            answer = await _cancel_each(endpoint, infos, stamp)
+        await self._answer_cancel(exchange, answer)
 
     async def _answer_cancel(self, exchange: Exchange, answer: CancelAnswer) -> None:
         if answer.return_code is CancelCode.REJECTED:
@@ -276,6 +292,19 @@ class RestInterface:
             "reason": answer.reason,
         }
         await exchange.answer(202, msgspec.json.encode(members))
+
+
+async def _cancel_each(
+    endpoint: Endpoint, infos: Iterable[GoalInfo], latest: int | None
+) -> CancelAnswer:
+    """Cancel those of these goals that are active, and were accepted until the latest stamp."""
+    answers: list[CancelAnswer] = []
+    for info in infos:
+        if info.status.is_active and (latest is None or info.stamp <= latest):
+            answer = await endpoint.cancel_goals(info.goal_id)
+            if answer.accepted or answer.return_code is CancelCode.REJECTED:
+                answers.append(answer)  # the others have ended meanwhile
+    return CancelAnswer.merged(answers)
 
 
 def _events_of(endpoint: Endpoint) -> GoalEvents:

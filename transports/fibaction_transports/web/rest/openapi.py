@@ -158,7 +158,7 @@ _PAST = _parameter(
     " keeps as its history; always in pages.",
     {"type": "boolean"},
 )
-_CHOICE = (_STATUSES, _CLIENT, _LABELS, _SINCE, _UNTIL, _PAST)
+_FILTERS = (_STATUSES, _CLIENT, _LABELS, _SINCE, _UNTIL, _PARENT)
 _NEXT = {
     "Link": {
         "description": "The address of the next page, with rel=next; absent on the last one.",
@@ -179,7 +179,7 @@ _DESCRIPTIONS = {
     "send": "The answer comes at once, or with `wait` at the end of the goal. If you accept"
     " `text/event-stream`, it is the events of the goal.",
     "put": "As for POST. If you send the same goal again under its ID, it still runs once.",
-    "cancel_all": "Asks all goals to stop, or those that were accepted before a time.",
+    "cancel_all": "Asks all goals to stop, or those that you choose.",
     "status": "The status, and the result once the goal has ended; with `wait`, the answer waits"
     " for the end.",
     "cancel": "Asks the goal to stop. It ends when its executor has cleaned up.",
@@ -278,10 +278,12 @@ class _Described:
         return {
             "get": self._operation(
                 *("list", "List the goals.", {"200": goals}),
-                *(_LIMIT, _AFTER_PAGE, _PARENT, *_CHOICE),
+                *(*_FILTERS, _PAST, _LIMIT, _AFTER_PAGE),
             ),
             "post": self._sending("send", "Send a goal.", sent, *_SENDING),
-            "delete": self._operation("cancel_all", "Cancel goals.", _CANCELED, _BEFORE),
+            "delete": self._operation(
+                *("cancel_all", "Cancel goals.", _CANCELED), *(*_FILTERS, _BEFORE)
+            ),
         }
 
     def _one_goal(self) -> Json:

@@ -9,8 +9,9 @@ of `arm`.
 from __future__ import annotations
 
 import re
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from enum import Enum, auto
 
 from fibaction.border.http_access import Refused
@@ -38,6 +39,20 @@ METHODS = {
     Resource.EVENTS: ("GET",),
 }
 """The methods of each resource."""
+
+
+FILTERS = ("status", "client", "label", "since", "until", "parent")
+"""The parameters that choose goals."""
+
+PARAMETERS = {
+    (Resource.GOALS, "GET"): (*FILTERS, "past", "limit", "after"),
+    (Resource.GOALS, "POST"): ("wait", "label"),
+    (Resource.GOALS, "DELETE"): (*FILTERS, "before"),
+    (Resource.GOAL, "GET"): ("wait",),
+    (Resource.GOAL, "PUT"): ("wait", "label"),
+    (Resource.EVENTS, "GET"): ("after",),
+}
+"""The parameters of each resource and method; the others have none."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +92,20 @@ def route_of(method: str, path: str, served: Container[str]) -> Route:
             ("Allow", allowed),
         )
     return route
+
+
+def check_parameters(query: Iterable[str], route: Route, method: str) -> None:
+    """Check that a request has no parameter which would not count.
+
+    Raises:
+        Refused: It has one; the text names those that there are.
+    """
+    known = PARAMETERS.get((route.resource, method), ())
+    for name in query:
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(known) or 'none'}"
+            raise Refused(400, f"{method} has no parameter {excerpt(name)!r} here: {hint}")
 
 
 def _route_of(path: str, served: Container[str]) -> Route:
