@@ -34,7 +34,7 @@ def fleet() -> FakeFleet:
 
 
 async def away(call: str, _subject: str) -> None:
-    if call == "find_stream":
+    if call in ("find_stream", "get"):
         raise BrokerAway("on purpose")
 
 
@@ -135,12 +135,12 @@ async def test_a_line_that_flickers_is_dialed_again(fleet: FakeFleet) -> None:
 async def test_records_are_read_when_the_brokers_are_back(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         goal = await client_of(connection).send_goal(-1)
-        fleet.broker.is_away = True
+        fleet.broker.before = away
         a.die()
         a.own(goal.goal_id, **ENDED)
         async with Running(goal.outcome) as waiting:
             await anyio.sleep(5)
-            fleet.broker.is_away = False
+            fleet.broker.before = nothing
             assert await waiting.answer() == End(GoalStatus.SUCCEEDED, "3")
 
 
