@@ -14,7 +14,7 @@ from fibaction import (
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.client import worker_connections
 from tests.support.matching import End
-from tests.support.memory_broker import nothing
+from tests.support.memory_broker import Before, nothing
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
     ENDED,
@@ -33,9 +33,12 @@ def fleet() -> FakeFleet:
     return FakeFleet()
 
 
-async def away(call: str, _subject: str) -> None:
-    if call in ("find_stream", "get"):
-        raise BrokerAway("on purpose")
+def away_for(name: str) -> Before:
+    async def away(call: str, _subject: str) -> None:
+        if call == name:
+            raise BrokerAway("on purpose")
+
+    return away
 
 
 async def read_three(goal: ClientGoal[int, str]) -> None:
@@ -85,7 +88,7 @@ async def test_a_goal_whose_record_may_be_written_again_is_waited_for(fleet: Fak
         a.hang_up()
         a.end_lease()
         await anyio.sleep(2)
-        fleet.broker.before = away
+        fleet.broker.before = away_for("find_stream")
         await anyio.sleep(2)
         fleet.broker.before = nothing
         assert goal.status.is_active
@@ -135,7 +138,7 @@ async def test_a_line_that_flickers_is_dialed_again(fleet: FakeFleet) -> None:
 async def test_records_are_read_when_the_brokers_are_back(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         goal = await client_of(connection).send_goal(-1)
-        fleet.broker.before = away
+        fleet.broker.before = away_for("get")
         a.die()
         a.own(goal.goal_id, **ENDED)
         async with Running(goal.outcome) as waiting:

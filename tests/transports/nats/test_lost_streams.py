@@ -217,5 +217,5 @@ async def test_a_stream_that_could_not_be_opened_is_not_made_with_those_that_are
         await streams.open_keys(lambda: None)
     with pytest.raises(TransportError):
         await streams.open_history(GoalHistory())
-    await streams._make()
+    await streams._make(streams._more)
     assert made == ["the others"]

@@ -41,7 +41,7 @@ import anyio
 from fibaction.border.abc import Endpoint, GoalRequest, StatusStream
 from fibaction.border.peer_text import shortened
 from fibaction.types.action import ActionInfo
-from fibaction.wire.client.remote_goal import RemoteGoal
+from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
 from fibaction.words.errors import (
     ActionError,
@@ -123,7 +123,9 @@ class FleetEndpoint(Endpoint):
                 if not place.worker:
                     place = await places.take(self._info.name)
                 placement.worker = place.worker
-                sent = await self._send(place.worker, request)
+                sent = await self._parts.connections.calls_of(place.worker).send(
+                    self._info.name, request, on_lost=self._lose_at(place.worker)
+                )
                 places.fill(self._info.name, place, sent)
                 return sent
             except (GoalRejected, ConnectionLost, ServerNotFound) as exc:
@@ -147,11 +149,6 @@ class FleetEndpoint(Endpoint):
                 return self._ended_sent(found, request)
             if not placement.goes_to(found):
                 await patience.wait(error)
-
-    async def _send(self, worker: str, request: GoalRequest) -> RemoteGoal:
-        name = self._info.name
-        is_kept = self._parts.workers.is_kept(worker, name)
-        return await self._parts.connections.send(worker, name, request, is_kept=is_kept)
 
     def _ended_sent(self, found: FoundGoal, request: GoalRequest) -> RemoteGoal:
         """Return a goal that was sent again, and has ended before.
@@ -323,8 +320,13 @@ class FleetEndpoint(Endpoint):
         return None
 
     async def _follow(self, worker: str, goal_id: GoalID, request: _Request) -> RemoteGoal:
+        calls = self._parts.connections.calls_of(worker)
+        return await calls.follow(goal_id, request, on_lost=self._lose_at(worker))
+
+    def _lose_at(self, worker: str) -> OnLost | None:
+        """Return the function for a lost goal of a worker; None if its goals have no records."""
         is_kept = self._parts.workers.is_kept(worker, self._info.name)
-        return await self._parts.connections.follow(worker, goal_id, request, is_kept=is_kept)
+        return self._parts.connections.lose_at(worker) if is_kept else None
 
     async def workers(self) -> list[str]:
         """Return the names of all workers that serve the action.

@@ -15,15 +15,12 @@ import anyio
 from anyio import CancelScope
 from anyio.abc import TaskGroup
 
-from fibaction.border.abc import GoalRequest
 from fibaction.wire.channel import Line
 from fibaction.wire.client.connection import RemoteConnection, new_session
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.remote_goal import RemoteGoal
-from fibaction.wire.messages import Follow
 from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import ActionError, ConnectionLost, ServerNotFound
-from fibaction.words.goals import GoalID
 from fibaction_transports.nats.records import LeaseEntry
 
 IDLE = 30.0
@@ -102,31 +99,6 @@ class WorkerConnections:
         self._opened: dict[str, _Opened] = {}
         self._on_lost = on_lost
 
-    async def send(
-        self, worker: str, action: str, request: GoalRequest, *, is_kept: bool
-    ) -> RemoteGoal:
-        """Send a goal to a worker, as `OpenCalls.send` does. A goal that is kept in a record goes
-        to `on_lost` when the connection cannot continue with it.
-        """
-        opened = self._of(worker)
-        return await opened.connection.calls.send(
-            action, request, on_lost=opened.lose if is_kept else None
-        )
-
-    async def follow(
-        self,
-        worker: str,
-        goal_id: GoalID,
-        request: Callable[[int, int], Follow],
-        *,
-        is_kept: bool,
-    ) -> RemoteGoal:
-        """Follow a goal at a worker, as `OpenCalls.follow` does; `is_kept` is as for `send`."""
-        opened = self._of(worker)
-        return await opened.connection.calls.follow(
-            goal_id, request, on_lost=opened.lose if is_kept else None
-        )
-
     def adopt(self, worker: str, goal: RemoteGoal) -> None:
         """Continue with a goal at its owner."""
         opened = self._of(worker)
@@ -135,6 +107,12 @@ class WorkerConnections:
     def calls_of(self, worker: str) -> OpenCalls:
         """Return the calls that are open at a worker, for another request."""
         return self._of(worker).connection.calls
+
+    def lose_at(self, worker: str) -> Callable[[RemoteGoal, ActionError], None]:
+        """Return the function for a goal of a worker that is kept in a record, and with which the
+        connection cannot continue.
+        """
+        return self._of(worker).lose
 
     def next_id(self) -> int:
         """Return the ID of a call that is not opened at any worker."""

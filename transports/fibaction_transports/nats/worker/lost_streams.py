@@ -20,6 +20,7 @@ lost: outcomes, and goals that had no worker.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from anyio import sleep
 
@@ -39,6 +40,13 @@ LOST = ""
 logger = clean_logger("fibaction.nats")
 
 
+class _More(NamedTuple):
+    """The streams that a fleet has in addition to the three that each has."""
+
+    has_keys: bool = False
+    history: GoalHistory | None = None
+
+
 class LostStreams:
     """The streams of one fleet, as one worker looks after them."""
 
@@ -50,8 +58,7 @@ class LostStreams:
         self._takeover = takeover
         self._replicas = replicas
         self._known: dict[str, str] = {}  # the identities of the streams
-        self._has_keys = False
-        self._history: GoalHistory | None = None
+        self._more = _More()
         self._repairs: dict[str, tuple[str, Callable[[], None]]] = {
             names.workers: ("the leases of workers", self._membership.rewrite),
             names.goals: ("outcomes, and goals that had no worker", self._rewrite_goals),
@@ -75,12 +82,8 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: The stream cannot be made.
         """
-        before, self._has_keys = self._has_keys, True
-        try:
-            await self._open(self._names.keys, "the places of keys", repair)
-        except BaseException:
-            self._has_keys = before  # later repairs do not need it
-            raise
+        more = self._more._replace(has_keys=True)
+        await self._open(self._names.keys, "the places of keys", repair, more)
 
     async def open_history(self, history: GoalHistory) -> None:
         """Make the stream of the history if it is missing, with these bounds, and look for it.
@@ -89,17 +92,14 @@ class LostStreams:
             BrokerAway: The brokers do not answer.
             TransportError: The stream cannot be made.
         """
-        before, self._history = self._history, history
-        try:
-            await self._open(self._names.history, "the goals of the past", lambda: None)
-        except BaseException:
-            self._history = before  # as above
-            raise
+        more = self._more._replace(history=history)
+        await self._open(self._names.history, "the goals of the past", lambda: None, more)
 
-    async def _open(self, stream: str, what: str, repair: Callable[[], None]) -> None:
-        await self._make()
+    async def _open(self, stream: str, what: str, repair: Callable[[], None], more: _More) -> None:
+        await self._make(more)
         self._known[stream] = await self._identity(stream)
         self._repairs[stream] = what, repair
+        self._more = more  # not before, or later repairs would need it
 
     async def run(self) -> None:
         """Look for the streams, until canceled."""
@@ -129,20 +129,17 @@ class LostStreams:
                 logger.error("the stream %s was lost, and with it %s", stream, what)
                 self._known[stream] = LOST
         if LOST in found.values():
-            await self._make()
+            await self._make(self._more)
         for stream in lost:
             self._known[stream] = await self._identity(stream)
             if self._known[stream] != LOST:
                 _, repair = self._repairs[stream]
                 repair()
 
-    async def _make(self) -> None:
+    async def _make(self, more: _More) -> None:
         """Make the streams that are missing."""
         await self._broker.create_streams(
-            self._names,
-            replicas=self._replicas,
-            has_keys=self._has_keys,
-            history=self._history,
+            self._names, replicas=self._replicas, has_keys=more.has_keys, history=more.history
         )
 
     async def _identity(self, stream: str) -> str:
