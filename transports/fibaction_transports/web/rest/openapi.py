@@ -158,7 +158,7 @@ _PAST = _parameter(
     " keeps as its history; always in pages.",
     {"type": "boolean"},
 )
-_FILTERS = (_STATUSES, _CLIENT, _LABELS, _SINCE, _UNTIL, _PARENT)
+_GOAL_FILTERS = (_STATUSES, _CLIENT, _LABELS, _SINCE, _UNTIL, _PARENT)
 _NEXT = {
     "Link": {
         "description": "The address of the next page, with rel=next; absent on the last one.",
@@ -278,11 +278,11 @@ class _Described:
         return {
             "get": self._operation(
                 *("list", "List the goals.", {"200": goals}),
-                *(*_FILTERS, _PAST, _LIMIT, _AFTER_PAGE),
+                *(*_GOAL_FILTERS, _PAST, _LIMIT, _AFTER_PAGE),
             ),
             "post": self._sending("send", "Send a goal.", sent, *_SENDING),
             "delete": self._operation(
-                *("cancel_all", "Cancel goals.", _CANCELED), *(*_FILTERS, _BEFORE)
+                *("cancel_all", "Cancel goals.", _CANCELED), *(*_GOAL_FILTERS, _BEFORE)
             ),
         }
 
