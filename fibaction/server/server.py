@@ -145,9 +145,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             RuntimeError: The server was started before.
             TypeError: One of them is not a `Watcher`, or has an async method.
         """
-        if not self.is_new:
+        members = tuple(watchers)
+        if members and not self.is_new:
             raise RuntimeError(f"{self!r} was started before; give the watchers to another one")
-        self._watchers = Watchers(self.action.name, (*self._watchers.members, *watchers))
+        self._watchers = Watchers(self.action.name, (*self._watchers.members, *members))
 
     async def __aenter__(self) -> Self:
         """Start the server. With a store, take over its goals before anything else.

@@ -312,6 +312,7 @@ async def test_watchers_of_serve_are_added_to_each_new_server() -> None:
             await client.call(Goal(2))
         with pytest.raises(RuntimeError, match="was started before; give the watchers to another"):
             server.watch_by([Diary()])
+        server.watch_by([])  # which adds none
 
     assert len(own.lines) > 5
     assert own.lines == common.lines

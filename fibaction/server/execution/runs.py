@@ -157,6 +157,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._step(run, BEGIN)
 
     def _call(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        assert run.execution.phase < CALLED  # an executor runs once, and not after an interruption
         run.execution.phase = CALLED
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 

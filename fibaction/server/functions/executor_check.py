@@ -59,9 +59,9 @@ def check_is_served(action: Any) -> None:
 def check_is_executor(executor: object) -> None:
     """Raise TypeError for a function that is not an async generator function.
 
-    This finds a forgotten `async` or `yield` before the first goal. The value that any other
-    function returns is known only when it is called, so a goal checks that, unless the function
-    says its type.
+    This finds a forgotten `yield` in an async function before the first goal. The value that any
+    other function returns is known only when it is called, so a goal checks that, unless the
+    function says its type.
     """
     while isinstance(executor, partial):
         executor = executor.func

@@ -207,6 +207,17 @@ async def test_a_plain_request_that_is_cut_leaves_its_goal(query: str) -> None:
         assert ended.json["status"] == "SUCCEEDED"
 
 
+async def test_who_may_not_see_goals_chooses_none_to_cancel() -> None:
+    def observes_not(peer: Peer, action: str, permission: Permission) -> bool:
+        return permission is not Permission.OBSERVE
+
+    async with served(Held().server, authorize=observes_not) as url:
+        await fetch(url, "POST", f"{GOALS}?label=order=17", {"order": 0})
+        chosen = await fetch(url, "DELETE", f"{GOALS}?label=order=17")
+        of_all = await fetch(url, "DELETE", GOALS)
+        assert (chosen.status, of_all.status) == (403, 202)
+
+
 async def test_a_cut_of_one_who_may_not_cancel_is_logged(log: Hearing) -> None:
     def sends_only(peer: Peer, action: str, permission: Permission) -> bool:
         return permission is not Permission.CANCEL
@@ -497,6 +508,7 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("DELETE", f"{GOALS}?before=0", None, {}, 400),
         ("DELETE", f"{GOALS}?before=", None, {}, 400),
         ("DELETE", f"{GOALS}?label=", None, {}, 400),
+        ("DELETE", f"{GOALS}?client=", None, {}, 400),
         ("GET", f"{GOALS}?parent=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=x", None, {}, 400),

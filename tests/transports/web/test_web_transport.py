@@ -275,6 +275,7 @@ async def test_a_websocket_before_the_server_is_refused() -> None:
         ({"bytes": (2**20 + 1).to_bytes(4, "big")}, 1009, "exceeds the limit"),
         ({"bytes": b"\0\0"}, 1007, "ended within a frame"),
         ({"bytes": None, "text": "x"}, 1003, "text message"),
+        ({}, 1003, "text message"),
     ],
 )
 async def test_a_wrong_message_ends_the_connection_with_a_code(

@@ -47,7 +47,8 @@ class AsgiChannel(Channel):
             code = message.get("code", "")
             raise ConnectionLost(f"{self.peer} closed: {code} {reason}".rstrip())
         data = message.get("bytes")
-        return self._messages.take(message["text"] if data is None else data, is_last=True)
+        text = message.get("text") or ""
+        return self._messages.take(text if data is None else data, is_last=True)
 
     def _closing(self) -> tuple[int, str]:
         """Return the code and the reason of our close."""

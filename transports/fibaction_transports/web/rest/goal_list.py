@@ -126,6 +126,8 @@ def page_of(query: Query, now: int) -> Page:
         with refusing(name):
             times[name] = time_of(one[name], now, is_local=False)
     client, labels = one.get("client", ""), labels_in(query)
+    if client == "" and "client" in one:
+        raise Refused(400, "client is a part of the text of a client, and not empty")
     wanted = GoalQuery(_statuses_in(query), client, times["since"], times["until"], labels)
     limit = one.get("limit")
     if limit is not None and not (limit.isascii() and limit.isdecimal() and int(limit[:9]) > 0):

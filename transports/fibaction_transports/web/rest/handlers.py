@@ -275,6 +275,8 @@ class RestInterface:
         if exchange.query.keys().isdisjoint(FILTERS):
             answer = await endpoint.cancel_goals(None, stamp)
         else:
+            # Who may not see the goals cannot ask by a filter what they are.
+            await self._endpoint(client, route, Permission.OBSERVE)
             page = page_of(exchange.query, time_ns())
             with await endpoint.status() as statuses:
                 infos = await chosen(statuses, page, self._turn)

@@ -133,9 +133,7 @@ class TextMessages(SocketMessages):
     def take(self, data: bytes | str, *, is_last: bool) -> list[bytes]:
         if isinstance(data, bytes):
             self.code = UNSUPPORTED
-            raise ProtocolError(
-                "it sent a binary message: rosbridge has JSON in text messages here"
-            )
+            raise ProtocolError(BINARY)
         self.code = TOO_BIG
         text = self.partial.add_piece(data, is_last=is_last)
         self.code = NORMAL
