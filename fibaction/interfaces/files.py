@@ -17,7 +17,13 @@ from typing import NamedTuple
 
 from fibaction.interfaces.common_messages import advice, common_message
 from fibaction.interfaces.definitions import FieldDefinition, InterfaceError, MessageDefinition
-from fibaction.interfaces.packages import PACKAGE, SearchPath, package_of, read_bytes
+from fibaction.interfaces.packages import (
+    MOST_BYTES,
+    PACKAGE,
+    SearchPath,
+    package_of,
+    read_bytes,
+)
 from fibaction.interfaces.parser import parse_action, parse_message
 
 MAX_DEPTH = 100
@@ -165,7 +171,8 @@ def _text_of(path: Path) -> str:
     if data.startswith(BOM_UTF8):
         raise InterfaceError(path, 1, "expected text without a byte order mark, found one")
     try:
-        return data.decode()
+        # What was cut within a character is too large anyway.
+        return data.decode(errors="ignore" if len(data) == MOST_BYTES else "strict")
     except UnicodeDecodeError as exc:
         line = data.count(b"\n", 0, exc.start) + 1
         raise InterfaceError(path, line, f"expected text in UTF-8, found {exc.reason}") from exc

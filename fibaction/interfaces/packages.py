@@ -11,7 +11,6 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from xml.etree import ElementTree
 
 PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
 """The name of a package."""
@@ -23,6 +22,8 @@ MAX_FOLDERS = 10_000
 """Folders of a workspace that are looked into."""
 
 _MANIFEST = "package.xml"
+# By its text: a parser of XML would refuse what the tools of ROS take, such as other encodings.
+_MANIFEST_NAME = re.compile(r"<name[^<>]*>\s*([^<\s]+)\s*</name>")
 _NO_SOURCE = ("build", "install", "log")
 _IGNORE = ("COLCON_IGNORE", "AMENT_IGNORE")
 
@@ -30,10 +31,12 @@ _IGNORE = ("COLCON_IGNORE", "AMENT_IGNORE")
 def manifest_name(folder: Path) -> str:
     """Return the name in the `package.xml` of a folder; empty without such a file or name."""
     try:
-        name = ElementTree.fromstring(read_bytes(folder / _MANIFEST)).findtext("name", "").strip()
-    except (OSError, ElementTree.ParseError):
+        text = read_bytes(folder / _MANIFEST).decode("utf-8", "replace")
+    except OSError:
         return ""
-    return name if PACKAGE.fullmatch(name) else ""
+    first, *others = text.split("<!--")
+    found = _MANIFEST_NAME.search(first + "".join(one.partition("-->")[2] for one in others))
+    return found[1] if found and PACKAGE.fullmatch(found[1]) else ""
 
 
 def read_bytes(path: Path) -> bytes:

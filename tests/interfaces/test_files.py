@@ -235,6 +235,7 @@ def test_a_message_is_read_once(lift: Path) -> None:
         ("# c\n" * 20_000, "expected at most 65,536 characters, found more"),
         ("string[] a [" + "'x'," * 70_000 + "]\n", "expected at most 65,536 characters"),
         ("".join(f"byte f{n}\n" for n in range(1001)), "at most 1,000 fields or constants"),
+        ("# 語語\n" * 40_000, "expected at most 65,536 characters, found more"),
     ],
 )
 def test_a_file_is_of_a_size_that_is_read_in_a_moment(text: str, problem: str, lift: Path) -> None:

@@ -116,6 +116,10 @@ def test_a_folder_that_is_missing_has_no_packages(tmp_path: Path) -> None:
         ("<package><!-- <name>other</name> --><name> robot_msgs </name></package>", "robot_msgs"),
         ("<package></package>", ""),
         ("<package><name>Not-A-Name</name></package>", ""),
+        ('\n<?xml version="1.0" encoding="shift_jis"?><package><name> a </name>&</package>', "a"),
+        ("<package><!-- <name>b</name> --><!-- <!-- --><name>a</name></package>", "a"),
+        ("<name" * 50_000, ""),
+        ("<!--" * 50_000 + "<name>a</name>", ""),
     ],
 )
 def test_a_manifest_has_a_name_or_none(tmp_path: Path, text: str, name: str) -> None:
