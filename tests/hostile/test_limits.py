@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager, suppress
+from time import monotonic
 from typing import Any
 
 import anyio
@@ -13,6 +14,7 @@ import pytest
 from fibaction import Limits, RejectionCode
 from fibaction.wire.frames import header
 from fibaction.wire.messages import (
+    Credit,
     Ended,
     Failed,
     Follow,
@@ -216,3 +218,18 @@ async def test_results_that_one_client_does_not_read_push_out_no_results_of_othe
         await honest.say(Follow(2, "grow", name, None, False, None))
         assert isinstance(await honest.answer(2), Following)
         await honest.hear(Ended, 2)
+
+
+async def test_a_goal_that_another_client_sends_again_is_not_held_up_by_it() -> None:
+    name, goal = goal_id(), ticking(0.0, 10, 600)  # more than the server remembers
+    with started(Settings()) as server, anyio.fail_after(PATIENCE):
+        target = Target(server.url)
+        async with target.dial(session=b"h" * 32) as owner, target.dial(session=b"a" * 32) as other:
+            await begun(owner, sending(1, "ticker", goal, 0, name))
+            for id in range(1, 4):
+                await other.say(sending(id, "ticker", goal, 0, name))
+                await other.hear(Following, id)
+            sent = monotonic()
+            await owner.say(Credit(1, MOST))
+            await owner.hear(Ended, 1)
+            assert monotonic() - sent < 9  # an owner would hold it for 10 s

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from fibaction.border.abc import GoalRequest
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.border.event_loop import SLICE
 from fibaction.feeds import feedback_window
 from fibaction.server import ActionServer, GoalHandle
@@ -31,6 +32,7 @@ from fibaction.wire.frames import (
     LEAST_FRAME,
     MAX_FRAME,
     UNCOUNTED,
+    FrameMemory,
     FrameReader,
     header,
 )
@@ -702,6 +704,32 @@ async def test_large_messages_that_clients_do_not_take_share_that_limit() -> Non
         for client in clients:
             assert kinds(await client.hear_all()) == ([] if client in lost else [Ended])
         assert served.wire.memory.used == 0
+
+
+async def test_a_link_that_is_given_up_gives_its_memory_back_and_ends() -> None:
+    budget = ByteBudget(UNCOUNTED)
+    memories = FrameMemory(budget)
+    ends = [memory.pair() for _ in range(2)]
+    links = [Link(end, LONG, memory=memories) for end, _ in ends]
+    errors: list[Any] = []
+
+    async def run(link: Link) -> None:
+        errors.append(await link.run(lambda frame: None))
+
+    async with anyio.create_task_group() as tasks:
+        for (_, other), link, size in zip(ends, links, (2, 1.5), strict=True):
+            other.stop_reading()
+            link.post(bytes(int(size * UNCOUNTED)))
+            tasks.start_soon(run, link)
+            await settled()
+        assert str(errors[0]) == "the client takes too long for a large message at a busy server"
+        assert isinstance(errors[0], ConnectionLost)
+        assert budget.used == UNCOUNTED // 2
+        ends[1][1].go_on_reading()
+        await settled()
+        assert budget.used == 0
+        assert links[1].is_open
+        links[1].end(ConnectionLost("enough"))
 
 
 # What a client keeps of a goal

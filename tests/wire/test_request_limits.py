@@ -17,6 +17,7 @@ from fibaction.wire.messages import (
     Actions,
     AskPeers,
     AskPlaces,
+    AwaitServer,
     CancelAnswered,
     CancelGoals,
     Close,
@@ -328,6 +329,35 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
             31: [Peers],
             **{request: [Places] for request in (32, 33)},
         }
+
+
+async def test_a_request_that_waits_for_its_turn_goes_with_its_connection() -> None:
+    server = Counting()
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.say(*(CancelGoals(i, "fibonacci", None, None) for i in range(3)))
+        await client.say(WatchStatus(4, "fibonacci", 1))
+        await settled()
+        client.channel.cut()
+        await settled()
+        server.go.set()
+        assert await (await served.greet()).is_served()
+        assert server.most == {"cancel": 1, "status": 1}
+
+
+async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
+    server = held()
+    async with serving(server, limits=Limits(queue=1)) as served:
+        client = await served.greet()
+        client.channel.stop_reading()
+        await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"))
+        await settled()
+        await client.say(WatchStatus(3, "fibonacci", 1))
+        await settled()
+        assert server._parts.logs._statuses.is_followed
+        client.channel.cut()
+        await settled()
+        assert not server._parts.logs._statuses.is_followed
 
 
 async def test_a_write_ends_when_it_has_taken_a_slice(slice_clock: SliceClock) -> None:

@@ -95,6 +95,12 @@ def test_a_piece_of_a_record_is_not_a_frame_and_part_of_a_frame_is_known() -> No
     assert server.feed(data[17_000:]) == [b"x" * 20_000]
 
 
+def test_the_limit_of_a_frame_holds_inside_tls() -> None:
+    client, server = pair(FrameReader(10))
+    with pytest.raises(ProtocolError, match="frame of 11 bytes exceeds the limit of 10"):
+        server.feed(client.encode([b"x" * 11]))
+
+
 @pytest.mark.parametrize("newest", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
 def test_each_side_says_that_it_closes_and_then_nothing_more_is_expected(
     newest: ssl.TLSVersion,
@@ -196,6 +202,13 @@ def test_the_form_inside_has_its_own_answer_and_goodbye_and_end() -> None:
     assert inside.discarded == framed([b"one"])
     with pytest.raises(ProtocolError, match="exceeds the limit"):
         client.feed(server.goodbye())
+
+
+def test_what_is_incomplete_inside_is_forgotten_with_the_line() -> None:
+    client, server = pair()
+    server.feed(client._encrypted(framed([b"whole"])[:-1]))
+    server.close()
+    assert not server.is_within_frame
 
 
 @pytest.mark.asyncio

@@ -167,6 +167,15 @@ def test_a_peer_that_closes_gets_its_answer_and_its_reason_is_told() -> None:
     assert peer.server.is_closed
 
 
+def test_what_comes_behind_a_close_does_not_count() -> None:
+    peer = Peer()
+    close = b"\x88\x80abcd"
+    with pytest.raises(ConnectionLost, match=r"^the client closed: 1005$"):
+        peer.server.feed(close + close + b"\x83\x80abcd")
+    with pytest.raises(ConnectionLost):
+        peer.server.feed(close)
+
+
 def test_frames_before_a_close_in_one_piece_are_not_lost() -> None:
     peer = Peer()
     assert peer.says(BytesMessage(data=framed([b"bye"])), CloseConnection(code=1000)) == [b"bye"]
@@ -222,3 +231,10 @@ def test_a_server_that_gives_up_before_the_handshake_answers_by_http_and_waits_f
         rejected.feed(b"nonsense\r\n\r\n")
     assert rejected.encode([b"goodbye"]).startswith(b"HTTP/1.1 400 ")
     assert rejected.goodbye() == b""
+
+
+def test_the_end_of_the_line_frees_what_is_incomplete() -> None:
+    peer = Peer()
+    peer.says(BytesMessage(data=header(9) + b"abc", message_finished=False))
+    peer.server.close()
+    assert not peer.server.is_within_frame

@@ -203,6 +203,19 @@ async def test_what_cannot_be_read_ends_the_connection_with_a_code(
             robot.go_on.set()
 
 
+async def test_a_message_without_end_is_refused_after_its_first_megabyte() -> None:
+    piece = TextMessage(data="x" * 2**20, message_finished=False)
+    with hearing() as wire:
+        async with over_sockets(Robot().server) as served, served.connect() as other:
+            async with served.connect() as client:
+                for _ in range(2):
+                    await client.send_events(piece)
+                assert (await client.end())[0] == 1009
+            assert await works(other)
+    assert len(wire.warnings) == 1
+    assert "exceeds the limit" in wire.warnings[0]
+
+
 async def test_a_client_that_reads_no_errors_is_ended(serving: Serving) -> None:
     limits = Limits(queue=50_000, connections=2)
     async with serving(Robot().server, limits=limits) as served:
@@ -238,21 +251,27 @@ async def test_messages_come_in_fragments_in_any_order(serving: Serving) -> None
 @pytest.mark.parametrize(
     "fragments",
     [
-        [(0, 2, ""), (0, 2, "")],
-        [(2, 2, "")],
-        [(0, 3, ""), (1, 2, "")],
-        [(0, 3, ""), (2, 3, ""), (1, 2, "")],
-        [(4, 5, ""), (0, 2, "")],
-        [(0, 1, '{"op":"fragment","id":1,"data":"","num":0,"total":1}')],
+        [(0, 2), (0, 2)],
+        [(2, 2)],
+        [(0, 3), (1, 2)],
+        [(0, 3), (2, 3), (1, 2)],
+        [(4, 5), (0, 2)],
     ],
 )
 async def test_fragments_that_do_not_belong_together_end_the_connection(
-    fragments: list[tuple[int, int, str]], serving: Serving
+    fragments: list[tuple[int, int]], serving: Serving
 ) -> None:
     async with serving(Robot().server) as served, served.connect() as client:
-        for num, total, data in fragments:
-            await client.say(op="fragment", id="a", data=data, num=num, total=total)
+        for num, total in fragments:
+            await client.say(op="fragment", id="a", data="{}", num=num, total=total)
         assert (await client.end())[0] == 1007
+
+
+async def test_a_fragment_of_fragments_ends_the_connection(serving: Serving) -> None:
+    inner = json.dumps({"op": "fragment", "id": 1, "data": "", "num": 0, "total": 1})
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(op="fragment", id=1, data=inner, num=0, total=1)
+        assert "fragment within fragments" in (await client.end())[1]
 
 
 async def test_large_messages_that_are_not_complete_share_the_memory_of_the_server() -> None:
