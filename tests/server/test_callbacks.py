@@ -2,13 +2,14 @@ from __future__ import annotations
 
 import asyncio  # noqa: TID251  # it alone can cancel a task from outside
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from functools import partial
 from typing import Any
 
 import anyio
 import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalID, GoalStatus
-from fibaction.server.admission.callbacks import SERVER_STOPPING, GoalCallbacks
+from fibaction.server.admission.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
 from fibaction.words.errors import CancelRejected, GoalRejected
 from tests.support.executors import Items
@@ -148,6 +149,27 @@ async def test_stopping_does_not_touch_what_was_answered_before() -> None:
         await anyio.lowlevel.checkpoint()
 
 
+async def test_a_caller_that_is_canceled_is_not_told_that_the_server_stops() -> None:
+    callbacks = callbacks_of_an_arm()
+
+    async def wait_for_ever(argument: None) -> None:
+        await anyio.sleep_forever()
+
+    async def ask() -> None:
+        await waited_for(callbacks.ask("on_goal", wait_for_ever, (None,), GoalRejected))
+
+    with anyio.fail_after(5):
+        with anyio.CancelScope() as caller:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(ask)
+                await anyio.wait_all_tasks_blocked()
+                caller.cancel()
+        assert caller.cancelled_caught
+        # Nothing is left behind that a later stop would reach.
+        callbacks.stop()
+        await anyio.lowlevel.checkpoint()
+
+
 async def test_a_caller_whose_own_task_is_canceled_is_not_rejected() -> None:
     callbacks = callbacks_of_an_arm()
 
@@ -161,6 +183,26 @@ async def test_a_caller_whose_own_task_is_canceled_is_not_rejected() -> None:
     asking.cancel()
     with anyio.fail_after(5), pytest.raises(asyncio.CancelledError):
         await asking
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+async def test_a_cancellation_from_elsewhere_is_a_failure_on_each_backend(backend: str) -> None:
+    async def raise_an_old_one(argument: None) -> None:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            try:
+                await anyio.sleep_forever()
+            except anyio.get_cancelled_exc_class() as exc:
+                old = exc
+        raise old
+
+    async def main() -> None:
+        with pytest.raises(GoalRejected) as caught:
+            await ask(raise_an_old_one)
+        assert caught.value.reason == f"on_goal failed: RuntimeError: {CANCELED_ELSEWHERE}"
+
+    # In a thread, as this one has a loop of asyncio's.
+    await anyio.to_thread.run_sync(partial(anyio.run, main, backend=backend))
 
 
 # Callbacks that act upon the goal that they decide upon

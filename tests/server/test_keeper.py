@@ -225,6 +225,39 @@ async def test_a_goal_whose_turn_comes_while_its_acceptance_is_written_begins_af
         assert results == ["waited"]
 
 
+async def test_a_goal_that_is_canceled_while_its_begin_is_written_never_runs() -> None:
+    store = MemoryStore()
+    async with server_with(store, schedule=Schedule(concurrency=1, queue=2)) as server:
+        client = client_of(server)
+        first, second = [await client.send_goal(order) for order in (1, 5)]
+        store.on_kept = lambda what, _goal: store.hold() if what == "end" else None
+        await first.outcome()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(second.cancel)
+            await anyio.sleep(1)
+            store.on_kept = lambda _what, _goal: None
+            store.release()
+        assert (await second.outcome()).status is GoalStatus.CANCELED
+        assert [feedback async for feedback in second.feedback] == []
+        assert await client.call(1) == "painted 1 in attempt 1"
+
+
+async def test_a_goal_that_is_killed_while_its_begin_is_written_gives_its_place_back() -> None:
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, queue=2, run_timeout=3)
+    async with server_with(store, schedule=schedule, shutdown_timeout=1) as server:
+        client = client_of(server)
+        first, second = [await client.send_goal(order) for order in (1, 2)]
+        store.on_kept = lambda what, _goal: store.hold() if what == "end" else None
+        await first.outcome()
+        await anyio.sleep(10)
+        store.on_kept = lambda _what, _goal: None
+        store.release()
+        assert (await second.outcome()).reason == "took longer than 3 s"
+        server._parts.runs.begin(second.goal_id)  # an order that comes too late
+        assert await client.call(1) == "painted 1 in attempt 1"
+
+
 async def test_a_goal_whose_kill_is_due_before_its_interruption_is_interrupted_first() -> None:
     schedule = Schedule(concurrency=1, when_full="preempt", run_timeout=3)
     store = MemoryStore()
@@ -517,6 +550,21 @@ async def test_a_function_that_answers_something_else_ends_the_goal(
         outcome = await (await attached(server)).outcome()
     assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, None)
     assert outcome.reason.startswith(reason)
+
+
+async def test_a_server_whose_start_is_canceled_leaves_its_goals_in_the_store() -> None:
+    def cancel_start(request: int) -> int:
+        start.cancel()
+        return request
+
+    store = store_with(stored(), stored(number=2))
+    schedule = Schedule(concurrency=1, key=cancel_start)
+    with anyio.CancelScope() as start:
+        async with server_with(store, schedule=schedule, unreadable="abort", at_stop="keep"):
+            pytest.fail("it has started")
+    assert [goal.status for goal in store.goals.values()] == [GoalStatus.ACCEPTED] * 2
+    async with server_with(store, recovery="rerun") as server:
+        assert await (await attached(server)).result() == "painted 3 in attempt 2"
 
 
 async def test_an_outcome_is_remembered_as_long_as_a_client_may_need_to_come_back() -> None:

@@ -21,10 +21,12 @@ from fibaction.border.abc import GoalStream
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.turns import Turns
+from fibaction.words.errors import GoalKept
 from tests.server.held import Held, packed, start_many, turns_during
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.matching import End
+from tests.support.memory_store import MemoryStore
 from tests.support.slices import let_slices_last
 
 pytestmark = pytest.mark.anyio
@@ -138,6 +140,26 @@ async def test_a_server_whose_task_is_itself_canceled_again_and_again_stops_as_a
         assert await stream.outcome() == End(GoalStatus.ABORTED, None, "server stopped")
     assert executor.is_clean
     assert asyncio.all_tasks() == before
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_stop_that_is_canceled_while_it_waits_for_the_store_ends_all_executors() -> None:
+    store, executor = MemoryStore(), Tidying()
+    async with ActionServer(FIBONACCI, executor, store=store, shutdown_timeout=0.5) as server:
+        with anyio.fail_after(5):
+            await server.send_goal(GoalID.random(), packed(1))
+            await executor.begun.wait()
+            store.hold()
+            sending = asyncio.create_task(server.send_goal(GoalID.random(), packed(2)))
+            stopping = asyncio.create_task(server.stop())
+            while server.is_running:
+                await anyio.lowlevel.checkpoint()
+            stopping.cancel()
+            await asyncio.wait([stopping, sending])
+            assert stopping.cancelled()
+            assert isinstance(sending.exception(), GoalKept)
+            assert executor.cleaning.is_set()
+            store.release()
 
 
 async def test_only_a_coroutine_that_runs_is_given_up() -> None:

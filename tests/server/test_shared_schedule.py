@@ -97,6 +97,24 @@ async def test_a_goal_preempts_that_of_another_action() -> None:
         assert (await second.outcome()).status is GoalStatus.SUCCEEDED
 
 
+async def test_an_executor_cannot_take_over_a_goal_of_another_action() -> None:
+    seen: list[object] = []
+
+    async def watch(goal: GoalHandle[float]) -> AsyncGenerator[int | str, None]:
+        for _ in range(20):
+            yield 0
+            await anyio.sleep(1)
+            seen.append(goal.successor)
+
+    schedule = Schedule(concurrency=1, when_full="preempt", handover=5)
+    async with server(MOVE, schedule, watch) as move, server(GRASP, schedule) as grasp:
+        first = await client(move).send_goal(10)
+        second = await client(grasp).send_goal(1)
+        assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
+        assert (await second.outcome()).status is GoalStatus.SUCCEEDED
+    assert seen == [None] * len(seen) != []
+
+
 @pytest.mark.promise("SCHEDULE-12")
 @pytest.mark.parametrize("at_stop", ["abort", "keep"])
 async def test_a_server_that_stops_gives_its_places_to_the_others(at_stop: Any) -> None:

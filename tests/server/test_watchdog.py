@@ -3,6 +3,7 @@ log."""
 
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import linecache
 import logging
 import math
@@ -447,6 +448,21 @@ async def test_all_servers_of_a_process_share_one_thread_which_ends_with_the_las
             assert watchdogs() not in ([], [watchdog])
 
 
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_the_thread_ends_with_a_server_that_is_canceled_while_it_starts() -> None:
+    async def serves() -> None:
+        async with ActionServer(FIBONACCI, fibonacci):
+            raise AssertionError("it has started")
+
+    task = asyncio.ensure_future(serves())
+    await asyncio.sleep(0)
+    assert len(watchdogs()) == 1
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert watchdogs() == []
+
+
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
 def test_the_thread_ends_at_ctrl_c(backend: str) -> None:
     async def main() -> None:
@@ -458,6 +474,26 @@ def test_the_thread_ends_at_ctrl_c(backend: str) -> None:
     with pytest.raises(KeyboardInterrupt):
         anyio.run(main, backend=backend)
     assert watchdogs() == []
+
+
+async def test_a_server_closes_even_if_the_log_keeps_the_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(watchdog_module, "JOIN_TIMEOUT", 0.01)
+    closed = threading.Event()
+
+    class Waits(Names):
+        def filter(self, record: logging.LogRecord) -> bool:
+            passes = super().filter(record)
+            if isinstance(threading.current_thread(), Watchdog):
+                assert closed.wait(PATIENCE)
+            return passes
+
+    with Waits("so far") as names:
+        await run_goal(ActionServer(FIBONACCI, names.blocks, watchdog=LIMIT))
+        (watchdog,) = watchdogs()
+        closed.set()
+        watchdog.join(PATIENCE)
 
 
 async def test_a_process_that_was_forked_has_a_thread_of_its_own() -> None:

@@ -245,6 +245,22 @@ def test_a_row_of_another_format_is_damage() -> None:
         decode_row(5, row)
 
 
+def test_records_have_these_bytes() -> None:
+    end = ended("paint", after_end(a_goal(), reason="why", feedback_count=3, keep_until=9))
+    records: list[Record] = [
+        StartRecord(),
+        moved("paint", a_goal()),
+        CheckpointRecord("paint", b"id", None),
+        end,
+    ]
+
+    assert encode_row(1, records).hex() == (
+        "a435dd5f9491009802a57061696e74c4100000000000000000000000000000000101c20000009403"
+        "a57061696e74c4026964c09c04a57061696e74c41000000000000000000000000000000001040000"
+        "c406726573756c74a3776879030509c2"
+    )
+
+
 def test_goals_that_were_given_up_are_kept_whole_and_counted_by_themselves() -> None:
     goals = ActionGoals()
     for number in range(1, 5):
