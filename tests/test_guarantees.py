@@ -23,6 +23,7 @@ from tests.tools.promises import (
     left_out_over_ros,
     lists_of_tests,
     promises_of,
+    proofs_in,
 )
 
 OVER_ROS = (ROOT / "tests/support/ros_contract.py").read_text(encoding="utf-8")
@@ -231,3 +232,18 @@ def test_a_test_that_is_left_out_over_ros_and_is_not_there_is_found() -> None:
 
 
 # How both are read
+
+
+def test_the_marks_of_a_module_are_read_without_running_it() -> None:
+    mark = '@pytest.mark.promise("GOAL-1", "GOAL-2")\n@pytest.mark.anyio\n'
+    module = f"{mark}async def test_one(): ...\ndef test_two(): ...\ndef helper(): ...\n"
+    assert list(proofs_in(module, "test_it.py")) == [
+        Proof("test_one", "test_it.py", ("GOAL-1", "GOAL-2")),
+        Proof("test_two", "test_it.py", ()),
+    ]
+
+
+@pytest.mark.parametrize("names", ["NAME", "1", '*["GOAL-1"]', 'name="GOAL-1"'])
+def test_a_mark_whose_names_cannot_be_read_is_refused(names: str) -> None:
+    with pytest.raises(ValueError, match="names of promises only"):
+        list(proofs_in(f"@pytest.mark.promise({names})\ndef test_it(): ...", "test_it.py"))

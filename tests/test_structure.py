@@ -80,6 +80,12 @@ def test_no_modules_import_each_other_in_a_circle(product: list[Source]) -> None
 
 # Each rule finds what it is for
 
+
+def test_the_product_is_read(product: list[Source]) -> None:
+    there = {str(source.path) for source in product}
+    assert {"fibaction/__init__.py", "transports/fibaction_transports/__init__.py"} <= there
+
+
 BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
 
 
@@ -92,7 +98,10 @@ BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
                 "a/one.py": "class Goal: ...\nclass Other:\n    class _Part: ...\n",
                 "b/two.py": "if True:\n    class Goal: ...\nclass _Part: ...\n",
             },
-            {"Goal": 2, "_Part": 2},
+            {
+                "Goal": (2, ["a/one.py:1", "b/two.py:2"]),
+                "_Part": (2, ["a/one.py:3", "b/two.py:3"]),
+            },
         ),
         (
             structure.ambiguous_constants,
@@ -101,13 +110,13 @@ BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
                 "a/two.py": "PAUSE = 1\nMOST = 3\nSECOND = 1_000_000_000\nlower = 2\n",
                 "b/two.py": "PAUSE = 2\n_ONLY: int\nx.PAUSE = 3\n",
             },
-            {"MOST": 2},
+            {"MOST": (2, ["a/one.py:2", "a/two.py:2"])},
         ),
         (
             structure.ambiguous_constants,
             {f"{folder}/{value}.py": f"PAUSE = {value}\n" for folder in "ac" for value in "12"}
             | {f"b/{value}.py": f"PAUSE = f({value})\n" for value in "123"},
-            {"PAUSE": 3},
+            {"PAUSE": (3, ["b/1.py:1", "b/2.py:1", "b/3.py:1"])},
         ),
         (
             structure.wide_functions,
@@ -119,7 +128,7 @@ BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
                 "def outer():\n"
                 "    def many(a, b, c, d, e, f, g, h, i, j): ...\n"
             },
-            {"A.many": 9, "outer.many": 10},
+            {"A.many": (9, ["a.py:3"]), "outer.many": (10, ["a.py:6"])},
         ),
         (
             structure.long_functions,
@@ -127,24 +136,24 @@ BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
                 "a.py": f"def short():\n{BODY}\n\nclass A:\n  if True:\n"
                 f"   async def long(self):\n{BODY}    step()\n"
             },
-            {"A.long": 61},
+            {"A.long": (61, ["a.py:69"])},
         ),
         (
             structure.long_modules,
             {"a.py": "x = 1\n" * 500, "b.py": "x = 1\n" * 501},
-            {"b.py": 501},
+            {"b.py": (501, ["b.py"])},
         ),
         (
             structure.crowded_folders,
             {f"a/{number}.py": "" for number in range(12)}
             | {f"a/b/{number}.py": "" for number in range(13)},
-            {"a/b": 13},
+            {"a/b": (13, ["a/b"])},
         ),
         (
             structure.repeated_modules,
             dict.fromkeys(["a/text.py", "a/_text.py", "a/goal.py", "a/goal/__init__.py"], "")
             | dict.fromkeys(["a/b/text.py", "a/__init__.py", "a/b/__init__.py"], ""),
-            {"a/text": 2, "a/goal": 2},
+            {"a/text": (2, ["a/_text.py", "a/text.py"]), "a/goal": (2, ["a/goal", "a/goal.py"])},
         ),
         (
             structure.outside_wiring,
@@ -152,7 +161,7 @@ BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
                 "a.py": "self.on_end = end\nruns.on_left = leave\nself.part.on_left = leave\n"
                 "runs.limit = 3\nruns.on_left()\nlogs.find_active: object = find\n"
             },
-            {"on_left": 2, "find_active": 1},
+            {"on_left": (2, ["a.py:2", "a.py:3"]), "find_active": (1, ["a.py:6"])},
         ),
         (
             structure.circles,
@@ -161,17 +170,30 @@ BODY = '    """Do it.\n\n    At once.\n    """\n' + "    step()\n" * 59
                 "transports/a/b/two.py": "if TYPE_CHECKING:\n    from a.three import X\n",
                 "transports/a/three.py": "def f():\n    import a.one\n",
             },
-            {"a.b.two": 3},
+            {"a.b.two": (3, ["a.b.two", "a.one", "a.three"])},
+        ),
+        (
+            structure.circles,
+            {
+                "transports/a/one.py": "import b\nfrom a.b import two\n",
+                "transports/a/b/two.py": "if TYPE_CHECKING:\n    from a.three import X\n",
+                "transports/a/__init__.py": "from a.three import X\n",
+            },
+            {},
         ),
     ],
 )
 def test_a_rule_finds_what_it_is_for(
     rule: Callable[[list[Source]], structure.Findings],
     modules: dict[str, str],
-    found: dict[str, int],
+    found: dict[str, tuple[int, list[str]]],
 ) -> None:
     findings = rule([Source.of(path, text) for path, text in modules.items()])
-    assert {name: finding.figure for name, finding in findings.items()} == found
+    assert {
+        # A circle begins anywhere, and ends where it begins.
+        name: (finding.figure, sorted(set(finding.places)))
+        for name, finding in findings.items()
+    } == found
 
 
 def test_exceptions_can_only_become_fewer_and_smaller() -> None:

@@ -182,25 +182,32 @@ async def aborts_in_its_clean_up(goal: GoalHandle[Goal]) -> Items:
 
 @pytest.mark.promise("CANCEL-2", "CANCEL-6", "CANCEL-7", "CANCEL-9", "CANCEL-11", "CANCEL-12")
 @pytest.mark.parametrize(
-    ("executor", "status", "result"),
+    ("executor", "end"),
     [
-        (waits, GoalStatus.CANCELED, None),
-        (delegates, GoalStatus.CANCELED, None),
-        (swallows_the_cancellation, GoalStatus.SUCCEEDED, Result([3])),
-        (aborts_in_its_clean_up, GoalStatus.ABORTED, Result([1])),
+        (waits, End(GoalStatus.CANCELED)),
+        (delegates, End(GoalStatus.CANCELED)),
+        (swallows_the_cancellation, End(GoalStatus.SUCCEEDED, Result([3]))),
+        (
+            aborts_in_its_clean_up,
+            End(GoalStatus.ABORTED, Result([1]), "the brake failed"),
+        ),
     ],
     ids=["waits", "task group", "swallows", "aborts"],
 )
 async def test_what_an_executor_makes_of_its_cancellation_is_the_end(
-    reach: Reach, form: Form, executor: Any, status: GoalStatus, result: Result | None
+    reach: Reach, form: Form, executor: Any, end: End
 ) -> None:
     async with reach(ActionServer(FIBONACCI, form(executor))) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for item in goal.feedback:
                 if item == Feedback([1]):
                     assert (await goal.cancel()).accepted
-            outcome = await goal.outcome()
-    assert (outcome.status, outcome.result) == (status, result)
+            assert await goal.outcome() == end
+            if executor is aborts_in_its_clean_up:
+                with pytest.raises(GoalAborted) as caught:
+                    await goal.result()
+                assert caught.value.goal_id == goal.goal_id
+                assert caught.value.result == Result([1])
 
 
 @pytest.mark.promise("CANCEL-10")

@@ -150,6 +150,8 @@ def test_a_line_or_branch_that_its_own_tests_do_not_reach_is_named(
             (project / name).write_text(text)
     status, said = run(project, *processes, "tests")
     assert (missing or COVERED) in said
+    for other in ("sign.py", "first.py", "codec.py"):
+        assert said.count(f"{other}:") == missing.count(f"{other}:")
     assert status == bool(missing)
 
 
@@ -159,6 +161,13 @@ def test_a_unit_is_looked_at_when_all_its_tests_are_run(project: Path) -> None:
     for missing in whole:
         assert COVERED in run(project, *(one for one in whole if one != missing))[1]
     assert COVERED not in run(project, *whole)[1]
+
+
+def test_only_modules_whose_test_files_are_run_are_looked_at(project: Path) -> None:
+    (project / "tests/test_first.py").write_text(HALF_FIRST)
+    status, said = run(project, "tests/test_sign.py", "tests/contract")
+    assert COVERED in said
+    assert status == 0
 
 
 def test_a_failing_test_is_all_that_is_told(project: Path) -> None:
