@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import errno
+import logging
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -129,3 +132,28 @@ def test_a_verb_handles_ctrl_c_by_itself(invoke: Invoke) -> None:
 
 
 # How it is built
+
+
+def test_no_verb_is_imported_before_it_is_used() -> None:
+    tree = ast.parse(Path(app.__file__).read_text(encoding="utf-8"))
+    imported = {
+        node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module
+    }
+
+    assert not imported & {f"fibaction.cli.{module}" for module, _, _ in app.VERBS.values()}
+
+
+def test_the_log_of_the_command_is_on_stderr_from_warnings_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: dict[str, Any] = {}
+    monkeypatch.setattr(logging, "basicConfig", lambda **settings: told.update(settings))
+    monkeypatch.setattr(sys, "argv", ["fibaction", "--version"])
+
+    with pytest.raises(SystemExit):
+        app.main()
+
+    assert told["level"] == logging.WARNING
+    (handler,) = told["handlers"]
+    record = logging.makeLogRecord({"name": "fibaction.wire", "msg": "gone\x1b"})
+    assert handler.format(record) == "fibaction: gone\\x1b"

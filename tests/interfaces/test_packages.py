@@ -8,7 +8,7 @@ import pytest
 
 from fibaction.interfaces import packages
 from fibaction.interfaces.files import read_action
-from fibaction.interfaces.packages import SearchPath, manifest_name, package_of
+from fibaction.interfaces.packages import SearchPath, manifest_name, package_of, ros_folders
 
 GOAL = "robot_msgs/Load load\n---\n---\n"
 
@@ -132,3 +132,15 @@ def test_an_action_file_elsewhere_is_of_no_package(tmp_path: Path) -> None:
     assert package_of(tmp_path / "Lift.action") == ""
     assert package_of(tmp_path / "Not-A-Name" / "action" / "Lift.action") == ""
     assert package_of(tmp_path / "lift_msgs" / "action" / "Lift.action") == "lift_msgs"
+
+
+def test_the_messages_of_ros_are_where_its_environment_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    share = tmp_path / "venv" / "share"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'ros'}:{tmp_path / 'ws'}:")
+    monkeypatch.setattr("sys.prefix", str(tmp_path / "venv"))
+    sourced = [tmp_path / "ros/share", tmp_path / "ws/share"]
+    assert list(ros_folders()) == sourced
+    (share / "ament_index").mkdir(parents=True)
+    assert list(ros_folders()) == [*sourced, share]

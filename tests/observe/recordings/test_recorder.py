@@ -223,3 +223,13 @@ async def test_the_parent_and_the_step_of_a_goal_are_recorded_once(path: Path) -
 
     named = [(one.event, one.parent, one.step) for one in read_records(path) if one.parent]
     assert named == [(event, str(parent), "count") for event in ("accepted", "rejected")]
+
+
+def test_feedback_that_has_not_reached_the_recorder_is_counted_in_the_recording(
+    path: Path,
+) -> None:
+    with Recorder(path) as recording:
+        recording.add_dropped(3)
+
+    assert recording.dropped == 3
+    assert [(one.event, one.number) for one in read_records(path)] == [("dropped", 3)]

@@ -111,3 +111,7 @@ def test_a_file_without_the_key_of_a_user_is_one_sentence(tmp_path: Path, text: 
         f"{path} is not a credentials file: it has no secret key of a user of NATS"
     )
     assert caught.value.__cause__ is None
+
+
+def test_a_key_is_not_used_at_a_broker_without_a_nonce() -> None:
+    assert set(fields_of(FleetSettings("f"), NatsCredentials(SEED, ""))) == {"no_responders"}

@@ -304,3 +304,27 @@ async def test_a_note_comes_again_if_the_worker_is_fenced_while_it_takes_the_goa
         found = await a.claims(2, within=20)
         assert sorted(one.stamp for one in found) == [1, 2]
         assert a.membership.incarnation not in (b"", first)
+
+
+async def test_a_note_that_comes_when_there_is_no_room_any_more_is_given_back() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b", running=1) as b:
+            await sleep(1)
+            b.journal.set_room(0, 0)
+            a.accept(waiting())
+            await sleep(1)
+            assert not b.claimed
+            assert len(shared.notes) == 1
+            async with member(shared, "c", running=1) as c:
+                await c.claims(1, within=1)
+
+
+async def test_a_note_of_a_goal_that_waits_here_comes_again() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a", running=1) as a:
+        a.accept(waiting())
+        await sleep(2)
+        assert len(shared.notes) == 1
+        a.journal.begin(goal(), lambda _error: None)
+        await sleep(10)
+        assert not shared.notes
+        assert not a.claimed
