@@ -202,7 +202,8 @@ async def test_what_an_executor_makes_of_its_cancellation_is_the_end(
             async for item in goal.feedback:
                 if item == Feedback([1]):
                     assert (await goal.cancel()).accepted
-            assert await goal.outcome() == end
+            # Over ROS there is no reason.
+            assert await goal.outcome() in (end, End(end.status, end.result))
             if executor is aborts_in_its_clean_up:
                 with pytest.raises(GoalAborted) as caught:
                     await goal.result()
