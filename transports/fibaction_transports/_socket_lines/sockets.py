@@ -124,8 +124,6 @@ async def serve_alone(serve: Callable[[T], Awaitable[None]], client: T) -> None:
         await serve(client)
     except Exception as exc:
         logger.error("a connection failed", exc_info=exc)
-        if isinstance(client, socket.socket):
-            client.close()
 
 
 def _without_delay(accepted: socket.socket) -> socket.socket:

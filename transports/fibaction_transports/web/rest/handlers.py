@@ -300,13 +300,13 @@ async def _cancel_each(
     endpoint: Endpoint, infos: Iterable[GoalInfo], latest: int | None
 ) -> CancelAnswer:
     """Cancel those of these goals that are active, and were accepted until the latest stamp."""
-    answers: list[CancelAnswer] = []
-    for info in infos:
-        if info.status.is_active and (latest is None or info.stamp <= latest):
-            answer = await endpoint.cancel_goals(info.goal_id)
-            if answer.accepted or answer.return_code is CancelCode.REJECTED:
-                answers.append(answer)  # the others have ended meanwhile
-    return CancelAnswer.merged(answers)
+    return CancelAnswer.merged(
+        [
+            await endpoint.cancel_goals(info.goal_id)
+            for info in infos
+            if info.status.is_active and (latest is None or info.stamp <= latest)
+        ]
+    )
 
 
 def _events_of(endpoint: Endpoint) -> GoalEvents:
