@@ -34,7 +34,7 @@ _MESSAGE_TYPE = re.compile(r"((?P<package>[^/]+)/)?(?P<name>[A-Z][A-Za-z0-9]*)",
 _LONG_TYPE = re.compile(r"(?P<package>[^/]+)/msg/(?P<rest>[^/]+)", re.ASCII)
 
 MOST_TEXT = 2**16
-"""Characters of a file: a robot tells such texts, and the largest of ROS's packages has a third."""
+"""Characters of a file, which a robot may tell; those of ROS's own packages have a few thousand."""
 MOST_MEMBERS = 1000
 """Fields of a message, and constants."""
 
@@ -103,8 +103,8 @@ def _message(lines: Sequence[SourceLine], path: Path, name: str) -> MessageDefin
             constants.append(_constant(line, kind, rest, _joined(comments)))
         else:
             fields.append(_field(line, kind, rest, _joined(comments)))
-    _check_unique(path, fields)
-    _check_unique(path, constants)
+    _check_members(path, fields)
+    _check_members(path, constants)
     text = "".join(f"{line.text}\n" for line in lines)
     return MessageDefinition(path, name, tuple(fields), tuple(constants), _joined(about), text)
 
@@ -138,7 +138,7 @@ def _joined(comments: Iterable[str]) -> str:
     return textwrap.dedent("\n".join(comment.rstrip() for comment in comments)).strip("\n")
 
 
-def _check_unique(path: Path, members: Iterable[FieldDefinition | ConstantDefinition]) -> None:
+def _check_members(path: Path, members: Iterable[FieldDefinition | ConstantDefinition]) -> None:
     lines: dict[str, int] = {}
     for member in members:
         if len(lines) == MOST_MEMBERS:
