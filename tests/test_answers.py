@@ -15,20 +15,20 @@ DOCS = ROOT / "docs"
 TROUBLES = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
 MESSAGES = re.findall(r"^### `(.+)`$", TROUBLES, re.MULTILINE)
 ANSWERS = {
-    "blocking": ["howto/blocking.md", "cookbook/blocking_script.md"],
+    "blocking": ["howto/blocking.md"],
     "humble": ["faq.md"],
-    "jupyter": ["howto/notebook.md", "cookbook/notebook.md"],
-    "metrics": ["howto/metrics.md"],
-    "multiprocessing": ["cookbook/process_pool.md"],
+    "jupyter": ["howto/notebook.md"],
+    "metrics": ["howto/observe.md"],
+    "multiprocessing": ["howto/threads_and_processes.md"],
     "no feedback": ["faq.md"],
-    "opentelemetry": ["howto/tracing.md"],
-    "preempt": ["howto/schedule.md", "cookbook/preempting_arm.md"],
+    "opentelemetry": ["howto/observe.md"],
+    "preempt": ["howto/schedule.md"],
     "priority": ["howto/schedule.md"],
-    "progress bar": ["howto/notebook.md", "cookbook/file_copy.md"],
-    "pydantic": ["howto/types.md", "cookbook/pydantic_action.md"],
-    "retry": ["howto/deadlines.md", "cookbook/retry.md"],
+    "progress bar": ["howto/progress.md", "howto/notebook.md"],
+    "pydantic": ["howto/types.md"],
+    "retry": ["howto/deadlines.md"],
     "same type": ["howto/types.md"],
-    "serial port": ["cookbook/serial_port.md"],
+    "serial port": ["howto/threads_and_processes.md"],
     "websocket": ["howto/in_a_web_application.md"],
 }
 """Words that people type, and the pages that answer them."""

@@ -489,6 +489,13 @@ def test_the_navigation_leads_to_every_page() -> None:
     assert found == sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md"))
 
 
+def test_the_page_of_tasks_leads_to_every_page_about_one() -> None:
+    page = (DOCS / "howto" / "index.md").read_text(encoding="utf-8")
+
+    named = {target.partition("#")[0] for target in _LINK.findall(page)}
+    assert {path.name for path in (DOCS / "howto").glob("*.md")} - {"index.md"} <= named
+
+
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
     (tmp_path / "folder").mkdir()

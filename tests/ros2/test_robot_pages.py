@@ -17,13 +17,13 @@ import pytest
 from anyio.streams.text import TextReceiveStream
 
 from tests.ros2.stock.process import PATIENCE, peer
-from tests.support.pages import blocks_of
+from tests.support.pages import blocks_of, programs_of
 from tests.support.walks import file_of, walk
 from tests.test_docs import DOCS
 
 pytestmark = pytest.mark.anyio
 HOWTO = DOCS / "howto"
-ROBOTS = {"nav2": ["nav2"], "arm": ["ros2_control", "moveit", "behavior_tree"]}
+ROBOTS = ("nav2", "arm")
 """The modules in `tests/ros2/stock` with servers, and the pages whose programs use them."""
 both_ways = pytest.mark.parametrize("url", ["ros2://", "dds://"])
 
@@ -50,15 +50,15 @@ async def test_the_programs_of_pages_about_a_robot_print_what_they_show(
     monkeypatch.setenv("ROS_DOMAIN_ID", alone)
     wrong: list[str] = []
 
-    async def follow(page: str) -> None:
-        folder = tmp_path / page
+    async def follow(number: int, part: str) -> None:
+        folder = tmp_path / str(number)
         folder.mkdir()
-        walked = partial(walk, page_of(page, url), folder, ros=True)
+        walked = partial(walk, part, folder, ros=True)
         wrong.extend(await anyio.to_thread.run_sync(walked))
 
     async with peer(robot), anyio.create_task_group() as tasks:
-        for page in ROBOTS[robot]:
-            tasks.start_soon(follow, page)
+        for number, part in enumerate(programs_of(page_of(robot, url))):
+            tasks.start_soon(follow, number, part)
     assert not wrong, "\n".join(wrong)
 
 

@@ -14,7 +14,7 @@ from tests.support.pages import blocks_of
 from tests.support.walks import file_of, walk
 from tests.test_docs import DOCS, PAGES, ROOT
 
-WITH_OTHERS = {page for pages in (*ROBOTS.values(), WITH_NODES) for page in pages}
+WITH_OTHERS = {*ROBOTS, *WITH_NODES}
 """The pages whose programs need other nodes around them, and have tests with these."""
 WALKS = [
     path

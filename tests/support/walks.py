@@ -22,7 +22,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.support.pages import Block, blocks_of
+from tests.support.pages import Block, blocks_of, programs_of
 from tests.support.ports import free_port
 
 PATIENCE = 60.0
@@ -97,6 +97,11 @@ def walk(page: str, folder: Path, *, ros: bool = False) -> list[str]:
 
     With `ros`, that is the commands that need ROS 2; else it is all others.
     """
+    return [line for part in programs_of(page) for line in _walk(part, folder, ros)]
+
+
+def _walk(page: str, folder: Path, ros: bool) -> list[str]:
+    """Run the commands of one program of a page."""
     ports = {one: str(free_port()) for one in (DEFAULT_PORT, BROKER_PORT, WEB_PORT)}
     port = ports[DEFAULT_PORT]
     # All at once: a free port may contain the digits of another one.

@@ -38,7 +38,7 @@ LEFT_OUT = {
     "a system that is not Unix, which Linux plays by taking modules away": "test_without_unix.py",
     "pages, pictures, examples, the tests' own support, and the project itself": (
         "packaging support tools cli/test_pictures.py test_answers.py test_contributing.py"
-        " test_cookbook.py test_docs.py test_examples.py test_guarantees.py"
+        " test_docs.py test_examples.py test_guarantees.py"
         " test_notebook_page.py test_project.py test_stories.py test_structure.py test_style.py"
         " test_trials.py test_way_of_a_goal.py transports/test_setting_keywords.py"
         " transports/web/test_assets.py transports/web/test_openapi.py"

@@ -2,9 +2,9 @@
 
     python -m tests.typing.pages [FOLDER]
 
-The programs of each page are written below FOLDER (build/pages), one after another into one file as
-`tests/test_docs.py` runs them, and the files that the reader is to write beside it. Programs that
-are not run are left out. The exit code is 1 if a checker finds fault.
+The blocks of each program are written below FOLDER (build/pages), one after another into one file
+as `tests/test_docs.py` runs them, and the files that the reader is to write beside it. Programs
+that are not run are left out. The exit code is 1 if a checker finds fault.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.support.pages import NOT_RUN, blocks_of
+from tests.support.pages import NOT_RUN, blocks_of, programs_of
 from tests.support.walks import file_of
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -33,7 +33,7 @@ def pages() -> Iterator[Path]:
 
 
 def write(page: str, folder: Path, name: str) -> bool:
-    """Write the programs of a page into a folder; return true if there is one."""
+    """Write the blocks of a program into a folder; return true if there is one."""
     code = ""
     written = False
     for block in blocks_of(page):
@@ -55,13 +55,14 @@ def write(page: str, folder: Path, name: str) -> bool:
 
 
 def write_all(folder: Path) -> list[Path]:
-    """Write the programs of all pages, and return the folder of each page."""
+    """Write the programs of all pages, and return the folder of each."""
     shutil.rmtree(folder, ignore_errors=True)
     folders: list[Path] = []
     for page in pages():
-        name = "_".join(page.relative_to(ROOT).with_suffix("").parts)
-        if write(page.read_text(encoding="utf-8"), folder / name, name):
-            folders.append(folder / name)
+        for number, part in enumerate(programs_of(page.read_text(encoding="utf-8")), start=1):
+            name = "_".join((*page.relative_to(ROOT).with_suffix("").parts, str(number)))
+            if write(part, folder / name, name):
+                folders.append(folder / name)
     return folders
 
 
@@ -111,5 +112,5 @@ def run_pyright(folders: list[Path]) -> bool:
 if __name__ == "__main__":
     FOLDER.parent.mkdir(exist_ok=True)
     written = write_all(FOLDER)
-    print(f"{len(written)} pages with programs", flush=True)
+    print(f"{len(written)} programs of pages", flush=True)
     sys.exit(0 if run_mypy(written) & run_pyright(written) else 1)

@@ -129,12 +129,12 @@ SENTENCES = [
         "RUN pip install --break-system-packages fibaction\n",
     ),
     Sentence(
-        "docs/howto/windows.md",
+        "docs/installing.md",
         "In PowerShell, from your clone:\n",
         "In PowerShell:\n",
     ),
     Sentence(
-        "docs/howto/windows.md",
+        "docs/installing.md",
         'PS> pip install ".[cli]"\n',
         'PS> pip install "fibaction[cli]"\n',
     ),
