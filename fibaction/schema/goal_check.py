@@ -18,7 +18,7 @@ import msgspec
 from fibaction.words.errors import GoalRejected, RejectionCode
 
 if TYPE_CHECKING:
-    from fibaction.schema.payload import JsonCodec
+    from fibaction.schema.payload import GoalCodec
 
 Pause: TypeAlias = Callable[[], None]
 
@@ -29,7 +29,7 @@ class GoalCheck:
     def __init__(self, schema: Callable[[], Mapping[str, Any]]) -> None:
         """Make a check; `schema` is called for the first goal that is checked."""
         self._schema = schema
-        self._json: JsonCodec | None = None
+        self._json: GoalCodec | None = None
 
     def check(self, goal: bytes, misread: str = "") -> Coroutine[Any, Any, None] | None:
         """Check a goal: return None if it matches, or a coroutine that checks a large one.
@@ -59,11 +59,11 @@ class GoalCheck:
 
     def _mismatch(self, goal: bytes, pause: Pause | None) -> str:
         """Return what is wrong with a goal; empty if the schema finds nothing."""
-        from fibaction.schema.payload import JsonCodec, PayloadError, SchemaError
+        from fibaction.schema.payload import GoalCodec, PayloadError, SchemaError
 
         try:
             if self._json is None:
-                self._json = JsonCodec(self._schema())
+                self._json = GoalCodec(self._schema())
             self._json.check(msgspec.msgpack.decode(goal), pause)
         except PayloadError as exc:
             # An error of the schema is not the client's.

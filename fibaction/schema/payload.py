@@ -3,9 +3,9 @@
 With it, a program that has no Python types of an action can send goals that come from a form, a
 file or another protocol. For example, with the description that a server sends of an action:
 
-    from fibaction.schema.payload import JsonCodec
+    from fibaction.schema.payload import GoalCodec
 
-    goals = JsonCodec(info.goal)
+    goals = GoalCodec(info.goal)
     payload = goals.encode({"order": 3})  # defaults are filled in
 
 The data is compared with the schema and completed with its defaults in one pass, and the result is
@@ -32,7 +32,15 @@ from fibaction.schema.mismatch_texts import field_name, sentences
 from fibaction.schema.parts import SchemaPart, SchemaParts
 from fibaction.schema.steps import Extent
 
-__all__ = ["MAX_PARTS", "JsonCodec", "JsonSchema", "PayloadError", "SchemaError", "to_json"]
+__all__ = [
+    "MAX_PARTS",
+    "GoalCodec",
+    "JsonCodec",
+    "JsonSchema",
+    "PayloadError",
+    "SchemaError",
+    "to_json",
+]
 
 MAX_PROBLEMS = 5
 """Problems of one message that the text of an error names; later ones often follow from them."""
@@ -179,6 +187,33 @@ class JsonCodec:
         # Each missing field is a mismatch, whose sentences name all of them.
         problems = (text for one in check.found for text in sentences(one, self._name))
         raise PayloadError(*dict.fromkeys(problems))
+
+
+class GoalCodec(JsonCodec):
+    """A converter of goals, in which no goal is `{}`.
+
+    So an action that needs no goal is called without one in the same way everywhere: a request
+    without a body, a call without arguments, an empty text. `{}` is null for a goal that may be
+    null and is not an object, and null is `{}` for one that is an object.
+    """
+
+    @property
+    def needs_goal(self) -> bool:
+        """True if `{}` is not a goal."""
+        try:
+            self.encode({})
+        except PayloadError:
+            return True
+        return False
+
+    def _checked(self, data: Any, root: SchemaPart, pause: Pause | None) -> Any:
+        try:
+            return super()._checked(data, root, pause)
+        except PayloadError:
+            if data is None or data == {}:
+                with suppress(PayloadError):
+                    return super()._checked({} if data is None else None, root, pause)
+            raise
 
 
 def to_json(value: Any) -> str:

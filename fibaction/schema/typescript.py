@@ -147,6 +147,8 @@ class _Part:
     def _object(self, schema: dict[str, Any]) -> str:
         if "properties" not in schema:
             return f"Record<string, {self._type(schema.get('additionalProperties'))}>"
+        if not schema["properties"]:
+            return "Record<string, never>"
         return "\n".join(["{", *self._fields(schema), "}"])
 
     def _fields(self, schema: dict[str, Any]) -> Iterator[str]:
@@ -184,7 +186,7 @@ class _Part:
         text = self._type(definition)
         doc = self._described(definition)
         head = f"/** {doc} */\nexport" if doc else "export"
-        is_object = "properties" in definition
+        is_object = bool(definition.get("properties"))
         body = f"interface {name} {text}" if is_object else f"type {name} = {text};"
         self._module.declare(name, f"{head} {body}")
         return name

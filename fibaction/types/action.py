@@ -8,7 +8,7 @@ from __future__ import annotations
 import gc
 import re
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
@@ -17,6 +17,7 @@ from fibaction._runtime.text import excerpt
 from fibaction.types.encodings import encoding_of
 from fibaction.types.ros_classes import is_message, load
 from fibaction.words.errors import ProtocolError, text_of
+from fibaction.words.plain_data import is_map
 
 if TYPE_CHECKING:
     from typing_extensions import TypeForm
@@ -32,6 +33,11 @@ LARGE = 2**16
 """Bytes of a payload that may have very many values."""
 
 NIL, EMPTY_MAP = b"\xc0", b"\x80"  # in msgpack
+NOTHING = {NIL: EMPTY_MAP, EMPTY_MAP: NIL}
+"""The two goals of a client that has none to give. If a type does not take one, the other counts:
+so a client that knows an action without a goal and one that knows a goal without fields agree."""
+WITHOUT_FIELDS: dict[str, Any] = {"type": "object", "properties": {}, "additionalProperties": False}
+"""The JSON Schema of the goal of an action without a goal, which is `{}` in JSON."""
 _FROM_SERVERS = ("feedback", "the result")
 _UNTYPED: frozenset[Any] = frozenset({Any, object, dict, Mapping, msgspec.Raw})
 # ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
@@ -47,6 +53,7 @@ class Codec(Generic[T]):
         "_decode",
         "_encode",
         "_encoding",
+        "_is_goal",
         "_messages",
         "_sent",
         "classes",
@@ -54,13 +61,20 @@ class Codec(Generic[T]):
         "type",
     )
 
-    def __init__(self, message_type: TypeForm[T], sent: str = "", ros_type: str = "") -> None:
+    def __init__(
+        self,
+        message_type: TypeForm[T],
+        sent: str = "",
+        ros_type: str = "",
+        *,
+        is_goal: bool = False,
+    ) -> None:
         """Make a codec.
 
         `sent` names the messages that servers send with it, for the text of errors, for example
         `feedback of action 'dock'`; it is empty for messages of clients. `ros_type` is the type of
         the ROS messages that may be encoded instead of a value; if it is empty, those with the same
-        fields may.
+        fields may. Goals have the rule of `NOTHING`.
 
         Raises:
             TypeError: Such a type cannot be encoded and decoded.
@@ -68,6 +82,7 @@ class Codec(Generic[T]):
         self.type: type[T] = cast("type[T]", message_type)
         """The message type, unchanged. It may be a form such as `int | None`, and not a class."""
         self._sent = sent
+        self._is_goal = is_goal
         self._encoding = encoding_of(message_type)
         self.is_typed = (get_origin(message_type) or message_type) not in _UNTYPED
         """True if the type says which fields its values have."""
@@ -133,8 +148,17 @@ class Codec(Generic[T]):
             text = excerpt(str(exc))
         except Exception as exc:  # of the type's own, for instance in its `__post_init__`
             raise self._misread(text_of(exc)) from exc
+        if (goal := self._goal_of_nothing(payload)) is not NO_VALUE:
+            return goal
         # Raised here, so that it does not keep msgspec's error, which may hold the whole payload.
         raise self._misread(text)
+
+    def _goal_of_nothing(self, payload: bytes) -> T:
+        """Return the goal that a payload of `NOTHING` stands for; NO_VALUE if it is none."""
+        if self._is_goal and payload in NOTHING:
+            with suppress(Exception):  # any, of the type's own
+                return self._decode(NOTHING[payload])
+        return cast("T", NO_VALUE)
 
     def _misread(self, text: str) -> ProtocolError:
         # Without the sender, the reader of the text would look for the fault in the client's code.
@@ -147,7 +171,8 @@ class Codec(Generic[T]):
 
         It is empty, which allows any value, if there is none for the type.
         """
-        return self._encoding.schema()
+        schema = self._encoding.schema()
+        return schema | WITHOUT_FIELDS if self._is_goal and schema.get("type") == "null" else schema
 
 
 class ActionInfo(msgspec.Struct, frozen=True):
@@ -159,6 +184,18 @@ class ActionInfo(msgspec.Struct, frozen=True):
     """The JSON Schema of a goal; feedback and result likewise."""
     feedback: dict[str, Any] = {}
     result: dict[str, Any] = {}
+
+    @property
+    def description(self) -> str:
+        """The purpose of the action, as its author says it: the description of the goal, which is
+        the docstring of its type; empty if there is none.
+        """
+        name = str(self.goal.get("$ref", "")).removeprefix("#/$defs/")
+        definitions = self.goal.get("$defs")
+        target = definitions.get(name) if is_map(definitions) else None
+        parts = (self.goal, target) if is_map(target) else (self.goal,)
+        texts = (part.get("description") for part in parts)
+        return next((text for text in texts if isinstance(text, str)), "")
 
 
 class Action(Generic[GoalT, FeedbackT, ResultT]):
@@ -207,7 +244,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         goal_type, feedback_type, result_type = (
             f"{type_name}_{part}" if type_name else "" for part in ("Goal", "Feedback", "Result")
         )
-        self.goal: Codec[GoalT] = _codec(goal, f"the goal {of_it}", goal_type)
+        self.goal: Codec[GoalT] = _codec(goal, f"the goal {of_it}", goal_type, is_goal=True)
         self.feedback: Codec[FeedbackT] = _codec(feedback, f"feedback {of_it}", feedback_type)
         self.result: Codec[ResultT] = _codec(result, f"the result {of_it}", result_type)
         self.checkpoint: Codec[Any] | None = None
@@ -288,14 +325,17 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         return f"<Action {self.name!r}>"
 
 
-def _codec(message_type: TypeForm[T], message: str, ros_type: str = "") -> Codec[T]:
+def _codec(
+    message_type: TypeForm[T], message: str, ros_type: str = "", *, is_goal: bool = False
+) -> Codec[T]:
     """Return the codec of a message of an action.
 
     Raises:
         TypeError: Its type cannot be encoded; the text names the message.
     """
     try:
-        return Codec(message_type, message if message.startswith(_FROM_SERVERS) else "", ros_type)
+        sent = message if message.startswith(_FROM_SERVERS) else ""
+        return Codec(message_type, sent, ros_type, is_goal=is_goal)
     except TypeError as exc:
         raise TypeError(f"{message}: {exc}") from exc
 

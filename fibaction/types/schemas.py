@@ -8,6 +8,7 @@ it returns both times is the default, and what differs, such as a random ID, is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from inspect import cleandoc
 from typing import Any, cast
 
 import msgspec
@@ -32,6 +33,8 @@ def schema_of(
     for kind, reference in zip(objects, references, strict=True):
         _, _, name = reference["$ref"].rpartition("/")
         _add_defaults(parts[name], kind.fields)
+        if "description" in parts[name]:  # a docstring, whose indent depends on the Python
+            parts[name]["description"] = cleandoc(parts[name]["description"])
     return {**schema, "$defs": parts} if parts else schema
 
 

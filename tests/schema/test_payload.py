@@ -14,7 +14,7 @@ from msgspec.msgpack import Ext
 
 from fibaction.schema.json_schema import LISTS_OF_PARTS, PARTS, REFERENCES
 from fibaction.schema.keywords import COMPARISONS
-from fibaction.schema.payload import JsonCodec, PayloadError, to_json
+from fibaction.schema.payload import GoalCodec, JsonCodec, PayloadError, to_json
 from fibaction.schema.steps import TURN, CheckSteps
 from tests.cli.robot import Gripper, Pick, Pose, Sucker
 
@@ -436,3 +436,33 @@ def test_what_is_wrong_is_told_before_that_a_schema_takes_too_long() -> None:
     codec = JsonCodec({"properties": fields, "$defs": {"a": endless}})
     with pytest.raises(PayloadError, match=r"^goal\.a must be null, not 1$"):
         codec.encode({"a": 1, "b": 2})
+
+
+@pytest.mark.parametrize(
+    ("schema", "goal", "payload"),
+    [
+        ({"type": "object", "properties": {}}, None, {}),
+        ({"type": "object", "properties": {"x": {"default": 1}}}, None, {"x": 1}),
+        ({"type": "null"}, {}, None),
+        ({"anyOf": [{"type": "integer"}, {"type": "null"}]}, {}, None),
+        ({"anyOf": [{"type": "object"}, {"type": "null"}]}, None, None),
+        ({}, {}, {}),
+        ({}, None, None),
+    ],
+)
+def test_a_goal_that_is_not_given_is_what_the_schema_has_for_it(
+    schema: dict[str, Any], goal: object, payload: object
+) -> None:
+    goals = GoalCodec(schema)
+    assert not goals.needs_goal
+    assert msgspec.msgpack.decode(goals.encode(goal)) == payload
+    goals.check(goal)
+
+
+def test_a_goal_that_is_needed_and_not_given_is_an_error_that_names_it() -> None:
+    goals = GoalCodec({"type": "object", "properties": {"x": {}}, "required": ["x"]})
+    assert goals.needs_goal
+    with pytest.raises(PayloadError, match=r"goal\.x is missing"):
+        goals.encode({})
+    with pytest.raises(PayloadError, match="goal must be a map of fields, not null"):
+        goals.encode(None)

@@ -77,7 +77,7 @@ class Color(enum.Enum):
     ],
 )
 def test_each_type_of_python_has_one_of_typescript(schema: Any, expected: str) -> None:
-    assert type_of(Action("a", goal=schema, feedback=int, result=str).info.goal) == expected
+    assert type_of(Action("a", goal=int, feedback=int, result=schema).info.result) == expected
 
 
 @pytest.mark.parametrize(

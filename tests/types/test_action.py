@@ -700,7 +700,48 @@ def test_a_package_that_cannot_be_imported_says_why(
 def test_an_action_has_the_payload_of_a_goal_that_is_not_given() -> None:
     nothing = Action("nothing", goal=type(None), feedback=int, result=str)
     easy = Action("easy", goal=dict[str, int], feedback=int, result=str)
-    assert nothing.default_goal() == Action.untyped(nothing.info).default_goal() == b"\xc0"
+    assert nothing.default_goal() == b"\xc0"
+    assert Action.untyped(nothing.info).default_goal() == b"\x80"
+    assert Action.untyped(ActionInfo("old", goal={"type": "null"})).default_goal() == b"\xc0"
     assert easy.default_goal() == Action.untyped(easy.info).default_goal() == b"\x80"
     with pytest.raises(TypeError, match="the action 'drive' needs a goal, and none was given"):
         Action("drive", goal=int, feedback=int, result=str).default_goal()
+
+
+class Home(msgspec.Struct):
+    """Drive home.
+
+    Slowly.
+    """
+
+
+@dataclasses.dataclass
+class Picky:
+    speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        raise ValueError("it is picky")
+
+
+def test_no_goal_and_a_goal_without_fields_are_the_same() -> None:
+    nothing = Action("home", goal=None, feedback=int, result=str)
+    home = Action("home", goal=Home, feedback=int, result=str)
+    picky = Action("home", goal=Picky, feedback=int, result=str)
+    for payload in (b"\xc0", b"\x80"):
+        assert nothing.goal.decode(payload) is None
+        assert home.goal.decode(payload) == Home()
+        with pytest.raises(ProtocolError):
+            picky.goal.decode(payload)
+    assert nothing.info.goal == {"type": "object", "properties": {}, "additionalProperties": False}
+    with pytest.raises(ProtocolError, match="feedback of action 'home' is not of its type"):
+        Action("home", goal=int, feedback=None, result=str).feedback.decode(b"\x80")
+
+
+def test_an_action_has_the_description_of_its_goal_without_an_indent() -> None:
+    described = "Drive home.\n\nSlowly."
+    info = Action("home", goal=Home, feedback=int, result=str).info
+    assert info.description == described
+    root: dict[str, Any] = {"description": "At once.", **info.goal}
+    assert ActionInfo("home", goal=root).description == "At once."
+    for goal in ({"description": 1}, {"$ref": "#/$defs/A", "$defs": []}, {"$ref": 1}):
+        assert ActionInfo("home", goal=goal).description == ""

@@ -394,3 +394,8 @@ def test_models_of_pydantic_have_the_defaults_that_functions_make() -> None:
     message = codec.complete({})
     assert message == {"to": {"x": 2.0}, "by": "me"}
     assert codec.left_out(message) == ["id"]
+
+
+def test_a_model_of_defaults_is_the_goal_of_a_client_that_gives_none() -> None:
+    action = Action("sum", goal=Result, feedback=Feedback, result=Result)
+    assert action.goal.decode(b"\xc0") == action.goal.decode(b"\x80") == Result()

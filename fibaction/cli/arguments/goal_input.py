@@ -14,7 +14,7 @@ import yaml
 
 from fibaction.border.abc import Meta
 from fibaction.cli.process.exit_codes import Failure
-from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.words.goal_query import Labels
 from fibaction.words.meta import trace_meta, with_labels
 
@@ -23,17 +23,14 @@ def read_goal(text: str, schema: dict[str, Any]) -> Any:
     """Return the goal as plain data that can be sent.
 
     Fields that the text leaves out get their defaults from the schema; an empty text is the goal
-    `{}`, or null for an action without a goal. Bytes are written in base64, or as YAML's
-    `!!binary`; times in ISO 8601.
+    `{}`. Bytes are written in base64, or as YAML's `!!binary`; times in ISO 8601.
 
     Raises:
         Failure: The text is not YAML, or the schema does not allow it; the message names the field.
     """
     goal = _parse(text)
-    if not text.strip() and schema.get("type") == "null":
-        goal = None
     try:
-        return JsonCodec(schema).complete(goal)
+        return GoalCodec(schema).complete(goal)
     except PayloadError as exc:
         # `{order:3}` is YAML for a field named "order:3".
         glued = any(re.search(r'has no field ".*:', problem) for problem in exc.problems)

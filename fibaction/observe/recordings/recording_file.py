@@ -13,7 +13,7 @@ from typing import Annotated, Any, BinaryIO, Literal, TypeAlias
 
 import msgspec
 
-from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.payload import GoalCodec, JsonCodec, PayloadError
 from fibaction.types.action import ActionInfo
 
 __all__ = ["Event", "Record", "RecordingError", "payload_of", "read_records"]
@@ -103,7 +103,8 @@ def payload_of(record: Record, schema: Mapping[str, Any]) -> bytes | None:
     if record.data is msgspec.UNSET:
         return record.raw or None
     try:
-        return JsonCodec(schema).encode(record.data)
+        codec = GoalCodec if record.event in ("accepted", "rejected") else JsonCodec
+        return codec(schema).encode(record.data)
     except PayloadError as exc:
         what = f"{record.event} of goal {record.goal_id} in the recording"
         raise PayloadError(f"{what}: {exc}") from exc

@@ -29,7 +29,7 @@ from fibaction.observe.recordings.recording_file import (
     numbered_records,
     payload_of,
 )
-from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.server import ActionServer, GoalHandle
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import GoalAborted, GoalRejected
@@ -99,7 +99,7 @@ class _Recorded:
     def __init__(self, path: Path, info: ActionInfo) -> None:
         self.info = info
         self._path = path
-        self._codec = JsonCodec(info.goal)
+        self._codec = GoalCodec(info.goal)
         self._places: dict[bytes, list[int]] = {}
         self._next: dict[bytes, int] = {}
 

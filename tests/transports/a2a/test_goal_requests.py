@@ -26,7 +26,8 @@ from a2a.utils.errors import (
 )
 from google.protobuf.json_format import MessageToDict
 
-from fibaction import ActionClient, GoalID, serve
+from fibaction import Action, ActionClient, GoalID, serve
+from fibaction.testing import ScriptedServer
 from fibaction_transports.a2a import A2aHttpTransport
 from tests.transports.a2a.agent_talk import (
     TOKEN,
@@ -103,6 +104,22 @@ async def test_a_goal_of_text_is_sent_as_text() -> None:
     async with robot_and_talk() as (_, talk):
         assert data_of((await talk.send(text="hallo", skill="say")).artifacts[0].parts) == "HALLO"
         assert data_of((await talk.send("moin", skill="say")).artifacts[0].parts) == "MOIN"
+
+
+async def test_an_action_that_needs_no_goal_takes_an_empty_text() -> None:
+    action = Action("home", goal=None, feedback=int, result=str)
+    address = A2aHttpTransport(port=0, unasked=["*"], token=TOKEN)
+    async with (
+        ScriptedServer(action, ["home"]) as server,
+        serve(server, address) as (url,),
+        talking(url) as talk,
+    ):
+        assert "text/plain" in talk.card.skills[0].input_modes
+        for sent in (message({}), message(text=" ")):
+            assert state_of(await talk.send(made=sent)) == "COMPLETED"
+        with pytest.raises(ContentTypeNotSupportedError, match="has one part with data"):
+            await talk.send(made=message(text="away"))
+    assert server.received == [None, None]
 
 
 async def test_a_single_skill_need_not_be_named() -> None:

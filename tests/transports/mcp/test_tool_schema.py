@@ -23,6 +23,10 @@ class Tree(msgspec.Struct):
     left: Tree | None = None
 
 
+class Empty(msgspec.Struct):
+    """Go home."""
+
+
 class Flat(msgspec.Struct):
     x: int = 1
 
@@ -66,7 +70,14 @@ def test_any_other_goal_is_a_field_of_the_input(goal: Any) -> None:
     assert made.schema["type"] == "object"
     assert list(made.schema["properties"]) == made.schema["required"] == ["goal"]
     assert made.goal_in({"goal": 5}) == 5
-    assert made.goal_in({}) is None
+    assert made.goal_in({}) == {}
+
+
+@pytest.mark.parametrize("goal", [None, Empty])
+def test_an_action_without_a_goal_has_an_input_without_fields(goal: Any) -> None:
+    made = tool_input(schema_of(goal))
+    assert made.schema == {"type": "object", "additionalProperties": False}
+    assert made.goal_in({}) == {}
 
 
 def test_a_map_takes_any_names() -> None:

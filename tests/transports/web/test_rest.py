@@ -485,7 +485,7 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("POST", GOALS, b'{"order": NaN}', {}, 400),
         ("POST", GOALS, b'{"order"', {}, 400),
         ("POST", GOALS, b"\xff\xfe", {}, 400),
-        ("POST", GOALS, b"", {}, 400),
+        ("POST", GOALS, b"", {}, 422),
         ("POST", GOALS, b"[" * 500 + b"]" * 500, {}, 422),
         ("POST", GOALS, b'{"order": 1e400}', {}, 400),
         ("POST", GOALS, b'{"order": "3"}', {}, 422),

@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 from fibaction.border.abc import Connection, Notifier
 from fibaction.border.gateway import SeenServer, ServerGroup
 from fibaction.border.peer_text import clean_logger, excerpt
-from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import TransportError
 from fibaction_transports._agents.agent_policy import AgentPolicy
@@ -45,7 +45,7 @@ class RobotAction:
         self.connection = connection
         self.label = label
         """The name that agents have for it."""
-        self.goals = JsonCodec(info.goal)
+        self.goals = GoalCodec(info.goal)
         self.endpoint = connection.endpoint(info)
 
     @property

@@ -122,16 +122,17 @@ class Exchange:
         return EVENT_STREAM in self.headers.get("accept", "").lower()
 
     async def json_body(self, limit: int, memory: ByteBudget) -> bytes:
-        """Return the body, as `body` does.
+        """Return the body, as `body` does. An empty one may have any type.
 
         Raises:
             Refused: It is not JSON by its type; or as for `body`.
             ConnectionLost: The client has gone.
         """
         kind = self.headers.get("content-type", "").partition(";")[0].strip().lower()
-        if kind != JSON:
+        is_announced = self.headers.get("content-length", "0") != "0"
+        if kind != JSON and (is_announced or await self.body(limit, memory)):
             raise Refused(415, f"the body must be {JSON}: set the header Content-Type")
-        return await self.body(limit, memory)
+        return await self.body(limit, memory) if kind == JSON else b""
 
     async def body(self, limit: int, memory: ByteBudget) -> bytes:
         """Return the body, whose bytes count in the memory for as long as this exchange lasts.

@@ -69,11 +69,12 @@ class Skill(RobotAction):
         """Return the skill for an agent card; with `is_asked`, the user is asked before a goal."""
         info = self.info
         text = f"Send a goal to the action {self.title}."
-        described = self._type.get("description", "")
-        if isinstance(described, str) and described:
-            text += f" {shortened(described, LONGEST_DESCRIPTION)}"
+        if info.description:
+            text += f" {shortened(info.description, LONGEST_DESCRIPTION)}"
         if is_asked:
             text += " A user must agree before the goal is sent."
+        if not self.goals.needs_goal:
+            text += " It needs no goal: an empty text will do."
         schema = to_json(info.goal)
         if len(schema) <= LONGEST_SCHEMA:
             text += f" The goal is a data part of this JSON Schema: {schema}"
@@ -85,7 +86,7 @@ class Skill(RobotAction):
             description=text,
             tags=["action", *([kind] if kind else [])],
             examples=[to_json(template.value)] if template.is_usable else [],
-            input_modes=[JSON, TEXT] if self.takes_text else [JSON],
+            input_modes=[JSON, TEXT] if self.takes_text or not self.goals.needs_goal else [JSON],
             output_modes=[JSON],
         )
 

@@ -47,7 +47,7 @@ async def goal_of(message: Message, skill: Skill) -> Any:
 
     Raises:
         ContentTypeNotSupportedError: It is not one part with data; or with text, for a skill whose
-            goals are text.
+            goals are text; or an empty text, for one that needs no goal.
         InvalidParamsError: The data is not a goal of the action.
     """
     given = _given(list(message.parts), skill)
@@ -72,6 +72,8 @@ def _given(parts: list[Part], skill: Skill) -> Any:
             raise InvalidParamsError(f"the goal was not sent: {exc}") from exc
     if kinds == ["text"] and skill.takes_text:
         return parts[0].text
+    if kinds == ["text"] and not parts[0].text.strip() and not skill.goals.needs_goal:
+        return {}
     wanted = "data, or one with text" if skill.takes_text else "data"
     raise ContentTypeNotSupportedError(
         f"a message to the skill {skill.label} has one part with {wanted}, which is the goal"

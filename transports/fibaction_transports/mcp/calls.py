@@ -245,7 +245,8 @@ async def _message(action: ToolAction, arguments: dict[str, Any]) -> Any:
         ToolError: It is not a goal of the action.
     """
     surplus = set(arguments) - {GOAL}
-    if action.input.is_wrapped and (surplus or GOAL not in arguments):
+    is_missing = GOAL not in arguments and action.goals.needs_goal
+    if action.input.is_wrapped and (surplus or is_missing):
         raise ToolError(f"The goal was not sent: the input has the field {GOAL!r} and no other.")
     try:
         goal = action.input.goal_in(arguments)

@@ -47,7 +47,7 @@ class ToolAction(RobotAction):
 
     def __init__(self, server: str, info: ActionInfo, connection: Connection, label: str):
         super().__init__(server, info, connection, label)
-        self.input = tool_input(info.goal)
+        self.input = tool_input(info.goal, is_needed=self.goals.needs_goal)
         self.output = tool_output(info.result, (status.name for status in GoalStatus))
 
 
@@ -71,9 +71,8 @@ def _action_tool(action: ToolAction, policy: AgentPolicy) -> Tool:
     info = action.info
     kind = f", of the type {excerpt(info.type_name)}" if info.type_name else ""
     text = f"Send a goal to the action {action.title}{kind}, and wait for its result."
-    described: Any = action.input.schema.get("description", "")
-    if isinstance(described, str) and described:
-        text += f" {shortened(described, LONGEST_DESCRIPTION)}"
+    if info.description:
+        text += f" {shortened(info.description, LONGEST_DESCRIPTION)}"
     if policy.asks(action.server, info.name):
         text += " The user is asked before the goal is sent."
     return Tool(
@@ -100,9 +99,9 @@ def _send_tool(names: list[str]) -> Tool:
         input_schema=_object(
             {
                 "tool": tool,
-                GOAL: {"description": "The input of that tool.", "type": "object"},
+                GOAL: {"description": "The input of that tool.", "type": "object", "default": {}},
             },
-            required=["tool", GOAL],
+            required=["tool"],
         ),
         annotations=_moves(),
     )
@@ -169,19 +168,24 @@ class ToolInput(NamedTuple):
     """True if the goal is the field `goal` of the input."""
 
     def goal_in(self, arguments: Mapping[str, Any]) -> Any:
-        """Return the goal that the arguments of a call contain; None if it is missing."""
-        return arguments.get(GOAL) if self.is_wrapped else dict(arguments)
+        """Return the goal that the arguments of a call contain; `{}` if it is missing."""
+        return arguments.get(GOAL, {}) if self.is_wrapped else dict(arguments)
 
 
-def tool_input(goal: Mapping[str, Any]) -> ToolInput:
-    """Return the input of a tool that sends goals of that schema."""
+def tool_input(goal: Mapping[str, Any], *, is_needed: bool = True) -> ToolInput:
+    """Return the input of a tool that sends goals of that schema. If none is needed, the field
+    `goal` may be missing.
+    """
     definitions = goal.get("$defs", {})
     root = {name: part for name, part in goal.items() if name != "$defs"}
     body = _resolved(root, definitions)
     is_wrapped = body.get("type") != "object" or any(name in body for name in _CHOICES)
     schema: dict[str, Any]
     if is_wrapped:
-        schema = {"type": "object", "properties": {GOAL: root}, "required": [GOAL]}
+        schema = {"type": "object", "properties": {GOAL: root}}
+        schema |= {"required": [GOAL]} if is_needed else {}
+    elif body.get("properties") == {} and not body.get("additionalProperties"):
+        schema = {"type": "object", "additionalProperties": False}
     else:
         schema = dict(body)
     if "properties" in schema:

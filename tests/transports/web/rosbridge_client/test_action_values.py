@@ -70,6 +70,10 @@ def test_a_goal_with_a_number_that_json_does_not_have_is_an_error(number: float)
     assert arguments_text(msgspec.msgpack.encode({"a": [None]})) == '{"a":[null]}'
 
 
+def test_no_goal_is_a_message_without_fields() -> None:
+    assert arguments_text(b"\xc0") == arguments_text(b"\x80") == "{}"
+
+
 def test_bytes_of_a_goal_are_numbers_unless_they_are_many() -> None:
     goal = msgspec.msgpack.encode({"raw": b"\0\xff", "parts": [{"x": b""}], "n": 1})
     assert arguments_text(goal) == '{"raw":[0,255],"parts":[{"x":[]}],"n":1}'

@@ -15,7 +15,7 @@ from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger, shortened
 from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.schema.goal_check import GoalCheck
-from fibaction.types.action import Action, ActionInfo
+from fibaction.types.action import EMPTY_MAP, NIL, Action, ActionInfo
 from fibaction.words.errors import (
     ConnectionLost,
     GoalRejected,
@@ -146,7 +146,8 @@ class RosEndpoint(Endpoint):
         """See `Endpoint.offer_goal`. A request of ROS cannot carry a deadline and a meta."""
         goal_id, depth = request.goal_id, self._client.depth
         try:
-            message = self._codecs.goal.to_ros(request.goal)
+            goal = EMPTY_MAP if request.goal == NIL else request.goal
+            message = self._codecs.goal.to_ros(goal)
         except ProtocolError as exc:
             raise await self._rejection(request, str(exc)) from exc
         stream = RosGoalStream(goal_id, self._decoder, depth, reads=request.feedback)

@@ -54,6 +54,11 @@ export interface SendOptions {
   meta?: Record<string, string>;
 }
 
+/** A goal that needs no field may be left out. */
+export type SendArguments<Goal> = {} extends Goal
+  ? [goal?: Goal, options?: SendOptions]
+  : [goal: Goal, options?: SendOptions];
+
 export interface AttachOptions {
   /** Number of the feedback after which to begin: 0 for all that is kept; the next by default. */
   after?: number | null;
@@ -175,7 +180,7 @@ export class Connection<
     Named extends ActionTypes = never,
     Name extends keyof Actions & string = keyof Actions & string,
   >(
-    action: Name, goal: TypesOf<Actions, Name, Named>["goal"], options?: SendOptions,
+    action: Name, ...rest: SendArguments<TypesOf<Actions, Name, Named>["goal"]>
   ): Promise<Goal<TypesOf<Actions, Name, Named>>>;
   /** Follow a goal that was sent before, by any client. */
   attach<

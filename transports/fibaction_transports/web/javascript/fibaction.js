@@ -402,7 +402,7 @@ export class Connection {
       ({ id: hexOf(id), stamp: BigInt(stamp), status: STATUSES[status] }));
   }
 
-  async sendGoal(action, goal, { id, signal, feedback = true, labels = {}, meta } = {}) {
+  async sendGoal(action, goal = {}, { id, signal, feedback = true, labels = {}, meta } = {}) {
     signal?.throwIfAborted();
     const sent = new Goal({ action, goal, _id: id ? idOf(id) : randomID(), _payload: encode(goal),
       _isOwn: true, labels, _meta: metaOf(labels, meta), _reads: feedback, _connection: this });

@@ -23,7 +23,7 @@ from fibaction.border.abc import Endpoint
 from fibaction.border.http_access import Refused, bearer_in
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
-from fibaction.schema.payload import JsonCodec
+from fibaction.schema.payload import GoalCodec, JsonCodec
 from fibaction.schema.turns import Pause, in_turn
 from fibaction.types.action import ActionInfo
 from fibaction.wire.auth import Permission
@@ -70,7 +70,7 @@ class RestInterface:
         self._settings = server.settings
         self._memory = server.memory
         self._turn = server.turn
-        self._codecs: dict[str, tuple[ActionInfo, JsonCodec]] = {}
+        self._codecs: dict[str, tuple[ActionInfo, GoalCodec]] = {}
         self._has_tokens = server.settings.access.asks_for_tokens
         self._handlers = {
             (Resource.DESCRIPTION, "GET"): self._describe,
@@ -203,10 +203,10 @@ class RestInterface:
         is_known = exchange.method == "POST" or client.is_trusted
         return is_known or client.is_owner(route.action, route.goal_id)
 
-    def _goal_codec(self, info: ActionInfo) -> JsonCodec:
+    def _goal_codec(self, info: ActionInfo) -> GoalCodec:
         known, codec = self._codecs.get(info.name, (None, None))
         if codec is None or known is not info:
-            codec = JsonCodec(info.goal)
+            codec = GoalCodec(info.goal)
             self._codecs[info.name] = info, codec
         return codec
 
@@ -315,14 +315,14 @@ def _events_of(endpoint: Endpoint) -> GoalEvents:
 
 
 def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:
-    """Return the payload of the goal in a body.
+    """Return the payload of the goal in a body; an empty one is `{}`.
 
     Raises:
         Refused: It is not JSON.
         PayloadError: It is not a goal.
     """
     try:
-        data = msgspec.json.decode(body)
+        data = msgspec.json.decode(body or b"{}")
     except (ValueError, RecursionError) as exc:
         raise Refused(400, f"the body is not JSON: {exc}") from None
     return codec.encode(data, is_json=True, pause=pause)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.goal_query import CANCEL_TEXT, LABEL_TEXT, STATUSES, TIME_TEXT
 from fibaction.words.meta import MAX_KEYS
@@ -241,6 +242,7 @@ class _Described:
         )
         schemas |= moved(info.goal, self._goal, schema_names, is_goal=True)
         self._example = example_of(info.goal) if schemas[self._goal] else {}
+        self._is_needed = _needs_goal(info)
         schemas |= moved(info.feedback, feedback, schema_names)
         schemas |= moved(info.result, result, schema_names)
         schemas[self._status] = {
@@ -300,7 +302,7 @@ class _Described:
 
     def _sending(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
         content = {"application/json": {"schema": _ref(self._goal), **self._example}}
-        body = {"requestBody": {"required": True, "content": content}}
+        body = {"requestBody": {"required": self._is_needed, "content": content}}
         return self._operation(verb, summary, answers, *parameters) | body
 
     def _operation(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
@@ -313,6 +315,13 @@ class _Described:
         if parameters:
             described["parameters"] = list(parameters)
         return described | {"responses": answers | {"default": _PROBLEM}}
+
+
+def _needs_goal(info: ActionInfo) -> bool:
+    try:
+        return GoalCodec(info.goal).needs_goal
+    except PayloadError:  # its schema cannot be used
+        return True
 
 
 def _ref(name: str) -> Json:

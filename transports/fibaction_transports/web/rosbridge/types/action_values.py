@@ -17,7 +17,7 @@ import msgspec
 
 from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
-from fibaction.types.action import ActionInfo
+from fibaction.types.action import NIL, ActionInfo
 from fibaction.words.plain_data import is_list, is_map
 from fibaction_transports.web.rosbridge.types.goal_arguments import (
     DATA,
@@ -38,6 +38,8 @@ def arguments_text(goal: bytes) -> str:
     Raises:
         PayloadError: JSON cannot express it.
     """
+    if goal == NIL:
+        return "{}"
     text = values_text(goal)
     message = msgspec.msgpack.decode(goal)
     try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction.schema.json_schema import JsonSchema
-from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.schema.payload import GoalCodec, JsonCodec, PayloadError
 from fibaction.schema.turns import Pause
 from fibaction.types.action import ActionInfo
 from fibaction.words.plain_data import is_map
@@ -45,7 +45,7 @@ class GoalArguments:
             PayloadError: It cannot be used.
         """
         self.info = info
-        self._codec = JsonCodec(info.goal)
+        self._codec = GoalCodec(info.goal)
         self._fields = fields_of(info.goal)
 
     def encode(self, args: Arguments, pause: Pause | None = None) -> bytes:
