@@ -19,8 +19,8 @@ from fibaction_transports.ros2.convert.status_bytes import (
     unpack_lines,
 )
 from fibaction_transports.ros2.node.stamps import ServedStamps
-from fibaction_transports.ros2.on_dds.clock import DdsClock
 from fibaction_transports.ros2.server.served_statuses import REPEAT, ServedStatuses
+from fibaction_transports.ros2.without_ros.clock import OwnClock
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
@@ -46,7 +46,7 @@ class Published(list[list[GoalStatus]]):
 
 async def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() -> None:
     published = Published()
-    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
+    statuses = ServedStatuses(published, ServedStamps(OwnClock()))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
     statuses.update(GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
     assert published == []
@@ -59,7 +59,7 @@ async def test_changes_are_published_together_but_no_status_of_a_goal_is_left_ou
 
 async def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
     published = Published()
-    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
+    statuses = ServedStatuses(published, ServedStamps(OwnClock()))
     statuses.update(GoalInfo(TWO, 2, GoalStatus.UNKNOWN))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.CANCELING))
     for status in (GoalStatus.CANCELING, GoalStatus.EXECUTING):
@@ -71,7 +71,7 @@ async def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
 @pytest.mark.promise("STATUS-8")
 async def test_a_forgotten_goal_leaves_the_list() -> None:
     published = Published()
-    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
+    statuses = ServedStatuses(published, ServedStamps(OwnClock()))
     statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
     assert ONE in statuses
     statuses.update(GoalInfo(ONE, 1, GoalStatus.UNKNOWN))
@@ -88,7 +88,7 @@ async def test_a_forgotten_goal_leaves_the_list() -> None:
 @pytest.mark.anyio
 async def test_a_change_is_published_in_the_next_turn_of_the_loop() -> None:
     published = Published()
-    statuses = ServedStatuses(published, ServedStamps(DdsClock()))
+    statuses = ServedStatuses(published, ServedStamps(OwnClock()))
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(statuses.run)
         for status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING):
@@ -148,7 +148,7 @@ async def repeated(
     lists, and the number of waits.
     """
     lists: list[bytes] = []
-    statuses = ServedStatuses(lists.append, ServedStamps(DdsClock()))
+    statuses = ServedStatuses(lists.append, ServedStamps(OwnClock()))
     rest = iter(turns)
     waits = 0
 

@@ -12,8 +12,8 @@ import pytest
 from fibaction import Action, GoalStatus, TransportError, connect, serve
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
-from fibaction_transports.ros2.on_dds.descriptions import type_learner
-from fibaction_transports.ros2.on_dds.messages import dds_types
+from fibaction_transports.ros2.without_ros.descriptions import type_learner
+from fibaction_transports.ros2.without_ros.messages import file_types
 from fibaction_transports.rtps.discovery import remote_participant
 from tests.ros2.ends import tells_publishers
 from tests.ros2.stock.ours import TYPE, Behaviour
@@ -31,8 +31,8 @@ def anyio_backend() -> str:
 @pytest.fixture
 def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no interface file be found in this process, also none that was loaded before."""
-    monkeypatch.setattr(dds_types, "ros_folders", lambda: iter(()))
-    monkeypatch.setattr(dds_types, "known_action", lambda type_name: None)
+    monkeypatch.setattr(file_types, "ros_folders", lambda: iter(()))
+    monkeypatch.setattr(file_types, "known_action", lambda type_name: None)
 
 
 @pytest.fixture

@@ -8,7 +8,9 @@ from pathlib import Path
 
 SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
-NOT_ELSEWHERE = [f"{ELSEWHERE}/on_dds", f"{ELSEWHERE}/dds_transport.py"]  # needs none
+NOT_ELSEWHERE = [
+    f"{ELSEWHERE}/{one}" for one in ("on_dds", "without_ros", "dds_transport.py")
+]  # needs none
 SHARED = ("tests/contract", "tests/simulation", "tests/fleet_simulation")
 """The tests of whole servers and clients, which cover every module."""
 ALSO = {

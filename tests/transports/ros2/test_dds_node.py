@@ -17,23 +17,25 @@ from fibaction_transports.cdr.standard_messages import (
     NodeEntitiesInfo,
     ParticipantEntitiesInfo,
 )
-from fibaction_transports.ros2.node.parts import LifeSigns
+from fibaction_transports.ros2.node.parts import EndInfo, LifeSigns
 from fibaction_transports.ros2.on_dds import graph, topics
-from fibaction_transports.ros2.on_dds.clock import DdsClock
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
-from fibaction_transports.ros2.on_dds.descriptions.description_messages import UnusableDescription
-from fibaction_transports.ros2.on_dds.messages import parameter_messages as messages
-from fibaction_transports.ros2.on_dds.messages.action_types import standard_type
-from fibaction_transports.ros2.on_dds.messages.node_messages import (
+from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.settings import NodeSettings
+from fibaction_transports.ros2.without_ros.clock import OwnClock
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+    UnusableDescription,
+)
+from fibaction_transports.ros2.without_ros.messages import parameter_messages as messages
+from fibaction_transports.ros2.without_ros.messages.action_types import standard_type
+from fibaction_transports.ros2.without_ros.messages.node_messages import (
     CLOCK,
     PARAMETER,
     ClockMessage,
     Parameter,
     ParameterValue,
 )
-from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
-from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.events import ParticipantLost, TypesAnswered
@@ -143,11 +145,11 @@ async def test_a_sink_that_fails_is_logged_and_the_next_message_arrives(
 
 
 async def test_an_answer_about_types_reaches_the_question(monkeypatch: pytest.MonkeyPatch) -> None:
-    prefix, problem = bytes(12), "it does not tell"
+    prefix, type_id, problem = bytes(12), bytes(TYPE_ID_SIZE), "it does not tell"
 
     async def ask(node: DdsNode) -> None:
         with pytest.raises(UnusableDescription, match=problem):
-            await node._questions.look_up(prefix, [bytes(TYPE_ID_SIZE)])
+            await node._questions.look_up([EndInfo(prefix, "/far", EndQos(), type_id=type_id)])
 
     async with opened() as node, anyio.create_task_group() as tasks:
         monkeypatch.setattr(node._questions, "_ask", lambda *_: 7)
@@ -305,7 +307,7 @@ def clock_message(seconds: int, order: str = "<") -> bytes:
 
 
 def test_a_clock_that_jumps_back_begins_an_era() -> None:
-    clock = DdsClock()
+    clock = OwnClock()
     assert clock.is_the_machines
     clock.use_simulated(True)
     for seconds in (5, 7):

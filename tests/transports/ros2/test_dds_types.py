@@ -12,16 +12,16 @@ import pytest
 from fibaction import Action, ActionInfo, ProtocolError, TransportError
 from fibaction.action_files import action_source, define_action, load_action
 from fibaction.interfaces.ros_types import Int32
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, InterfaceFiles
+from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes, InterfaceFiles
 
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
 
 
 @pytest.fixture
-def types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DdsTypes:
+def types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FileTypes:
     """Types that are searched for in a folder of this test only."""
     monkeypatch.delenv("FIBACTION_SEARCH")
-    return DdsTypes([tmp_path])
+    return FileTypes([tmp_path])
 
 
 def write(folder: Path, name: str, text: str) -> None:
@@ -31,7 +31,7 @@ def write(folder: Path, name: str, text: str) -> None:
 
 
 def test_a_type_is_found_in_the_folders_of_the_environment() -> None:
-    found = DdsTypes().find(FIBONACCI)
+    found = FileTypes().find(FIBONACCI)
     assert found.type_name == FIBONACCI
     assert found.impl.FeedbackMessage.dds_name == (
         "arduinobot_msgs::action::dds_::Fibonacci_FeedbackMessage_"
@@ -40,7 +40,7 @@ def test_a_type_is_found_in_the_folders_of_the_environment() -> None:
 
 
 def test_a_type_that_this_program_has_loaded_needs_no_folder(
-    types: DdsTypes, tmp_path: Path
+    types: FileTypes, tmp_path: Path
 ) -> None:
     write(tmp_path, "elsewhere/loaded_msgs/action/Go.action", "int32 x\n---\n---\n")
     load_action(tmp_path / "elsewhere/loaded_msgs/action/Go.action")
@@ -48,7 +48,7 @@ def test_a_type_that_this_program_has_loaded_needs_no_folder(
 
 
 def test_a_module_that_was_written_from_a_file_needs_no_folder(
-    types: DdsTypes, tmp_path: Path
+    types: FileTypes, tmp_path: Path
 ) -> None:
     go = "written_msgs/action/Go"
     write(tmp_path, f"elsewhere/{go}.action", "Part part  # which\nstring say no\n---\n---\n")
@@ -63,13 +63,13 @@ def test_a_module_that_was_written_from_a_file_needs_no_folder(
     assert codecs.goal.to_ros(msgspec.msgpack.encode({})).part.x == 3
 
 
-def test_a_module_with_broken_definitions_is_an_error(types: DdsTypes) -> None:
+def test_a_module_with_broken_definitions_is_an_error(types: FileTypes) -> None:
     define_action("torn_msgs/action/Go", {"torn_msgs/action/Go": "int32\n---\n---\n"})
     with pytest.raises(TransportError, match=r"torn_msgs/action/Go cannot be used: .*int32"):
         types.find("torn_msgs/action/Go")
 
 
-def test_a_type_that_is_nowhere_says_where_to_put_it(types: DdsTypes, tmp_path: Path) -> None:
+def test_a_type_that_is_nowhere_says_where_to_put_it(types: FileTypes, tmp_path: Path) -> None:
     with pytest.raises(TransportError) as caught:
         types.find("far_msgs/action/Go")
     assert str(caught.value).startswith(
@@ -79,7 +79,7 @@ def test_a_type_that_is_nowhere_says_where_to_put_it(types: DdsTypes, tmp_path: 
     assert str(tmp_path) in str(caught.value)
 
 
-def test_a_broken_file_is_named_with_its_line(types: DdsTypes, tmp_path: Path) -> None:
+def test_a_broken_file_is_named_with_its_line(types: FileTypes, tmp_path: Path) -> None:
     write(tmp_path, "bad_msgs/action/Go.action", "int33 x\n---\n---\n")
     with pytest.raises(TransportError, match=r"bad_msgs/action/Go cannot be used: .*Go\.action"):
         types.find("bad_msgs/action/Go")
@@ -87,7 +87,7 @@ def test_a_broken_file_is_named_with_its_line(types: DdsTypes, tmp_path: Path) -
 
 @pytest.mark.parametrize(("action", "which"), [("", ""), ("go", " 'go'")])
 def test_a_name_that_is_not_a_type_of_an_action_is_an_error(
-    types: DdsTypes, action: str, which: str
+    types: FileTypes, action: str, which: str
 ) -> None:
     with pytest.raises(TransportError, match=f"give the Action{which} a type_name"):
         types.find("std_msgs/msg/String", action)
@@ -122,7 +122,7 @@ Part[] parts
 
 
 @pytest.fixture
-def everything(types: DdsTypes, tmp_path: Path) -> Any:
+def everything(types: FileTypes, tmp_path: Path) -> Any:
     """The codec of a goal with all kinds of fields, for a user without types of his own."""
     write(tmp_path, "all_msgs/action/All.action", EVERYTHING)
     write(tmp_path, "all_msgs/msg/Part.msg", "int32 x 7\nstring from\n")
@@ -208,7 +208,7 @@ class Octets(msgspec.Struct):
     raws: list[int]
 
 
-def test_a_user_may_have_octets_as_numbers(types: DdsTypes, tmp_path: Path) -> None:
+def test_a_user_may_have_octets_as_numbers(types: FileTypes, tmp_path: Path) -> None:
     write(tmp_path, "oct_msgs/action/Octets.action", "byte raw\nbyte[] raws\n---\n---\n")
     info = ActionInfo(
         "octets",
@@ -239,13 +239,13 @@ class Other(msgspec.Struct):
 def test_a_type_that_differs_from_its_file_is_an_error_that_names_the_fields() -> None:
     action = Action("f", goal=Goal, feedback=Items, result=Other, type_name=FIBONACCI)
     with pytest.raises(TransportError) as caught:
-        DdsTypes().find(FIBONACCI).codecs(action.info)
+        FileTypes().find(FIBONACCI).codecs(action.info)
     assert "goal.speed: the ROS type has no such field" in str(caught.value)
     assert "result.sequence (int32[]): the action has no such field" in str(caught.value)
 
 
 def test_a_definition_that_was_loaded_is_one_of_the_versions_and_a_broken_one_is_none(
-    types: DdsTypes, tmp_path: Path
+    types: FileTypes, tmp_path: Path
 ) -> None:
     write(tmp_path, "two_msgs/action/Go.action", "int32 y\n---\n---\n")
     define_action("two_msgs/action/Go", {"two_msgs/action/Go": "int32 x\n---\n---\n"})

@@ -11,8 +11,8 @@ from fibaction.interfaces.files import ActionFile, read_action_texts
 from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_hash
-from fibaction_transports.ros2.on_dds.descriptions.described_types import described_action
-from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.described_types import described_action
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
@@ -23,10 +23,10 @@ from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
     TypeSource,
     UnusableDescription,
 )
-from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
-from fibaction_transports.ros2.on_dds.messages.action_types import CANCEL_GOAL, action_of
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
-from fibaction_transports.ros2.on_dds.messages.message_type import TypeHashes, read_hashes
+from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
+from fibaction_transports.ros2.without_ros.messages.action_types import CANCEL_GOAL, action_of
+from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
+from fibaction_transports.ros2.without_ros.messages.message_type import TypeHashes, read_hashes
 
 ALL = "near_msgs/action/All"
 TEXTS = {
@@ -192,5 +192,5 @@ def test_the_hashes_of_an_endpoint_are_read_whatever_else_it_announces(tmp_path:
     data = f"serviceid= 1.10;typehash={one};actionhash={other};".encode()
     assert read_hashes(data) == TypeHashes(one, other)
     assert read_hashes(b"\xff;typehash=RIHS01_12;") == TypeHashes()
-    assert DdsTypes([tmp_path]).has_file("std_msgs/msg/String")
+    assert FileTypes([tmp_path]).has_file("std_msgs/msg/String")
     assert GET_TYPE_DESCRIPTION.definition.type_name.endswith("/GetTypeDescription")

@@ -28,23 +28,23 @@ from fibaction_transports.ros2 import DdsTransport
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.on_dds import graph
-from fibaction_transports.ros2.on_dds.descriptions import type_learner
-from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.answers import provide
+from fibaction_transports.ros2.without_ros.descriptions import type_learner
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
 )
-from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeQuestions
-from fibaction_transports.ros2.on_dds.descriptions.type_registry import TypeRegistry
-from fibaction_transports.ros2.on_dds.messages import dds_types
-from fibaction_transports.ros2.on_dds.messages.dds_types import (
-    DdsTypes,
+from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
+from fibaction_transports.ros2.without_ros.messages import file_types
+from fibaction_transports.ros2.without_ros.messages.file_types import (
+    FileTypes,
     InterfaceFiles,
     ServerVersion,
 )
-from fibaction_transports.ros2.on_dds.messages.message_type import TypeHashes, read_hashes
-from fibaction_transports.ros2.on_dds.services import provide
-from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.message_type import TypeHashes, read_hashes
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
@@ -236,8 +236,8 @@ async def test_an_action_of_which_nothing_is_told_is_followed_to_its_end_and_nob
 
 
 def test_an_unknown_action_is_one_object_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dds_types, "MOST_LEARNED", 1)
-    types = DdsTypes()
+    monkeypatch.setattr(file_types, "MOST_LEARNED", 1)
+    types = FileTypes()
     one = types.find_to_follow(PAINT)
     assert types.find_to_follow(PAINT) is one
     assert one.info("paint") == ActionInfo("paint", PAINT)
@@ -304,8 +304,8 @@ async def test_a_node_that_does_not_answer_costs_a_moment_and_is_asked_again_lat
 async def test_the_types_that_are_kept_are_bounded(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dds_types, "MOST_LEARNED", 1)
-    types = DdsTypes()
+    monkeypatch.setattr(file_types, "MOST_LEARNED", 1)
+    types = FileTypes()
     file = read_action(folder / f"{PAINT}.action")
     types.learn(file, "one", is_whole=True)
     assert types.has_learned(PAINT, "one")
@@ -377,7 +377,7 @@ async def test_of_several_versions_in_files_that_of_the_server_is_taken(
 def test_a_version_that_no_file_has_is_looked_for_once_and_few_are_remembered(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dds_types, "MOST_MISSED", 1)
+    monkeypatch.setattr(file_types, "MOST_MISSED", 1)
     read: list[str] = []
     versions = InterfaceFiles.versions
 
@@ -386,7 +386,7 @@ def test_a_version_that_no_file_has_is_looked_for_once_and_few_are_remembered(
         return versions(files, type_name)
 
     monkeypatch.setattr(InterfaceFiles, "versions", counted)
-    types = DdsTypes([folder])
+    types = FileTypes([folder])
     one, two, none = (
         ServerVersion(frozenset(goal), frozenset(), frozenset()) for goal in (["one"], ["two"], [])
     )
@@ -436,7 +436,7 @@ async def test_a_node_and_its_service_are_waited_for_and_may_be_lost(
     caplog.set_level("INFO")
     node = SlowNode()
     asking = cast("type_learner.AskingNode", node)
-    learner = type_learner.TypeLearner(asking, DdsTypes(), TypeQuestions(lambda *_: 0))
+    learner = type_learner.TypeLearner(asking, FileTypes(), TypeQuestions(lambda *_: 0))
     await learner.learn([("/go/_action/feedback", "gone_msgs/action/Go")])
     assert node.removed == [node]
     assert [record.getMessage() for record in caplog.records] == [

@@ -13,20 +13,20 @@ from anyio.abc import TaskGroup
 
 from fibaction import ConnectionLost, TransportError
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.on_dds.descriptions import (
+from fibaction_transports.ros2.on_dds import type_objects, type_questions
+from fibaction_transports.ros2.on_dds.type_objects import read_types
+from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.descriptions import (
     described_types,
     type_learner,
-    type_objects,
 )
-from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     DescriptionRequest,
     FieldTypeDescription,
     UnusableDescription,
 )
-from fibaction_transports.ros2.on_dds.descriptions.type_learner import TypeQuestions
-from fibaction_transports.ros2.on_dds.descriptions.type_objects import read_types
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
-from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.rtps.events import TypesAnswered
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
@@ -116,10 +116,10 @@ class Robot:
 
 
 @asynccontextmanager
-async def robot(**settings: Any) -> AsyncGenerator[tuple[Robot, DdsTypes, Any], None]:
+async def robot(**settings: Any) -> AsyncGenerator[tuple[Robot, FileTypes, Any], None]:
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
-            node, types = Robot(tasks, **settings), DdsTypes()
+            node, types = Robot(tasks, **settings), FileTypes()
             asking = cast("type_learner.AskingNode", node)
             yield node, types, type_learner.TypeLearner(asking, types, node.questions)
 
@@ -158,7 +158,7 @@ async def test_what_cannot_be_used_is_logged_and_the_feedback_is_asked_for(
     elif change == "nothing":
         answers = {key: bytes(4) for key in ANSWERS}
     elif change == "too many":
-        monkeypatch.setattr(type_learner, "MOST_TYPES", 1)
+        monkeypatch.setattr(type_questions, "MOST_TYPES", 1)
     elif change == "too large":
         monkeypatch.setattr(described_types, "MOST_VALUES", 0)
     elif change == "no action":

@@ -5,15 +5,14 @@ from __future__ import annotations
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.ros2.on_dds.messages.message_type import (
-    dds_type,
+from fibaction_transports.ros2.on_dds.topic_names import (
     reply_topic,
     request_topic,
     ros_topic,
-    ros_type,
     topic_name,
 )
-from fibaction_transports.ros2.on_dds.ros_arguments import (
+from fibaction_transports.ros2.without_ros.messages.message_type import dds_type, ros_type
+from fibaction_transports.ros2.without_ros.ros_arguments import (
     NameResolver,
     Override,
     RosArguments,

@@ -10,12 +10,12 @@ import pytest
 
 from fibaction import TransportError
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
-from fibaction_transports.ros2.on_dds.ros_arguments import (
+from fibaction_transports.ros2.settings import NodeSettings
+from fibaction_transports.ros2.without_ros.ros_arguments import (
     overrides_of,
     read_arguments,
     read_parameters_file,
 )
-from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 PATIENCE = 30.0

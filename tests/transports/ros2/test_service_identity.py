@@ -11,12 +11,6 @@ import pytest
 
 from fibaction import ConnectionLost
 from fibaction.words.errors import LimitReached
-from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
-from fibaction_transports.ros2.on_dds.messages.parameter_messages import (
-    GET_PARAMETERS,
-    NamesRequest,
-    ValuesResponse,
-)
 from fibaction_transports.ros2.on_dds.services import (
     ANSWERED_REQUESTS,
     OPEN_REQUESTS,
@@ -27,6 +21,12 @@ from fibaction_transports.ros2.on_dds.services import (
     identity_in,
     identity_items,
     split_header,
+)
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
+from fibaction_transports.ros2.without_ros.messages.parameter_messages import (
+    GET_PARAMETERS,
+    NamesRequest,
+    ValuesResponse,
 )
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, OWN_VENDOR, Guid

@@ -18,9 +18,9 @@ def message_types(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
         TransportError: As for `RosTypes.find`.
     """
     if find_spec("rclpy") is None:
-        from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
+        from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 
-        return DdsTypes().find(type_name).types
+        return FileTypes().find(type_name).types
     from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes  # which needs rclpy
 
     return RclpyTypes().find(type_name).types

@@ -41,6 +41,8 @@ class EndQos(Struct, frozen=True, kw_only=True):
     """The newest messages that are kept."""
     lease: float = math.inf
     """Seconds within which a publisher gives a sign of life; infinity for none."""
+    lifespan: float = math.inf
+    """Seconds after which a message is too old for a late subscription."""
 
 
 def policies(text: str) -> dict[str, str]:

@@ -110,7 +110,23 @@ class RosTypes(ABC):
         """
 
 
-class RosNode(GraphView):
+class RosGraph(GraphView):
+    """A view of a graph that knows the ends of services, too."""
+
+    @abstractmethod
+    def count_callers(self, service: str) -> int:
+        """Return the number of clients of a service, connected or not."""
+
+    @abstractmethod
+    def request_readers(self, service: str) -> Sequence[EndInfo]:
+        """Return the ends at which servers of a service take requests; none if it is not known."""
+
+    @abstractmethod
+    def answer_writers(self, service: str) -> Sequence[EndInfo]:
+        """Return the ends at which servers of a service answer; none if it is not known."""
+
+
+class RosNode(RosGraph):
     """A node in a graph of ROS.
 
     Methods that make a part raise `TransportError` if ROS does not allow it. All parts are removed
@@ -230,18 +246,6 @@ class RosNode(GraphView):
 
         Each action is given by its feedback topic and its type.
         """
-
-    @abstractmethod
-    def count_callers(self, service: str) -> int:
-        """Return the number of clients of a service, connected or not."""
-
-    @abstractmethod
-    def request_readers(self, service: str) -> Sequence[EndInfo]:
-        """Return the ends at which servers of a service take requests; none if it is not known."""
-
-    @abstractmethod
-    def answer_writers(self, service: str) -> Sequence[EndInfo]:
-        """Return the ends at which servers of a service answer; none if it is not known."""
 
 
 class RosAdapter(ABC):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
-import uuid
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
 from typing import ClassVar
@@ -13,25 +11,15 @@ from fibaction.border.peer_text import excerpt
 from fibaction.border.settings import check_range
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.node.ros_node import RosAdapter
-from fibaction_transports.ros2.on_dds.graph import NodeName
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes
 from fibaction_transports.ros2.on_dds.node import DdsNode, open_node
-from fibaction_transports.ros2.on_dds.parameters import USE_SIM_TIME
-from fibaction_transports.ros2.on_dds.ros_arguments import (
-    NameResolver,
-    RosArguments,
-    node_name,
-    overrides_of,
-    read_arguments,
-)
 from fibaction_transports.ros2.settings import NodeSettings, RosSettings
+from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
+from fibaction_transports.ros2.without_ros.node_start import node_start
 from fibaction_transports.rtps.ports import IP_VERSIONS, DiscoveryRange, DomainSettings
 
 DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"
 """The variable of Fast DDS for nodes that find each other by a server."""
 _USUAL = "default"
-_YES, _NO = ("true", "yes", "on", "y"), ("false", "no", "off", "n")
-"""The words of rcl."""
 
 
 class DdsSettings(RosSettings, frozen=True, kw_only=True):
@@ -86,32 +74,28 @@ class DdsAdapter(RosAdapter):
     """The way to a graph of ROS over our own DDS."""
 
     def __init__(self, node: NodeSettings, settings: DdsSettings) -> None:
-        self.types = self._types = DdsTypes(settings.search)
+        self.types = self._types = FileTypes(settings.search)
         self._node = node
         self._settings = settings
 
     @asynccontextmanager
     async def open(self) -> AsyncGenerator[DdsNode, None]:
         """See `RosAdapter.open`."""
-        given = self._node.arguments
-        arguments = read_arguments(sys.argv if given is None else given)
-        name = self._node.name or f"fibaction_{uuid.uuid4().hex[:8]}"
-        full = node_name(name, self._node.namespace, arguments)
-        resolver = NameResolver(full, arguments)
+        start = node_start(self._node)
         opened = open_node(
             self.domain(),
-            full,
-            resolver,
+            start.name,
+            start.resolver,
             self._types,
             network=self._settings.network,
             fragment_size=self._settings.fragment_size,
-            has_rosout=arguments.has_rosout,
+            has_rosout=start.has_rosout,
         )
         async with opened as node:
             for sentence in self.left_out():
                 node.warn(sentence)
-            if (value := _simulated_time(full, arguments)) is not None:
-                node.parameters.set_use_sim_time(value)
+            if start.use_sim_time is not None:
+                node.parameters.set_use_sim_time(start.use_sim_time)
             yield node
 
     def left_out(self) -> list[str]:
@@ -165,18 +149,3 @@ class DdsAdapter(RosAdapter):
             return DomainSettings.from_environment(environ, tuple(settings.ip_versions))
         except ValueError as exc:
             raise TransportError(str(exc)) from exc
-
-
-def _simulated_time(node: NodeName, arguments: RosArguments) -> bool | None:
-    """Return the value of `use_sim_time` in the arguments; None if they do not have it.
-
-    Raises:
-        TransportError: It is not a bool.
-    """
-    given = overrides_of(str(node), arguments.parameters).get(USE_SIM_TIME)
-    if given is None:
-        return None
-    word = str(given.value).lower()
-    if word not in _YES + _NO:
-        raise TransportError(f"{given.origin}: expected true or false")
-    return word in _YES

@@ -15,9 +15,10 @@ from fibaction_transports.ros2.client.mismatches import explain_mismatch
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter
-from fibaction_transports.ros2.on_dds.messages.message_type import read_hashes, ros_type, topic_name
 from fibaction_transports.ros2.on_dds.node import DdsNode
+from fibaction_transports.ros2.on_dds.topic_names import topic_name
 from fibaction_transports.ros2.settings import RosSettings
+from fibaction_transports.ros2.without_ros.messages.message_type import read_hashes, ros_type
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, OWN_VENDOR
 from fibaction_transports.rtps.ports import (
     GROUPS,

@@ -11,7 +11,6 @@ from collections.abc import AsyncGenerator, Container, Sequence
 from contextlib import asynccontextmanager
 
 from anyio import current_time
-from msgspec import Struct
 
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
@@ -21,17 +20,20 @@ from fibaction_transports.cdr.standard_messages import (
     NodeEntitiesInfo,
     ParticipantEntitiesInfo,
 )
-from fibaction_transports.ros2.node.graph_view import DiscoveryState, GraphView
+from fibaction_transports.ros2.node.graph_view import DiscoveryState
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.on_dds.messages.action_types import standard_type
-from fibaction_transports.ros2.on_dds.messages.message_type import (
+from fibaction_transports.ros2.node.ros_node import RosGraph
+from fibaction_transports.ros2.on_dds.topic_names import (
     GRAPH_TOPIC,
-    read_hashes,
+    reply_topic,
+    request_topic,
     ros_topic,
-    ros_type,
     topic_name,
 )
 from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.action_types import standard_type
+from fibaction_transports.ros2.without_ros.messages.message_type import read_hashes, ros_type
+from fibaction_transports.ros2.without_ros.ros_arguments import NodeName
 from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
@@ -56,22 +58,13 @@ _KEPT = Qos(depth=1, durability=Durability.TRANSIENT_LOCAL)
 logger = clean_logger("fibaction.ros2")
 
 
-class NodeName(Struct, frozen=True):
-    """The name of a node, and its namespace, which is `/` without one."""
-
-    name: str
-    namespace: str
-
-    def __str__(self) -> str:
-        return f"{self.namespace.rstrip('/')}/{self.name}"
-
-
 def dds_qos(qos: EndQos) -> Qos:
     """Return the quality of service of an endpoint of RTPS."""
     return Qos(
         reliability=Reliability[qos.reliability.upper()],
         durability=Durability[qos.durability.upper()],
         depth=qos.depth,
+        lifespan=qos.lifespan,
         liveliness_lease=qos.lease,
     )
 
@@ -85,7 +78,7 @@ def _end_qos(qos: Qos) -> EndQos:
     )
 
 
-class DdsGraph(GraphView):
+class DdsGraph(RosGraph):
     """The ends of all topics, those of this node among them."""
 
     def __init__(self, network: ParticipantNetwork, node: NodeName) -> None:
@@ -204,8 +197,24 @@ class DdsGraph(GraphView):
         """Return the readers of a topic of DDS."""
         return [self._info(end) for end in self._ends(topic) if end.guid[-1] in READER_KINDS]
 
-    def count(self, topic: str, kinds: Container[int]) -> int:
-        """Return the number of the ends of a topic of DDS that are of some kinds."""
+    def request_readers(self, service: str) -> Sequence[EndInfo]:
+        return self.readers(request_topic(service))
+
+    def answer_writers(self, service: str) -> Sequence[EndInfo]:
+        return self.writers(reply_topic(service))
+
+    # Without a look at what the ends have to tell.
+
+    def count_callers(self, service: str) -> int:
+        return self._count(request_topic(service), WRITER_KINDS)
+
+    def count_publishers(self, topic: str) -> int:
+        return self._count(topic_name(topic), WRITER_KINDS)
+
+    def count_subscriptions(self, topic: str) -> int:
+        return self._count(topic_name(topic), READER_KINDS)
+
+    def _count(self, topic: str, kinds: Container[int]) -> int:
         return len([end for end in self._ends(topic) if end.guid[-1] in kinds])
 
     def _ends(self, topic: str) -> list[EndpointData | DataWriter | DataReader]:

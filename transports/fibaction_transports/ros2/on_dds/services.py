@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import struct
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import anyio
@@ -39,9 +39,7 @@ from fibaction_transports.ros2.node.parts import (
     ServiceCaller,
     ServiceProvider,
 )
-from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
@@ -118,8 +116,6 @@ OPEN_REQUESTS = 10_000
 """Requests whose answers a client still knows; then the oldest is forgotten."""
 ANSWERED_REQUESTS = 256
 """Answered requests that a client still knows: other servers of the name may answer them, too."""
-
-_SERVICES = EndQos(depth=1000)
 
 logger = clean_logger("fibaction.ros2")
 
@@ -331,22 +327,6 @@ class DdsProvider(ServiceProvider):
             return [header.identity.writer] if header.identity.writer in readers else []
         # A header does not name the reader, so all of the client's participant get the answer.
         return [reader for reader in readers if reader.prefix == header.client.prefix]
-
-
-def provide(
-    ros: RosNode, service: str, service_type: ServiceType, answer: Callable[[Any], Any]
-) -> None:
-    """Serve a service of a node whose answers need no time.
-
-    Raises:
-        TransportError: The service cannot be made.
-    """
-
-    def take(header: Any, request: Any) -> None:
-        if not provider.answer(header, answer(request)):
-            logger.info("%s: an answer cannot reach its client, and is lost", service)
-
-    provider = ros.provider(service, service_type, _SERVICES, take)
 
 
 def _put(table: OrderedDict[int, Any], key: int, value: Any) -> None:

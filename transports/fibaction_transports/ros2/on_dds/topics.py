@@ -14,7 +14,7 @@ from fibaction_transports.ros2.node.parts import (
     TopicPublisher,
     TopicSubscription,
 )
-from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from typing import Final, NamedTuple
 
-from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     FieldTypeDescription,
     UnusableDescription,
 )

@@ -1,4 +1,4 @@
-"""The messages of an action over DDS, as the halves of the transport use them."""
+"""The messages of an action without ROS, as the halves of the transport use them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from fibaction_transports.cdr.standard_messages import (
 from fibaction_transports.ros2.convert.conversion import RosAction, RosCodec, RosCodecs
 from fibaction_transports.ros2.convert.fields import SINGLES, Kind, array_kind, text_kind
 from fibaction_transports.ros2.convert.message_types import DurationKind, MessageKind, TimeKind
-from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
 
 _NIL = msgspec.msgpack.encode(None)
 

@@ -13,8 +13,8 @@ from msgspec import Struct, field
 from fibaction.interfaces.files import InterfaceMessage
 from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.standard_messages import MESSAGES, STRUCTS, TimeMessage, composed
-from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
-from fibaction_transports.rtps.qos import Durability, Qos
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
 
 
 class ParameterValue(Struct):
@@ -78,7 +78,7 @@ CLOCK: Final = node_message("rosgraph_msgs/msg/Clock", "Time clock", ClockMessag
 
 
 ROSOUT: Final = "/rosout"
-ROSOUT_QOS: Final = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000, lifespan=10.0)
+ROSOUT_QOS: Final = EndQos(durability="transient_local", depth=1000, lifespan=10.0)
 """The QoS of ROS: a node that comes late reads the lines of the last ten seconds."""
 _BILLION = 10**9
 

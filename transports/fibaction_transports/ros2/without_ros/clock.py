@@ -1,4 +1,4 @@
-"""The clock of a node over DDS: the machine's, or that of a simulation, which tells its time on
+"""The clock of a node without ROS: the machine's, or that of a simulation, which tells its time on
 the topic `/clock`.
 """
 
@@ -16,7 +16,7 @@ _TIME = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 _START = 4
 
 
-class DdsClock(RosClock):
+class OwnClock(RosClock):
     """The clock of a node."""
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The parameters of a node over DDS, and their services, for `ros2 param`.
+"""The parameters of a node without ROS, and their services, for `ros2 param`.
 
 A node has one parameter, as those of rclpy have it: `use_sim_time`.
 """
@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from fibaction_transports.ros2.node.ros_node import RosNode
-from fibaction_transports.ros2.on_dds.messages import parameter_messages as messages
-from fibaction_transports.ros2.on_dds.messages.node_messages import Parameter, ParameterValue
-from fibaction_transports.ros2.on_dds.services import provide
+from fibaction_transports.ros2.without_ros.answers import provide
+from fibaction_transports.ros2.without_ros.messages import parameter_messages as messages
+from fibaction_transports.ros2.without_ros.messages.node_messages import Parameter, ParameterValue
 
 USE_SIM_TIME: Final = "use_sim_time"
 _NOT_SET, _BOOL = 0, 1
 
 
-class DdsParameters:
+class NodeParameters:
     """The parameters of a node, and the answers to questions about them."""
 
     def __init__(self, use_simulated_time: Callable[[bool], None]) -> None:

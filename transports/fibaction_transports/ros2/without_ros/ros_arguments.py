@@ -21,16 +21,27 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
+from msgspec import Struct
+
 from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import TransportError
 from fibaction.words.extras import MissingExtra, NeedsExtra
-from fibaction_transports.ros2.on_dds.graph import NodeName
 
 ALL_NODES: Final = "/**"
 _KEY = "ros__parameters"
 _FORM = f"expected the names of nodes, each with {_KEY} and its parameters"
 _NODES = re.compile(r"(/(\*\*?|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
 _ANY = {"*": r"/\w+", "**": r"(/\w+)*"}
+
+
+class NodeName(Struct, frozen=True):
+    """The name of a node, and its namespace, which is `/` without one."""
+
+    name: str
+    namespace: str
+
+    def __str__(self) -> str:
+        return f"{self.namespace.rstrip('/')}/{self.name}"
 
 
 class Override(NamedTuple):

@@ -12,8 +12,8 @@ from typing import Final
 
 from fibaction.interfaces.files import InterfaceMessage
 from fibaction_transports.cdr.type_hashes import PREFIX, Description, type_description, type_hash
-from fibaction_transports.ros2.on_dds.descriptions import description_messages as messages
-from fibaction_transports.ros2.on_dds.messages.message_type import MessageType, ServiceType
+from fibaction_transports.ros2.without_ros.descriptions import description_messages as messages
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
 
 NOT_USED: Final = "Type not currently in use by this node"
 NOT_A_HASH: Final = "Failed to parse type hash"

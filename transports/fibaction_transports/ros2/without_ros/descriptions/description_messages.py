@@ -8,8 +8,8 @@ from msgspec import Struct, field
 
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.cdr.codec import CdrCodec
-from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
-from fibaction_transports.ros2.on_dds.messages.node_messages import node_message
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
+from fibaction_transports.ros2.without_ros.messages.node_messages import node_message
 
 LARGEST_DESCRIPTION: Final = 2**20
 """Bytes of an answer; the description of an action has about 6,000 with its sources."""

@@ -1,7 +1,5 @@
 """The types of messages, as ends of topics and services need them, and the names that ROS gives to
-topics and types in DDS.
-
-https://design.ros2.org/articles/topic_and_service_names.html has those of topics and services.
+types in DDS and Zenoh.
 """
 
 from __future__ import annotations
@@ -15,31 +13,6 @@ from fibaction.interfaces.files import InterfaceMessage
 from fibaction_transports.cdr.action_messages import service_interface
 from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.type_hashes import PREFIX, type_hash
-
-GRAPH_TOPIC: Final = "ros_discovery_info"
-"""The topic on which each participant tells which of its endpoints belong to which node."""
-_TOPIC: Final = "rt"
-_REQUESTS, _REPLIES = ("rq", "Request"), ("rr", "Reply")
-
-
-def topic_name(full: str) -> str:
-    """Return the name in DDS of a topic of ROS, which is given by its full name."""
-    return _TOPIC + full
-
-
-def request_topic(service: str) -> str:
-    """Return the name in DDS of the topic with the requests to a service."""
-    return service.join(_REQUESTS)
-
-
-def reply_topic(service: str) -> str:
-    """Return the name in DDS of the topic with the replies of a service."""
-    return service.join(_REPLIES)
-
-
-def ros_topic(name: str) -> str:
-    """Return the full name in ROS of a topic of DDS; empty if it is not a topic of ROS."""
-    return name.removeprefix(_TOPIC) if name.startswith(f"{_TOPIC}/") else ""
 
 
 def dds_type(type_name: str) -> str:

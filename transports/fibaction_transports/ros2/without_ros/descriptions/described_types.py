@@ -15,7 +15,7 @@ from fibaction.interfaces.files import InterfaceMessage, read_action_texts
 from fibaction.interfaces.parser import parse_message
 from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.type_hashes import NO_FIELDS, TYPE_NUMBERS, type_hash
-from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     DescriptionResponse,
     FieldDescription,
     FieldTypeDescription,

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
 import anyio
@@ -33,97 +33,23 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
-from fibaction_transports.ros2.node.parts import AnswerSink, EndInfo, ErrorSink
+from fibaction_transports.ros2.node.parts import AnswerSink, EndInfo, ErrorSink, ServiceCaller
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
-from fibaction_transports.ros2.on_dds.descriptions.described_types import (
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     described_action,
     looked_up_action,
 )
-from fibaction_transports.ros2.on_dds.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
-    FieldDescription,
     IndividualTypeDescription,
     UnusableDescription,
 )
-from fibaction_transports.ros2.on_dds.descriptions.type_objects import TypeObject, read_types
-from fibaction_transports.ros2.on_dds.messages.action_types import action_of
-from fibaction_transports.ros2.on_dds.messages.dds_types import DdsTypes, ServerVersion
-from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType, ros_type
-from fibaction_transports.ros2.on_dds.services import DdsCaller
-from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.rtps.events import TypesAnswered
-
-AT_ONCE: Final = 10
-"""Types in one question."""
-MOST_TYPES: Final = 300
-"""Types that an action may nest."""
-
-
-class TypeQuestions:
-    """The questions of a node about types, by TypeLookup of XTypes.
-
-    Nodes on Fast DDS 3, as of ROS 2 Kilted, tell the types of all messages in this way, those of
-    requests and answers among them: so goals and results, too.
-    """
-
-    def __init__(self, ask: Callable[[bytes, Sequence[bytes]], int]) -> None:
-        """`ask` sends a question to a participant, and returns its number, or 0 if it cannot."""
-        self._ask = ask
-        self._waiting: dict[int, tuple[bytes, anyio.Event]] = {}
-        self._answers: dict[int, bytes] = {}
-
-    def take(self, event: TypesAnswered) -> None:
-        """Take an answer, if it is waited for."""
-        prefix, is_answered = self._waiting.get(event.number, (b"", None))
-        if is_answered is not None and prefix == event.prefix:
-            self._answers[event.number] = event.types
-            is_answered.set()
-
-    async def look_up(
-        self, prefix: bytes, type_ids: Iterable[bytes]
-    ) -> dict[str, IndividualTypeDescription]:
-        """Return types of a participant with all that they nest, by their names.
-
-        Raises:
-            UnusableDescription: The participant does not tell them.
-        """
-        known: dict[bytes, TypeObject] = {}
-        wanted = dict.fromkeys(type_ids)
-        while missing := [one for one in wanted if one not in known][:AT_ONCE]:
-            found = read_types(await self._answer(prefix, missing))
-            for one in missing:
-                if one not in found:
-                    raise UnusableDescription("it does not tell a type that it was asked for")
-                known[one] = found[one]
-                wanted |= {field.nested: None for field in found[one].fields if field.nested}
-            if len(wanted) > MOST_TYPES:
-                raise UnusableDescription(f"it nests more than {MOST_TYPES} types")
-        return {ros_type(one.name): _described(one, known) for one in known.values()}
-
-    async def _answer(self, prefix: bytes, type_ids: Sequence[bytes]) -> bytes:
-        number = self._ask(prefix, type_ids)
-        if not number:
-            raise UnusableDescription("its participant does not answer questions about types")
-        is_answered = anyio.Event()
-        self._waiting[number] = prefix, is_answered
-        try:
-            await is_answered.wait()
-            return self._answers[number]
-        finally:
-            del self._waiting[number]
-            self._answers.pop(number, None)
-
-
-def _described(found: TypeObject, known: dict[bytes, TypeObject]) -> IndividualTypeDescription:
-    fields: list[FieldDescription] = []
-    for name, field_type, nested in found.fields:
-        if nested:
-            field_type.nested_type_name = ros_type(known[nested].name)
-        fields.append(FieldDescription(name, field_type))
-    return IndividualTypeDescription(ros_type(found.name), fields)
-
+from fibaction_transports.ros2.without_ros.messages.action_types import action_of
+from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes, ServerVersion
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 
 ASK_TIME: Final = 1.0
 """Seconds in which the type of an action is learned."""
@@ -138,6 +64,24 @@ MOST_SILENT: Final = 1_000
 _TYPES = b"types of "
 
 logger = clean_logger("fibaction.ros2")
+
+
+class ActionQuestions(Protocol):
+    """The questions by which a server tells all types of an action, if its middleware has any."""
+
+    @abstractmethod
+    def can_ask(self, ends: Sequence[EndInfo]) -> bool:
+        """Return whether the server of these ends can be asked. They are those that take goals,
+        give results and publish feedback, in this order.
+        """
+
+    @abstractmethod
+    async def look_up(self, ends: Sequence[EndInfo]) -> dict[str, IndividualTypeDescription]:
+        """Return the types of these ends with all that they nest, by their names.
+
+        Raises:
+            UnusableDescription: The server does not tell them.
+        """
 
 
 class AskingNode(Protocol):
@@ -163,18 +107,18 @@ class AskingNode(Protocol):
         qos: EndQos,
         take: AnswerSink,
         take_unreadable: ErrorSink | None = None,
-    ) -> DdsCaller:
+    ) -> ServiceCaller:
         """See `RosNode.caller`."""
 
     @abstractmethod
-    def remove_caller(self, caller: DdsCaller) -> None:
+    def remove_caller(self, caller: ServiceCaller) -> None:
         """Remove a client of a service."""
 
 
 class TypeLearner:
     """Learns the types of actions from other nodes."""
 
-    def __init__(self, node: AskingNode, types: DdsTypes, questions: TypeQuestions) -> None:
+    def __init__(self, node: AskingNode, types: FileTypes, questions: ActionQuestions) -> None:
         self._node = node
         self._types = types
         self._questions = questions
@@ -227,8 +171,7 @@ class TypeLearner:
             for ends in (*self._services(topic), [end])
         ]
         version = ServerVersion(*(_hashes([one]) for one in messages))
-        type_ids = dict.fromkeys(one.type_id for one in messages)
-        if len(type_ids) < len(messages) or b"" in type_ids or not all(version):
+        if not (self._questions.can_ask(messages) and all(version)):
             return False
         goal_hash = messages[0].type_hash
         if self._types.has_learned(type_name, goal_hash):
@@ -238,7 +181,7 @@ class TypeLearner:
         self._do_not_ask(_TYPES + end.gid, SILENCE)
         with anyio.move_on_after(ASK_TIME / 2):
             try:
-                found = await self._questions.look_up(end.gid[PARTICIPANT], type_ids)
+                found = await self._questions.look_up(messages)
                 file = looked_up_action(found, type_name)
                 if not version.is_of(action_of(file)):
                     raise UnusableDescription("it has another hash")

@@ -1,4 +1,4 @@
-"""The types of actions over DDS: from interface files, which need no ROS."""
+"""The types of actions from interface files, which need no ROS."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fibaction_transports.ros2.convert.conversion import (
     is_action_type,
 )
 from fibaction_transports.ros2.node.ros_node import RosTypes, TypeVersion
-from fibaction_transports.ros2.on_dds.messages.action_types import (
+from fibaction_transports.ros2.without_ros.messages.action_types import (
     PartlyKnownAction,
     action_of,
     unknown_action,
 )
-from fibaction_transports.ros2.on_dds.messages.message_type import MessageType
-from fibaction_transports.ros2.on_dds.messages.node_messages import PARAMETER
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
+from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER
 
 FOLDERS: Final = "FIBACTION_SEARCH"
 """The variable of the environment with folders of packages, separated as in PATH."""
@@ -136,7 +136,7 @@ class _Definition(NamedTuple):
     """The hash by which another node was asked for it."""
 
 
-class DdsTypes(RosTypes):
+class FileTypes(RosTypes):
     """The types whose interface files are found, or were loaded by this program."""
 
     def __init__(self, folders: Sequence[str | os.PathLike[str]] = ()) -> None:

@@ -6,8 +6,8 @@ from typing import Final
 
 from msgspec import Struct, field
 
-from fibaction_transports.ros2.on_dds.messages.message_type import ServiceType
-from fibaction_transports.ros2.on_dds.messages.node_messages import (
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
+from fibaction_transports.ros2.without_ros.messages.node_messages import (
     Parameter,
     ParameterValue,
     node_message,

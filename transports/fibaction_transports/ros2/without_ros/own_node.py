@@ -1,0 +1,145 @@
+"""A node without ROS, whatever the middleware: its name, its parameters, its log, and what it tells
+of its types.
+"""
+
+from __future__ import annotations
+
+import logging
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
+from fibaction.words.errors import TransportError
+from fibaction_transports.ros2.node.graph_view import DiscoveryState
+from fibaction_transports.ros2.node.parts import EndInfo, ServiceCaller, ServiceProvider
+from fibaction_transports.ros2.node.ros_node import RosGraph, RosNode
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.answers import provide
+from fibaction_transports.ros2.without_ros.clock import CLOCK_TOPIC, OwnClock
+from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+    GET_TYPE_DESCRIPTION,
+)
+from fibaction_transports.ros2.without_ros.descriptions.type_learner import (
+    ActionQuestions,
+    TypeLearner,
+)
+from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
+from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
+from fibaction_transports.ros2.without_ros.messages.node_messages import (
+    CLOCK,
+    LOG,
+    ROSOUT,
+    ROSOUT_QOS,
+    RosoutLog,
+)
+from fibaction_transports.ros2.without_ros.parameters import NodeParameters
+from fibaction_transports.ros2.without_ros.ros_arguments import NameResolver, NodeName
+
+_NEWEST = EndQos(reliability="best_effort", depth=1)
+
+logger = clean_logger("fibaction.ros2")
+
+
+class OwnNode(RosNode):
+    """A node that this project makes."""
+
+    scheme: ClassVar[str]
+    """The scheme of the URLs of its transport."""
+
+    def __init__(
+        self,
+        graph: RosGraph,
+        name: NodeName,
+        resolver: NameResolver,
+        types: FileTypes,
+        questions: ActionQuestions,
+        *,
+        has_rosout: bool,
+    ) -> None:
+        """Serve what every node serves. What a subclass needs for its parts is there before."""
+        super().__init__()
+        self.types = types
+        self.clock = self._clock = OwnClock()
+        self.parameters = NodeParameters(self._use_simulated_time)
+        self.full_name = str(name)
+        self.namespace = name.namespace
+        self.in_use = TypeRegistry()
+        """The types of the parts, which others may ask for."""
+        self._graph = graph
+        self._resolver = resolver
+        self._learner = TypeLearner(self, types, questions)
+        self._hears_time = False
+        self.parameters.serve(self, self.full_name)
+        self._rosout: RosoutLog | None = None
+        if has_rosout:
+            log = self.publisher(self.resolve(ROSOUT), LOG, ROSOUT_QOS)
+            self._rosout = RosoutLog(self.full_name, log.publish)
+        provide(self, f"{name}/get_type_description", GET_TYPE_DESCRIPTION, self.in_use.answer)
+
+    def resolve(self, name: str) -> str:
+        return self._resolver.resolve(name)
+
+    def warn(self, text: str) -> None:
+        self._log(logging.WARNING, text)
+
+    def complain(self, text: str) -> None:
+        self._log(logging.ERROR, text)
+
+    def _log(self, level: int, text: str) -> None:
+        if self.is_up:
+            line = excerpt(text, MESSAGE)
+            logger.log(level, "%s", line)
+            if self._rosout is not None:
+                self._rosout.write(level, line)
+
+    def _use_simulated_time(self, wanted: bool) -> None:
+        self._clock.use_simulated(wanted)
+        if wanted and not self._hears_time:
+            self._hears_time = True
+            self.subscription(CLOCK_TOPIC, CLOCK, _NEWEST, self._clock.take)
+
+    def introspect(self, level: str, *services: ServiceCaller | ServiceProvider) -> None:
+        if level != "off":
+            raise TransportError(
+                f"introspection={level!r} needs ROS itself: leave it out with {self.scheme}://"
+            )
+
+    @abstractmethod
+    def remove_caller(self, caller: ServiceCaller) -> None:
+        """Remove a client of a service."""
+
+    # The graph
+
+    async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
+        await self._learner.learn(actions)
+
+    def discovery(self) -> DiscoveryState:
+        return self._graph.discovery()
+
+    def nodes(self) -> set[str]:
+        return self._graph.nodes()
+
+    def topics(self) -> list[tuple[str, str]]:
+        return self._graph.topics()
+
+    def publishers(self, topic: str) -> Sequence[EndInfo]:
+        return self._graph.publishers(topic)
+
+    def subscriptions(self, topic: str) -> Sequence[EndInfo]:
+        return self._graph.subscriptions(topic)
+
+    def request_readers(self, service: str) -> Sequence[EndInfo]:
+        return self._graph.request_readers(service)
+
+    def answer_writers(self, service: str) -> Sequence[EndInfo]:
+        return self._graph.answer_writers(service)
+
+    def count_callers(self, service: str) -> int:
+        return self._graph.count_callers(service)
+
+    def count_publishers(self, topic: str) -> int:
+        return self._graph.count_publishers(topic)
+
+    def count_subscriptions(self, topic: str) -> int:
+        return self._graph.count_subscriptions(topic)
