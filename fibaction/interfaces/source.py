@@ -166,8 +166,6 @@ def _indented(lines: Iterable[str]) -> Iterator[str]:
 
 def _docstring(text: str) -> list[str]:
     text = text.replace("\\", "\\\\")
-    if "\n " in text:  # on the line of the quotes, readers would take the indent for the source's
-        text = f"\n{text}"
     if '"""' in text or text.endswith('"'):
         text = text.replace('"', '\\"')
     return f'"""{text}"""'.split("\n") if "\n" not in text else [*f'"""{text}'.split("\n"), '"""']

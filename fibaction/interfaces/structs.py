@@ -46,6 +46,8 @@ def plain_default(field: FieldDefinition) -> Any:
 def docstring(message: InterfaceMessage) -> str:
     """Return the docstring of a message's class: the comment on top of the file, or the name."""
     text = message.definition.comment
+    if "\n " in text:  # on the line of the quotes, readers would take the indent for the source's
+        text = f"\n{text}"
     return text or f"{message.full_name[0].upper()}{message.full_name[1:]}."
 
 

@@ -79,7 +79,8 @@ class _Module:
         }
         fields = [f"  {name}: {text};" for name, text in parts.items()]
         name = self.name(f"{stem}Action", stem, info)
-        lines = [f"/** The action `{_comment(info.name)}`. */", f"export interface {name} {{"]
+        doc = _comment(f"The action `{info.name}`. {info.description}")
+        lines = [f"/** {doc} */", f"export interface {name} {{"]
         self.declare(name, "\n".join([*lines, *fields, "}"]))
         return name
 

@@ -190,11 +190,11 @@ class ActionInfo(msgspec.Struct, frozen=True):
         """The purpose of the action, as its author says it: the description of the goal, which is
         the docstring of its type; empty if there is none.
         """
-        name = str(self.goal.get("$ref", "")).removeprefix("#/$defs/")
-        definitions = self.goal.get("$defs")
+        root: Any = self.goal  # a peer may send anything
+        definitions = root.get("$defs") if is_map(root) else None
+        name = str(root.get("$ref", "")).removeprefix("#/$defs/") if is_map(definitions) else ""
         target = definitions.get(name) if is_map(definitions) else None
-        parts = (self.goal, target) if is_map(target) else (self.goal,)
-        texts = (part.get("description") for part in parts)
+        texts = (part.get("description") for part in (root, target) if is_map(part))
         return next((text for text in texts if isinstance(text, str)), "")
 
 

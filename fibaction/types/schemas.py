@@ -1,4 +1,5 @@
-"""The JSON Schema of a type of msgspec, with the defaults of fields that a function makes.
+"""The JSON Schema of a type of msgspec, with the defaults of fields that a function makes, and with
+the descriptions of fields that are plain text: `Annotated[int, "How far."]`.
 
 msgspec leaves these out, since a function may return another value each time. But a client that
 does not know a default cannot show what the server will get. So the function is called twice: what
@@ -8,8 +9,9 @@ it returns both times is the default, and what differs, such as a random ID, is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from inspect import cleandoc
-from typing import Any, cast
+from typing import Any, cast, get_origin, get_type_hints
 
 import msgspec
 from msgspec import inspect
@@ -33,8 +35,7 @@ def schema_of(
     for kind, reference in zip(objects, references, strict=True):
         _, _, name = reference["$ref"].rpartition("/")
         _add_defaults(parts[name], kind.fields)
-        if "description" in parts[name]:  # a docstring, whose indent depends on the Python
-            parts[name]["description"] = cleandoc(parts[name]["description"])
+        _add_descriptions(parts[name], kind)
     return {**schema, "$defs": parts} if parts else schema
 
 
@@ -48,6 +49,23 @@ def _add_defaults(part: dict[str, Any], fields: tuple[inspect.Field, ...]) -> No
         default = constant_of(field.default_factory)
         if default is not msgspec.NODEFAULT:
             shown["default"] = default
+
+
+def _add_descriptions(part: dict[str, Any], kind: Any) -> None:
+    """Add the descriptions that msgspec does not see to the schema of a type with fields."""
+    cls: Any = get_origin(kind.cls) or kind.cls
+    if "description" in part:  # a docstring, whose indent depends on the Python
+        part["description"] = cleandoc(cls.__doc__)
+    hints: dict[str, Any] = {}
+    with suppress(NameError, TypeError):  # names that only msgspec finds
+        hints = get_type_hints(cls, include_extras=True)
+    known = part.get("properties", {})
+    for field in kind.fields:
+        shown = known.get(field.encode_name)
+        hint = hints.get(field.name)
+        texts = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, str)]
+        if texts and is_map(shown):
+            shown.setdefault("description", texts[0])
 
 
 def constant_of(factory: Any, plain: Callable[[Any], Any] | None = None) -> Any:

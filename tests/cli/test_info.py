@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 
+import msgspec
 import pytest
 
-from fibaction import serve
+from fibaction import Action, serve
 from fibaction._api import ClientConnection
 from fibaction.border.abc import Connection
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.cli.verbs.info import print_info
+from fibaction.testing import ScriptedServer
 from fibaction.words.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers
@@ -82,3 +84,23 @@ async def test_an_action_that_has_only_clients_is_known(
 async def test_an_action_that_has_neither_is_unknown(peers: dict[str, ActionPeers]) -> None:
     with pytest.raises(Failure, match="the action /jump is not served"):
         await print_info("inproc://empty", "jump", show_types=False, count=False, as_json=False)
+
+
+class Nudge(msgspec.Struct):
+    """Nudge the robot.
+
+    Gently.
+    """
+
+
+@pytest.mark.asyncio
+async def test_info_shows_the_description(capsys: pytest.CaptureFixture[str]) -> None:
+    nudge = Action("nudge", goal=Nudge, feedback=int, result=str)
+    async with serve(ScriptedServer(nudge, [""]), "inproc://info"):
+        for count in (False, True):
+            await print_info("inproc://info", "nudge", show_types=False, count=count, as_json=False)
+
+    head = "Action: /nudge\n    Nudge the robot.\n\n    Gently.\nAction clients:"
+    out = capsys.readouterr().out
+    assert out.startswith(head)
+    assert out.count("Nudge") == 1

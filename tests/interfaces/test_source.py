@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -43,24 +42,12 @@ def action_in(module: ModuleType) -> Action[Any, Any, Any]:
     return found
 
 
-def unindented(thing: Any) -> Any:
-    """Return a schema without the indent that Python before 3.13 leaves in docstrings."""
-    if isinstance(thing, dict):
-        return {
-            key: inspect.cleandoc(value)
-            if key == "description" and isinstance(value, str)
-            else unindented(value)
-            for key, value in thing.items()
-        }
-    return [unindented(one) for one in thing] if isinstance(thing, list) else thing
-
-
 def constants(kind: type) -> dict[str, Any]:
     return {name: value for name, value in vars(kind).items() if name.isupper()}
 
 
 def assert_equal_actions(one: Action[Any, Any, Any], other: Action[Any, Any, Any]) -> None:
-    assert unindented(msgspec.to_builtins(one.info)) == unindented(msgspec.to_builtins(other.info))
+    assert one.info == other.info
     for part in ("goal", "feedback", "result"):
         left, right = getattr(one, part).type, getattr(other, part).type
         assert left.__struct_fields__ == right.__struct_fields__

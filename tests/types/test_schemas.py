@@ -142,3 +142,22 @@ def test_a_default_that_differs_or_fails_is_left_to_the_server(factory: Callable
 
 def test_a_field_that_may_be_missing_has_no_default() -> None:
     assert completed(Part, {"name": "a"}) == ({"name": "a"}, ["size"])
+
+
+class Told(TypedDict):
+    """
+    A shape.
+
+        Indented.
+    """
+
+    x: Annotated[int, "How far."]
+    y: Annotated[int, "Shadowed.", msgspec.Meta(description="How high.")]
+    place: Annotated[Point, "Where."]
+
+
+def test_a_field_and_a_type_have_their_descriptions() -> None:
+    (told,) = (part for name, part in schema_of(Told)["$defs"].items() if name == "Told")
+    assert told["description"] == "A shape.\n\n    Indented."
+    described = {name: part.get("description") for name, part in told["properties"].items()}
+    assert described == {"x": "How far.", "y": "How high.", "place": "Where."}

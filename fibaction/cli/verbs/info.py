@@ -17,6 +17,9 @@ from fibaction.cli.verbs.list import count_option, types_option, with_type
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ServerNotFound
 
+LONGEST_TEXT = 20
+"""Lines of the description of an action."""
+
 
 @click.command("info", epilog="\b\nExample:\n  fibaction info fibonacci")
 @click.argument("name", type=ACTION)
@@ -28,8 +31,8 @@ from fibaction.words.errors import ServerNotFound
 def info_command(
     name: str, show_types: bool, count: bool, namespace: Namespace, as_json: bool, url: str
 ) -> None:
-    """Show the servers and the clients of the action NAME, and its goal as a template to fill in.
-    With --json, also the JSON Schemas of its goal, feedback and result.
+    """Show what the action NAME does, its servers and its clients, and its goal as a template to
+    fill in. With --json, also the JSON Schemas of its goal, feedback and result.
     """
     options = {"show_types": show_types, "count": count, "as_json": as_json}
     run(print_info, url, namespace.absolute(name), **options)
@@ -57,11 +60,14 @@ async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_j
             "feedback": info.feedback,
             "result": info.result,
             "template": GoalTemplate(info.goal).goal,
+            "description": info.description,
         }
         names = {"clients": peers.clients, "servers": peers.servers}
         say_json({"name": info.name, "type": info.type_name, **names, **({} if count else schemas)})
         return ExitCode.SUCCEEDED
     say(f"Action: {excerpt(shown(info.name))}")
+    for line in () if count else info.description.splitlines()[:LONGEST_TEXT]:
+        say(f"    {excerpt(line)}".rstrip())
     for role, peer_names in (("clients", peers.clients), ("servers", peers.servers)):
         say(f"Action {role}: {len(peer_names)}")
         for one in () if count else peer_names:

@@ -7,6 +7,7 @@ import { GoalList } from "./goal_list.js";
 import { counted, linkTo, openLink, shortId, stateOf } from "./goal_text.js";
 import { GoalView } from "./goal_view.js";
 import { PastGoals } from "./past_goals.js";
+import { descriptionOf } from "./schema.js";
 import { Timeline } from "./timeline.js";
 
 const A_MOMENT = 1000;
@@ -39,7 +40,9 @@ export class ActionPage {
     const title = h("h1", {}, info ? info.name : "All actions");
     const type = info?.type_name ?? info?.typeName;
     const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null);
-    const form = this.form && h("section", { class: "card", "aria-label": "New goal" }, h("h2", {}, "New goal"), this.form.element);
+    const about = this.form && descriptionOf(info.goal);
+    const parts = [h("h2", {}, "New goal"), about ? h("p", { class: "about" }, about) : null, this.form?.element];
+    const form = this.form && h("section", { class: "card", "aria-label": "New goal" }, ...parts);
     const left = h("div", { class: "left" }, form, this.timeline.element);
     this.element = h("div", { class: "page" }, head, this.missing, this.error, h("div", { class: "halves" }, left, this.place), this.list.element);
   }

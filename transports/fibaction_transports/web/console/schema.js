@@ -33,6 +33,12 @@ export function resolverOf(root) {
   };
 }
 
+/** Return what an action does: the description of its goal; empty if it has none. */
+export function descriptionOf(root) {
+  const { description } = resolverOf(root)(root);
+  return typeof description === "string" ? description : "";
+}
+
 /** Return a schema as an object: `true` is one that allows any value. */
 function objectOf(schema) {
   return typeof schema === "object" && schema !== null ? schema : {};

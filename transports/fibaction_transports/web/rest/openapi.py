@@ -214,7 +214,7 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
         "servers": [{"url": root or "/"}],
         "tags": [{"name": "actions", "description": "The actions of this server."}]
         + [
-            {"name": info.name, "description": f"Goals of {info.type_name or info.name}."}
+            {"name": info.name, "description": info.description or f"Goals of {info.name}."}
             for info in infos
         ],
         "paths": paths,
@@ -306,9 +306,10 @@ class _Described:
         return self._operation(verb, summary, answers, *parameters) | body
 
     def _operation(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
+        texts = [self._info.description] if verb in _SENDING_VERBS else []
         described: Json = {
             "summary": summary,
-            "description": _DESCRIPTIONS[verb],
+            "description": "\n\n".join(filter(None, [*texts, _DESCRIPTIONS[verb]])),
             "operationId": self._operations.unique(f"{verb}.{self._info.name}"),
             "tags": [self._info.name],
         }
@@ -332,6 +333,7 @@ def _answer(description: str, schema: Json) -> Json:
     return {"description": description, "content": {"application/json": {"schema": schema}}}
 
 
+_SENDING_VERBS = ("send", "put")
 _CANCELED = {"202": _answer("The cancel was accepted.", _ref("Cancel"))}
 _SENDING = (_WAIT, _NEW_LABELS)
 _PUT = (_GOAL_ID, *_SENDING)
