@@ -25,35 +25,49 @@ from fibaction.cli.process.exit_at_once import exit_at_once
 from fibaction.cli.process.exit_codes import ExitCode, debugging, report_errors
 from fibaction.cli.process.logs import CleanFormatter
 
-VERBS = {
-    "list": ("list", "list_command", "List the actions that are served."),
-    "info": ("info", "info_command", "Show the servers and the clients of an action."),
-    "type": ("info", "type_command", "Print the type of an action."),
-    "find": ("list", "find_command", "List the actions of a type."),
-    "wait": ("wait", "wait_command", "Wait until an action is served."),
-    "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
-    "doctor": ("doctor", "doctor_command", "Say why nothing is found."),
-    "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
-    "goals": ("list_goals", "goals_command", "List goals and their statuses."),
-    "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
-    "attach": ("attach", "attach_command", "Follow a goal that was sent before."),
-    "echo": ("echo", "echo_command", "Print every status and feedback of an action."),
-    "workers": ("workers", "workers_command", "List the workers of a fleet."),
-    "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
-    "serve": ("serve", "serve_command", "Run your action servers."),
-    "record": ("recordings", "record_command", "Record the goals of a server from outside."),
-    "replay": ("recordings", "replay_command", "Answer goals as a recording has it."),
-    "show": ("recordings", "show_command", "Summarise a recording."),
-    "export": ("recordings", "export_command", "Write a recording as an MCAP file."),
-    "store": ("store", "store_command", "Back up the file in which a server keeps its goals."),
-    "broker": ("run_broker", "broker_command", "Run a broker for a fleet on this machine."),
-    "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
-    "console": ("console", "console_command", "Operate actions in the browser."),
-    "mcp": ("serve_mcp", "mcp_command", "Serve actions as tools of language models."),
-    "gen": ("gen", "gen_command", "Write Python types for .action files or a robot."),
+GROUPS = {
+    "Serve": {
+        "serve": ("serve", "serve_command", "Run your action servers."),
+        "console": ("console", "console_command", "Operate actions in the browser."),
+        "bridge": ("bridge", "bridge_command", "Serve the actions of one URL at another."),
+        "broker": ("run_broker", "broker_command", "Run a broker for a fleet on this machine."),
+        "mcp": ("serve_mcp", "mcp_command", "Serve actions as tools of language models."),
+    },
+    "Send and follow goals": {
+        "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
+        "attach": ("attach", "attach_command", "Follow a goal that was sent before."),
+        "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
+        "goals": ("list_goals", "goals_command", "List goals and their statuses."),
+        "echo": ("echo", "echo_command", "Print every status and feedback of an action."),
+        "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
+    },
+    "Find and describe actions": {
+        "list": ("list", "list_command", "List the actions that are served."),
+        "info": ("info", "info_command", "Show the servers and the clients of an action."),
+        "type": ("info", "type_command", "Print the type of an action."),
+        "find": ("list", "find_command", "List the actions of a type."),
+        "workers": ("workers", "workers_command", "List the workers of a fleet."),
+    },
+    "Check a connection": {
+        "wait": ("wait", "wait_command", "Wait until an action is served."),
+        "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
+        "doctor": ("doctor", "doctor_command", "Say why nothing is found."),
+    },
+    "Record and replay": {
+        "record": ("recordings", "record_command", "Record the goals of a server from outside."),
+        "replay": ("recordings", "replay_command", "Answer goals from a recording."),
+        "show": ("recordings", "show_command", "Summarise a recording."),
+        "export": ("recordings", "export_command", "Write a recording as an MCAP file."),
+    },
+    "Files": {
+        "gen": ("gen", "gen_command", "Write Python types for .action files or a robot."),
+        "store": ("store", "store_command", "Back up the file in which a server keeps its goals."),
+    },
 }
-"""Each verb: its module in `fibaction.cli.verbs`, the name of its command there, and its short
-help."""
+"""The sections of the help, by what a user wants, each with its verbs; of each verb: its module in
+`fibaction.cli.verbs`, the name of its command there, and its short help."""
+
+VERBS = {verb: described for verbs in GROUPS.values() for verb, described in verbs.items()}
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """The errors of a write for which there is no room."""
@@ -68,6 +82,12 @@ class Verbs(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        width = max(map(len, VERBS))  # the same column in all sections
+        for title, verbs in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(verb.ljust(width), use) for verb, (_, _, use) in verbs.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -92,7 +112,7 @@ class Verbs(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="""\b
 Examples:
-  fibaction list -t
+  fibaction serve robot:server
   fibaction send_goal fibonacci "order: 10" -f
   fibaction -u ros2:// info fibonacci
 
@@ -123,7 +143,10 @@ FIBACTION_DEBUG=1 shows the traceback of an error.""",
 @click.version_option(package_name="fibaction", message="fibaction %(version)s")
 @click.pass_context
 def cli(context: click.Context, url: str, address: str | None) -> None:
-    """ROS 2 actions from the shell, with or without ROS."""
+    """Serve functions that take a while, and call, follow and cancel them.
+
+    They are actions, as in ROS 2, which you need only for ros2:// URLs.
+    """
     source = context.get_parameter_source("url")
     if address is not None and source is click.core.ParameterSource.COMMANDLINE:
         raise click.UsageError("the server is given twice: by --connection and by --url")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import errno
 import logging
+import re
 import signal
 import subprocess
 import sys
@@ -28,6 +29,29 @@ def test_help_lists_every_verb_with_what_it_is_for(invoke: Invoke) -> None:
         assert f"  {verb}" in out
         assert use in out
     assert "FIBACTION_URL" in out
+
+
+def test_help_groups_the_verbs_by_what_a_user_wants(invoke: Invoke) -> None:
+    first, _, sections = invoke("--help").output.partition("\nServe:\n")
+
+    assert "ROS" not in first.partition(".")[0]
+    assert len(app.VERBS) == sum(map(len, app.GROUPS.values()))
+    listed = re.findall(r"^(?:(\S.*):|  ([a-z_]+) {2,}(\S).*)$", f"Serve:\n{sections}", re.MULTILINE)
+    assert [title or verb for title, verb, _ in listed][: len(app.GROUPS) + len(app.VERBS)] == [
+        line for title, verbs in app.GROUPS.items() for line in (title, *verbs)
+    ]
+
+
+def test_help_has_all_verbs_in_one_column(invoke: Invoke) -> None:
+    lines = invoke("--help").output.splitlines()
+
+    columns = {
+        line.index(use)
+        for verb, (_, _, use) in app.VERBS.items()
+        for line in lines
+        if line.startswith(f"  {verb} ") and use in line
+    }
+    assert len(columns) == 1
 
 
 def test_a_misspelt_verb_suggests_the_near_one(invoke: Invoke) -> None:
