@@ -48,6 +48,7 @@ async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -
             assert await client.call(Goal(1)) == Result([0, 1])
         async with connect("inproc://connection") as connection:
             assert isinstance(connection, ClientConnection)
+            assert repr(connection) == "<ClientConnection to inproc://connection>"
             assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
             assert await connection.actions() == [FIBONACCI.info]
             assert connection.endpoint(FIBONACCI).info == FIBONACCI.info

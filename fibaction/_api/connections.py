@@ -32,9 +32,12 @@ class ClientConnection(Connection):
             drive, look = connection.client(DRIVE), connection.client(LOOK)
     """
 
-    def __init__(self, connection: Connection, tracing: GoalTracer | None = None) -> None:
+    def __init__(
+        self, connection: Connection, tracing: GoalTracer | None = None, where: str = ""
+    ) -> None:
         self._connection = connection
         self._tracing = tracing
+        self._where = where
         self._blocks: Blocks = connection.blocks if isinstance(connection, KeptConnection) else {}
 
     def client(
@@ -104,6 +107,9 @@ class ClientConnection(Connection):
         """Return the workers of the fleet: see `Connection.workers`."""
         return await self._connection.workers()
 
+    def __repr__(self) -> str:
+        return f"<ClientConnection to {self._where}>"
+
 
 ConnectedT = TypeVar("ConnectedT", covariant=True)
 
@@ -143,7 +149,8 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
     async def _kept(self) -> ConnectedT:
         connection = await keep_open(self._transport)
         try:
-            return self._client_of(ClientConnection(connection, self._tracing))
+            where = _name_of(self._transport)
+            return self._client_of(ClientConnection(connection, self._tracing, where))
         except BaseException:
             await connection.aclose()
             raise
@@ -229,8 +236,13 @@ async def _connected(
     transport: Transport, tracing: GoalTracer | None
 ) -> AsyncGenerator[ClientConnection, None]:
     async with transport.connect() as opened:
-        connection = ClientConnection(opened, tracing)
+        connection = ClientConnection(opened, tracing, _name_of(transport))
         try:
             yield connection
         finally:
             await connection.leave()
+
+
+def _name_of(transport: Transport) -> str:
+    """Return the URL of a transport that has one, without its settings, or its class."""
+    return getattr(transport, "url", type(transport).__name__)

@@ -157,6 +157,9 @@ class BlockingConnection:
         """Return the workers of the fleet: see `Connection.workers`."""
         return self._loop.run(self._connection.workers)
 
+    def __repr__(self) -> str:
+        return f"<BlockingConnection of {self._connection!r}>"
+
 
 def client_or_connection(
     loop: LoopThread, connection: ClientConnection, action: Action[Any, Any, Any] | None

@@ -57,6 +57,9 @@ class BlockingFeedback(Generic[FeedbackT]):
         """The number of feedback messages that were not delivered."""
         return self._reader.dropped
 
+    def __repr__(self) -> str:
+        return f"<BlockingFeedback number={self.number} dropped={self.dropped}>"
+
 
 class BlockingGoal(Generic[FeedbackT, ResultT]):
     """One accepted goal, as its client sees it; a block of it cancels the goal at the end.

@@ -87,7 +87,9 @@ class Verbs(click.Group):
         width = max(map(len, VERBS))  # the same column in all sections
         for title, verbs in GROUPS.items():
             with formatter.section(title):
-                formatter.write_dl([(verb.ljust(width), use) for verb, (_, _, use) in verbs.items()])
+                formatter.write_dl(
+                    [(verb.ljust(width), use) for verb, (_, _, use) in verbs.items()]
+                )
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

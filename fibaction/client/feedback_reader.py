@@ -162,6 +162,9 @@ class FeedbackReader(Generic[FeedbackT]):
         """The number of feedback messages that were not delivered."""
         return self._dropped + self.stream.dropped
 
+    def __repr__(self) -> str:
+        return f"<FeedbackReader number={self.number} dropped={self.dropped}>"
+
     def _release(self) -> None:
         """Stop making the executor wait for this reader, until its next read.
 

@@ -93,7 +93,10 @@ def fitting(request: int, frame: bytes, limit: int) -> bytes:
     """Return the frame, or, if it is larger than the client's limit, one that says so."""
     if len(frame) <= limit:
         return frame
-    text = f"the answer has {len(frame)} bytes, and {limit} are the limit"
+    text = (
+        f"the answer has {len(frame)} bytes, and the client accepts {limit}:"
+        " connect(..., limits=Limits(frame=...)) sets its limit"
+    )
     logger.warning("an answer is not sent: %s", text)
     return encode(Failed(request, Why.LIMIT, text))
 

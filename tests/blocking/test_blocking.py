@@ -125,6 +125,7 @@ def test_a_goal_is_followed_to_its_end(client: Client) -> None:
         assert goal.outcome().status is GoalStatus.SUCCEEDED
         assert (goal.feedback_dropped, goal.feedback.dropped, goal.attempt) == (0, 0, 1)
         assert goal.stamp > 0
+        assert repr(goal.feedback) == "<BlockingFeedback number=3 dropped=0>"
         assert repr(goal) == f"<BlockingGoal {goal.goal_id} SUCCEEDED>"
 
 
@@ -144,6 +145,7 @@ def test_a_goal_without_a_block_is_canceled_by_the_end_of_the_connection(served:
 def test_without_an_action_it_gives_a_connection(served: Served) -> None:
     with connect(served.url) as connection:
         assert isinstance(connection, BlockingConnection)
+        assert repr(connection) == f"<BlockingConnection of <ClientConnection to {served.url}>>"
         assert connection.actions() == [COUNT.info]
         assert connection.peers("count").servers == (served.url,)
         client = connection.client(COUNT)

@@ -36,7 +36,9 @@ def test_help_groups_the_verbs_by_what_a_user_wants(invoke: Invoke) -> None:
 
     assert "ROS" not in first.partition(".")[0]
     assert len(app.VERBS) == sum(map(len, app.GROUPS.values()))
-    listed = re.findall(r"^(?:(\S.*):|  ([a-z_]+) {2,}(\S).*)$", f"Serve:\n{sections}", re.MULTILINE)
+    listed = re.findall(
+        r"^(?:(\S.*):|  ([a-z_]+) {2,}(\S).*)$", f"Serve:\n{sections}", re.MULTILINE
+    )
     assert [title or verb for title, verb, _ in listed][: len(app.GROUPS) + len(app.VERBS)] == [
         line for title, verbs in app.GROUPS.items() for line in (title, *verbs)
     ]

@@ -153,6 +153,7 @@ async def test_a_goal_is_followed_from_its_acceptance_to_its_result() -> None:
         assert goal.feedback_dropped == 0
         assert goal.stamp > 0
         assert repr(goal) == f"<ClientGoal {goal.goal_id} SUCCEEDED>"
+        assert repr(goal.feedback) == "<FeedbackReader number=2 dropped=0>"
 
 
 async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:

@@ -37,7 +37,7 @@ GOAL_ID = GoalID(bytes(range(16)))
 ERRORS: list[ActionError] = [
     UnknownGoal(GOAL_ID),
     ProtocolError("feedback of action 'arm' is not of its type"),
-    InvalidMessage("the message has 2000 bytes, and 1000 are the server's limit"),
+    InvalidMessage("the message has 2000 bytes, and the server accepts 1000"),
     TransportError("the types of action 'arm' cannot be used"),
     InvalidURL("'robot' is not a URL"),
     ServerNotFound("no server at tcp://robot:7400"),

@@ -154,7 +154,9 @@ async def test_a_result_over_the_clients_limit_fails_that_goal_and_is_not_kept()
         (failed,) = heard.pop(1)
         assert isinstance(failed, Failed)
         text = failed.text
-        assert re.fullmatch(r"the answer has \d+ bytes, and 1024 are the limit", text)
+        assert re.fullmatch(
+            r"the answer has \d+ bytes, and the client accepts 1024: connect.*limits=.*", text
+        )
         assert (failed.why, heard) == (Why.LIMIT, {2: [like_ended(2, fib.Result([]))]})
         assert [line.getMessage() for line in lines] == [f"an answer is not sent: {text}"]
         await client.send(1, C)
@@ -862,7 +864,10 @@ async def test_a_message_over_the_servers_limit_is_an_error_of_that_call_only() 
     async with reached(max_frame=size) as (connection, server):
         with anyio.fail_after(5), pytest.raises(InvalidMessage) as caught:
             await endpoint_of(connection).send_goal(GOAL_ID, bytes(40))
-        text = f"the message has {size + 30} bytes, and {size} are the server's limit"
+        text = (
+            f"the message has {size + 30} bytes, and the server accepts {size}:"
+            " serve(..., limits=Limits(frame=...)) sets its limit"
+        )
         assert str(caught.value) == text
         assert await server.hear_all() == []
         async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(10))):
@@ -879,7 +884,7 @@ async def test_a_goal_that_the_next_server_does_not_take_is_not_sent_to_it() -> 
             await server.hear(SendGoal)
             server.channel.cut()
             server = await network.accept(max_frame=1000)
-            with pytest.raises(InvalidMessage, match="1000 are the server's limit"):
+            with pytest.raises(InvalidMessage, match="the server accepts 1000: serve"):
                 await sending.answer(within=1)
 
 

@@ -329,8 +329,11 @@ class OpenCalls:
                 frames.append(frame)
                 size += len(frame)
             else:
-                limit = f"{self._max_frame} are the server's limit"
-                self._reject(call, f"the message has {len(frame)} bytes, and {limit}")
+                self._reject(
+                    call,
+                    f"the message has {len(frame)} bytes, and the server accepts"
+                    f" {self._max_frame}: serve(..., limits=Limits(frame=...)) sets its limit",
+                )
         return frames
 
     def handle(self, message: Any) -> bool:
