@@ -215,7 +215,7 @@ class KeyPlaces(ABC):
 
 
 OpenKeyPlaces: TypeAlias = Callable[[str, int], Awaitable[KeyPlaces]]
-"""Returns the places of a limit of that name, of which each key has so many."""
+"""Returns the places of a limit of that name; each key has so many of them."""
 
 
 def no_obstacle(_goal: StoredGoal) -> str:

@@ -6,9 +6,9 @@ as a message can be. So take your logger from `clean_logger`, and quote with `ex
     logger = clean_logger("my_package.house")
     logger.warning("%s sent an unknown message: %s", peer, excerpt(text))
 
-Of the lines that one call of a logger writes, some of each ten seconds are written, and the others
-are counted in a line of its own, so no peer floods the log. If one call tells of different things,
-tell them apart: `logger.warning(..., extra={"kind": status})`.
+One call of a logger writes only some lines in ten seconds, and then a line with the number of the
+others, so no peer floods the log. If one call is about different things, name them:
+`logger.warning(..., extra={"kind": status})`.
 
 A reason of a peer is data, so it is not escaped; `shortened` cuts it to `REASON` characters.
 """

@@ -120,7 +120,7 @@ Examples:
 
 \b
 Exit codes of goals: 0 succeeded, 1 aborted, 3 canceled, 4 rejected, 5 timed out.
-Of all verbs: 2 the command line cannot be used, 6 no such server, or the connection was lost.
+Other exit codes: 2 wrong usage, 6 no such server, or the connection was lost.
 
 FIBACTION_DEBUG=1 shows the traceback of an error.""",
 )

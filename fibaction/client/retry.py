@@ -53,8 +53,8 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds that a delay takes at most."""
     on: tuple[type[ActionError], ...] = _SAFE
     """The errors after which there is another attempt: all of `ServerNotFound`, `ConnectionLost`,
-    `LimitReached` and `GoalRejected`, or some of them. Of the rejections, only those of a busy or
-    stopping server are retried (`RejectionCode.is_temporary`): any other one is a decision."""
+    `LimitReached` and `GoalRejected`, or some of them. A rejection is retried only if the server is
+    busy or stopping (`RejectionCode.is_temporary`): any other one is a decision."""
 
     def __post_init__(self) -> None:
         """Check the values.

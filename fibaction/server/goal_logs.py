@@ -70,7 +70,7 @@ class GoalLogs:
         window: int,
         latest: bool,
     ) -> None:
-        """Remember `window` feedback messages of a goal, of which slow readers get the latest if
+        """Remember `window` feedback messages of a goal, whose slow readers get the latest if
         `latest`. `now` is the clock of the event loop.
         """
         self._registry = registry

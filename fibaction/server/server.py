@@ -80,7 +80,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         Args:
             action: The action that is served.
             executor: An async generator function, called with a `GoalHandle` for each goal; None
-                for the function of which `@action` has made the action.
+                for the function from which `@action` made the action.
             settings: Keyword arguments, each of them optional: see `ActionServerSettings`.
 
         Raises:

@@ -1,4 +1,4 @@
-"""`Watchers`: what a server tells its watchers, of which none can harm a goal.
+"""`Watchers`: what a server tells its watchers, none of which can harm a goal.
 
 Watchers are told of feedback, and of a goal's statuses, by its `WatchedLog`.
 """

@@ -32,7 +32,7 @@ class MessageClass(Protocol):
         ...
 
     def reader(self, schema: Mapping[str, Any]) -> Callable[[Any], Any]:
-        """Return what makes plain data of a message, as a type with this JSON Schema has it.
+        """Return a function that turns a message into plain data that fits this JSON Schema.
 
         Raises:
             TypeError: The type does not match; the text lists the fields.

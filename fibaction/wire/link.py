@@ -1,4 +1,4 @@
-"""`Link`: one connection, as both ends have it: queue, read, write, and watch the peer.
+"""`Link`: one connection, the same at both ends: queue, read, write, and watch the peer.
 
 Theory of operation
 -------------------

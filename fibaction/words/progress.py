@@ -25,7 +25,7 @@ _FIELDS = ("__struct_fields__", "__dataclass_fields__", "model_fields")
 
 
 class Progress(msgspec.Struct, frozen=True):
-    """Feedback that tells how far a goal has come, of which everything draws a bar.
+    """Feedback that every display draws as a progress bar.
 
     For example:
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 
 INTERRUPTED = 130
-"""The exit code after Ctrl-C, as shells have it."""
+"""The exit code after Ctrl-C, the same as in shells."""
 
 
 def main() -> None:

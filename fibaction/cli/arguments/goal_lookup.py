@@ -66,7 +66,7 @@ class GoalChoice(NamedTuple):
         """Return the chosen ones of these rows, and the number of those beyond the limit.
 
         The rows come in the order of acceptance. Without another order, the limit leaves the active
-        and the newest ones; else it leaves the last ones. Goals of which the key is not known come
+        and the newest ones; else it leaves the last ones. Goals whose key is not known come
         first.
         """
         found = [row for row in rows if self.wanted.has(row.info)]

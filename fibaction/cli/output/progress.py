@@ -90,7 +90,7 @@ class LiveLine:
 
 
 def text_beside_bar(feedback: dict[Any, Any], progress: Progress, fields: Sequence[str]) -> str:
-    """Return the rest of a feedback, of which the `fields` have told the progress, on one line.
+    """Return a feedback on one line, without the `fields` that are shown as its progress.
 
     Counts stay, since a bar does not show them.
     """

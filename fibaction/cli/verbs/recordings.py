@@ -87,7 +87,7 @@ Examples:
 )
 @click.pass_context
 def replay_command(context: click.Context, file: str, urls: tuple[str, ...], speed: float) -> None:
-    """Answer goals as a recording has it, without a robot.
+    """Answer goals from a recording, without a robot.
 
     A goal that is equal to a recorded one gets its feedback at the recorded times, and its end.
     Other goals are rejected. Ctrl-C or SIGTERM stops it.

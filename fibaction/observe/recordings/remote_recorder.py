@@ -30,7 +30,7 @@ RETRY_PAUSE = 1.0
 MOST_FOLLOWED = 1000
 """Goals that are followed at the same time; others wait for their turn."""
 REMEMBERED = 10_000
-"""Goals of which is known that they were followed: as many as a server keeps."""
+"""Goals that are known to be followed: as many as a server keeps."""
 
 
 async def record_from(connection: ClientConnection, recorder: Recorder) -> None:

@@ -1,4 +1,4 @@
-"""`replayed`: servers that answer goals as a recording has it, for tests without a robot.
+"""`replayed`: servers that answer goals from a recording, for tests without a robot.
 
 Theory of operation
 -------------------
@@ -200,7 +200,7 @@ class _Replay:
 
 
 def replayed(path: str | Path, *, speed: float = 1.0) -> list[ActionServer[Any, Any, Any]]:
-    """Return servers that answer as the recording has it, one for each action; `serve` them.
+    """Return servers that answer from the recording, one for each action; `serve` them.
 
     A goal that is equal to a recorded one gets its feedback at the recorded times, and its end,
     whether it has succeeded, was rejected or aborted. Other goals are rejected. If the same goal

@@ -231,7 +231,9 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
 
     def _abandoned(self) -> Ending:
         self._scopes = None
-        self._tell_survival("is abandoned; what it holds stays taken until this process ends")
+        self._tell_survival(
+            "is abandoned; files, locks and other things that it holds are released when this process ends"
+        )
         return Ending(EndKind.FAILED, self._result, "the executor was abandoned")
 
     def _spared(self) -> None:

@@ -95,7 +95,7 @@ class GoalRecord:
         """The outcome; None while the goal is active, and again after the server has forgotten it.
         The log of the goal has its own reference, for those that still follow it."""
         self.stored: StoredGoal | None = None
-        """The goal as its store has it; None without a store, and after the end."""
+        """The goal in the store; None without a store, and after the end."""
         self.held = held
         """The bytes that are held of the goal: its payload, then its result; None after the server
         has forgotten it."""

@@ -244,7 +244,7 @@ class TimedGoals:
         self.running: OrderedDict[GoalID, Entry] = OrderedDict()
         """Those that were not interrupted, since their start."""
         self.told: OrderedDict[GoalID, Entry] = OrderedDict()
-        """Of these, those that may take their successors over, since they were told so."""
+        """Running goals that were told to take their successors over, since then."""
         self.interrupted: OrderedDict[GoalID, Entry] = OrderedDict()
         """Those that were interrupted, since then."""
 

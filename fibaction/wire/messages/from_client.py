@@ -112,8 +112,8 @@ class WatchStatus(WireMessage, tag=20):
     first one, in the order of the page; and whether the newest goals come first. Nil for the
     statuses."""
     labels: LabelFields | None = None
-    """Keys and values of labels that each goal of the page has; nil for any labels. Of the
-    statuses, it chooses none."""
+    """Keys and values of labels that each goal of the page has; nil for any labels. It
+    does not apply to the statuses."""
 
 
 @final

@@ -1,4 +1,4 @@
-"""`replayed`: servers that answer as a recording has it."""
+"""`replayed`: servers that answer from a recording."""
 
 from __future__ import annotations
 

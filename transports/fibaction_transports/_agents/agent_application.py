@@ -36,7 +36,7 @@ class AgentApplication(HttpApplication):
         limits: Limits,
         public: Collection[str] = (),
     ) -> None:
-        """Guard an application, of which anyone may read the `public` paths.
+        """Guard an application; anyone may read its `public` paths.
 
         In its scope, `state["client"]` is the client with a valid token, or None.
         """

@@ -43,8 +43,8 @@ class AgentHttpSettings(AgentPolicy, frozen=True, kw_only=True):
     tokens: Mapping[str, str] | None = None
     """Several tokens, each with the name of its owner."""
     limits: Limits = DEFAULT_LIMITS
-    """Of these limits, `connections`, `per_address`, `handshake`, `frame`, `total_memory` and
-    `write` hold here."""
+    """The limits: `connections`, `per_address`, `handshake`, `frame`, `total_memory` and `write`
+    apply here."""
     tls: TlsFiles | SSLContext | None = None
     """The files to make TLS from, or a context; in a URL the paths `ca`, `cert` and `key`."""
     insecure: bool = False

@@ -91,7 +91,7 @@ class HttpApplication(ABC):
                 self._changed.notify()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request, as ASGI has it."""
+        """Handle a request, as ASGI defines it."""
         with self._counted(self._requests):
             exchange = Exchange(scope, receive, send, self.limits.write, self._memory)
             try:

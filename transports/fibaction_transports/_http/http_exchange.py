@@ -1,4 +1,4 @@
-"""`HttpExchange`: one request over h11, as ASGI has it."""
+"""`HttpExchange`: one request over h11, as ASGI defines it."""
 
 from __future__ import annotations
 

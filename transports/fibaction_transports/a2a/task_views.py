@@ -96,7 +96,7 @@ def task_of(goal: AgentGoal[Skill], *, is_whole: bool = True) -> Task:
 
 
 def listed_task(skill: Skill, info: GoalInfo, context_id: str) -> Task:
-    """Return a task of which only a line of the server's list is known."""
+    """Return a task made of only a line of the server's list."""
     seconds = (info.ended_at or info.stamp) / 1e9
     task = Task(
         id=str(info.goal_id),

@@ -41,7 +41,7 @@ def octets_of(
 
 
 def numbers_of(value: Any, code: str) -> bytes | memoryview:
-    """Return numbers as bytes, little-endian. `code` is their type, as `struct` has it.
+    """Return numbers as bytes, little-endian. `code` is their type, a code of `struct`.
 
     Raises:
         CdrError: They are not numbers of this type.

@@ -91,8 +91,8 @@ def data_answer(
 ) -> CallToolResult:
     """Return an answer with data, below a sentence if there is one, and with images after it.
 
-    Of data that are too long, the text has the beginning, and the structured content which goal it
-    is about.
+    If the data are too long, the text is their beginning, and the structured content only names the
+    goal.
     """
     text = json_text(data)
     structured: Any = None

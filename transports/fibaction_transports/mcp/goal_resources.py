@@ -96,7 +96,7 @@ class GoalResources:
 
 
 class GoalChanges:
-    """The changes of goals of which clients are still to be told."""
+    """Changes of goals that clients have not been told of yet."""
 
     def __init__(self, told: ListChanges) -> None:
         self._told = told

@@ -1,4 +1,4 @@
-"""`McpTransport`: the transports of MCP, of which this module has the one over HTTP.
+"""`McpTransport`: the base of the transports of MCP, and the one over HTTP.
 
 Its URLs are `mcp+http://host:port` and `mcp+https://host:port` ("streamable HTTP").
 """

@@ -4,7 +4,7 @@ Theory of operation
 -------------------
 
 A broker delivers messages in order, and each at most once: some may be lost, and a message may be
-too small for a frame. So a line is a stream of bytes in numbered pieces, as TCP has it. Each
+too small for a frame. So a line is a stream of bytes in numbered pieces, as in TCP. Each
 direction has messages of one byte for the kind, and eight for a number:
 
     O 0         from the client: begin the line; the worker answers A 0

@@ -47,7 +47,7 @@ class RosSettings(TransportSettings, frozen=True, kw_only=True):
         "feedback_qos",
         "status_qos",
     )
-    """The settings that a client should have as its server has them."""
+    """The settings that a client and its server should have in common."""
 
     namespace: str = ""
     """The namespace of the node, and of relative names of actions."""
@@ -74,7 +74,7 @@ class RosSettings(TransportSettings, frozen=True, kw_only=True):
     """Seconds that a client waits for a silent server to come back."""
     services_qos: str = ""
     """The quality of service of the three services, as words of ROS with commas: `reliable` or
-    `best_effort`, `volatile` or `transient_local`. What is left out is as `rcl_action` has it."""
+    `best_effort`, `volatile` or `transient_local`. Words that are left out are those of `rcl_action`."""
     feedback_qos: str = ""
     """The same for the feedback topic, for example `best_effort`."""
     status_qos: str = ""

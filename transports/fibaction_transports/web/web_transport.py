@@ -113,7 +113,7 @@ class WebTransport(WireTransport):
             self._application = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request, as ASGI has it."""
+        """Handle a request, as ASGI defines it."""
         if scope["type"] == "lifespan":
             raise TransportError("a WebTransport has no lifespan: serve() it in that of a program")
         if self._application is None:

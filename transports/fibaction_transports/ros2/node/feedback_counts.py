@@ -63,7 +63,7 @@ class ReceivedCounts:
 
     def come_from(self, servers: frozenset[bytes]) -> bool:
         """Subscribe to the numbers if there is one server and it publishes them, and return whether
-        that is so. Of several servers, each would publish a number for the same goal.
+        that is so. If there were several, each would publish a number for the same goal.
         """
         if servers != self._servers or not self._are_published:
             self._servers = servers

@@ -99,7 +99,7 @@ class RosTypes(ABC):
 
     @abstractmethod
     def uuid(self, goal_id: bytes) -> Any:
-        """Return a goal ID as the field `uuid` of messages has it."""
+        """Return a goal ID as the value of the field `uuid` in messages."""
 
     @abstractmethod
     def decode(self, message: bytes, message_type: Any) -> Any:

@@ -67,5 +67,5 @@ def has_answered(service: Any, response: Any, header: Any) -> bool:
 
 
 def uuid_of(goal_id: bytes) -> Any:
-    """Return a goal ID as the field `uuid` has it."""
+    """Return a goal ID as the value of the field `uuid`."""
     return _numpy.frombuffer(goal_id, dtype=_numpy.uint8)

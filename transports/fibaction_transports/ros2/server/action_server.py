@@ -3,7 +3,7 @@
 Theory of operation
 -------------------
 
-An action of ROS is three services and two topics, as `rcl_action` has them. The server gets
+An action of ROS is three services and two topics, as in `rcl_action`. The server gets
 the ends of them from a `RosNode`. It calls the methods of an `Endpoint`, so it serves an action
 server of this process as well as one that a gateway reaches.
 

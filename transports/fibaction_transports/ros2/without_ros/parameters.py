@@ -1,6 +1,6 @@
 """The parameters of a node without ROS, and their services, for `ros2 param`.
 
-A node has one parameter, as those of rclpy have it: `use_sim_time`.
+A node has one parameter, as nodes of rclpy do: `use_sim_time`.
 """
 
 from __future__ import annotations

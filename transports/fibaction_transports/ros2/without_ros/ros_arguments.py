@@ -51,7 +51,7 @@ class Override(NamedTuple):
     """The nodes that it is for: a full name, which may have `*` and `**` in it."""
     name: str
     value: object
-    """Text, as YAML has it; lists and dicts of such values from a file."""
+    """Text of YAML; lists and dicts of such values from a file."""
     origin: str
     """The words that begin an error about it."""
 

@@ -106,8 +106,8 @@ def reachable(locators: Iterable[Locator], source: str) -> Address | None:
     """Choose the address to send to, for a participant that sends from this host.
 
     A participant of this machine announces the addresses of its interfaces, and is reached over
-    the loopback interface all the same. Of several interfaces, the one that it sends from is used,
-    and of both versions of IP that by which it was heard. A link-local address does not tell its
+    the loopback interface all the same. If it has several interfaces, the one that it sends from is
+    used, with the version of IP by which it was heard. A link-local address does not tell its
     interface, so it is used only if it is sent from.
     """
     addresses = [each for each in _addresses(locators) if is_ipv6(each[0]) == is_ipv6(source)]

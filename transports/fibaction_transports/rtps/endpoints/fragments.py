@@ -15,7 +15,7 @@ _ARRIVED = 1
 
 
 class PartialSample:
-    """One sample of which not all fragments have arrived."""
+    """One sample, some of whose fragments have not arrived."""
 
     def __init__(
         self, fragment: DataFragment, sender: bytes, home: dict[int, PartialSample]

@@ -324,7 +324,7 @@ class WriterProxy:
             self._shared.partials.remove(partial)
 
     def _missing(self) -> tuple[int, ...]:
-        """Return the announced samples of which nothing has come."""
+        """Return the announced samples that have not begun to arrive."""
         start = self._next or 1
         if start > self._announced:
             return ()

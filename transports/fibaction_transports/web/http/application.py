@@ -108,7 +108,7 @@ class WebApplication(HttpApplication):
                 await self._end(self._sockets)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request or a WebSocket, as ASGI has it."""
+        """Handle a request or a WebSocket, as ASGI defines it."""
         if scope["type"] == "websocket":
             with self._counted(self._sockets):
                 await self._handle_socket(scope, receive, send)

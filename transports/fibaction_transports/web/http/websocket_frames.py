@@ -11,7 +11,7 @@ the connection by its first bytes, however it is cut into pieces.
 
 Both sides may use the framing at once: until the handshake is done, frames to send wait in it. What
 WebSocket has to say by itself (the handshake, pongs) is the answer that the next `encode` returns.
-Of many pings only the last one gets a pong, which RFC 6455 permits, so a peer that sends pings and
+Only the last of many pings gets a pong, which RFC 6455 permits, so a peer that sends pings and
 reads nothing costs no memory.
 
 The end: each side sends one close. `goodbye` returns ours, which may be the reply to the peer's;

@@ -67,7 +67,7 @@ class CallService(msgspec.Struct, tag_field="op", tag="call_service"):
 
 
 class SubscriptionQos(msgspec.Struct):
-    """The quality of service of a subscription, of which only the depth counts."""
+    """The quality of service of a subscription; only the depth counts."""
 
     depth: Annotated[int, msgspec.Meta(ge=0)] = 0
 

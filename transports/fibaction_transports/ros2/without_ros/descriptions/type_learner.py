@@ -126,7 +126,7 @@ class TypeLearner:
         """The times until which publishers are not asked, and with `_TYPES` their participants."""
 
     async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
-        """See `RosNode.learn`. Of several versions in files, that of the server is taken."""
+        """See `RosNode.learn`. If files have several versions, that of the server is used."""
         for topic, type_name in actions:
             self._types.choose(type_name, self._version(topic))
         unknown = [one for one in actions if not self._types.has_file(one[1])]

@@ -157,7 +157,7 @@ _GOAL_ID_ONLY: Final = CdrCodec(_GOAL_ID, {**STRUCTS, _GOAL_ID.class_name: _with
 
 
 def unknown_action(type_name: str, problem: str) -> PartlyKnownAction:
-    """Return an action of which nothing but the name of its type is known: its goals are listed,
+    """Return an action for which only the name of its type is known: its goals are listed,
     canceled and followed to their ends. `problem` says so, and what makes it known.
     """
     known = action_of(read_action_texts(type_name, {type_name: "---\n---\n"}), problem)

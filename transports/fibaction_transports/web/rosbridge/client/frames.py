@@ -1,4 +1,4 @@
-"""`RosbridgeClientFraming`: messages of rosbridge over WebSocket, as a client has them.
+"""`RosbridgeClientFraming`: messages of rosbridge over WebSocket, for a client.
 
 A frame is the text of one message. Three frames are signs: `OPENED` is received first, once the
 server has accepted the WebSocket; `PING` is sent as a ping; `INVALID` is sent last, after a message

@@ -27,8 +27,8 @@ heartbeat. The translator does this as soon as what it is about was written; its
 frames to the session. The session hears of a client that is alive by the pongs of WebSocket.
 
 *Flow.* Feedback is read from the log of its goal when the line can take more. The executor waits
-for that for moments, so that a burst arrives whole. Of a client that reads slowly, feedback is
-dropped there, and ends never are.
+for that for moments, so that a burst arrives whole. If a client reads slowly, feedback is
+dropped there; ends never are.
 
 *What is wrong.* Text that is not JSON ends the connection. Everything else concerns one call: it
 gets an answer, if it says to what. These answers do not pass the session, so they have a limit: a

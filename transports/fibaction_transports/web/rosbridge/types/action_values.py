@@ -1,4 +1,4 @@
-"""The messages of an action as a rosbridge server has them, and as payloads.
+"""Conversion of the messages of an action between rosbridge and payloads.
 
 A rosbridge server takes the bytes of a goal as a list of numbers, whatever array of ROS they are;
 base64 text only for a `uint8[]`. It writes both, which become bytes where the schema has them.

@@ -78,7 +78,7 @@ def definitions(schema: dict[str, Any], name: str) -> list[TypeDefinition]:
 def _message(root: Any) -> Any:
     """Return the schema of a message, which has a field `data` if `root` is that of a value.
 
-    It is None for a message of which nothing is known.
+    It is None for an unknown message.
     """
     if is_map(root) and (root.get("type") == "array" or root.get("type") in _SCALARS):
         return {"properties": {DATA: root}, "required": [DATA]}
