@@ -22,10 +22,10 @@ whatever an error's own `__str__` does: that would end in the code that logs.
 
 The same filter leaves out lines of a flood (`LineLimit`). Lines are of one kind if one call of a
 logger has made them, with the same level and, if it says one, the same `kind` (in `extra`). The
-first `QUOTA` lines of each kind in an interval are written, and the others are counted. The number
-is a line of its own, written with the next line of any kind after the interval, or at the end of the
-process; no task or thread waits for it. While a flood lasts, its next intervals have that line
-only. The table of kinds is bounded (`MOST_KINDS`).
+first `QUOTA` lines of each kind in an interval are written, and the others are counted. Their
+number is a line of its own, written with the next line of any kind after the interval, or at the
+end of the process; no task or thread waits for it. While a flood lasts, its next intervals have
+that line only. The table of kinds is bounded (`MOST_KINDS`).
 """
 
 from __future__ import annotations

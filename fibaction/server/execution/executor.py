@@ -232,7 +232,8 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
     def _abandoned(self) -> Ending:
         self._scopes = None
         self._tell_survival(
-            "is abandoned; files, locks and other things that it holds are released when this process ends"
+            "is abandoned; what it holds, such as files and locks, stays in use until this process"
+            " ends"
         )
         return Ending(EndKind.FAILED, self._result, "the executor was abandoned")
 

@@ -74,7 +74,8 @@ class RosSettings(TransportSettings, frozen=True, kw_only=True):
     """Seconds that a client waits for a silent server to come back."""
     services_qos: str = ""
     """The quality of service of the three services, as words of ROS with commas: `reliable` or
-    `best_effort`, `volatile` or `transient_local`. Words that are left out are those of `rcl_action`."""
+    `best_effort`, `volatile` or `transient_local`. Words that are left out are those of
+    `rcl_action`."""
     feedback_qos: str = ""
     """The same for the feedback topic, for example `best_effort`."""
     status_qos: str = ""

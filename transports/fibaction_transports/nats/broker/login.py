@@ -7,7 +7,7 @@ A broker begins with a line INFO, which says whether it has TLS, and may have a 
 answers with CONNECT, which has the login, and PING; the broker answers with PONG or with -ERR. A
 user with a password and a token are sent as they are.
 
-If a user has a key (an nkey), the broker knows only its public half, and the client signs the nonce.
+If a user has a key (an nkey), the broker knows its public half, and the client signs the nonce.
 A credentials file has the key and a JWT, by which an operator of NATS lets this key in. Keys are
 written in base32: two bytes for the kind of key, 32 bytes of it, and a checksum.
 """
