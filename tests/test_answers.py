@@ -27,7 +27,7 @@ ANSWERS = {
     "progress bar": ["howto/progress.md", "howto/notebook.md"],
     "pydantic": ["howto/types.md"],
     "retry": ["howto/deadlines.md"],
-    "same type": ["howto/types.md"],
+    "same type": ["howto/generators.md"],
     "serial port": ["howto/threads_and_processes.md"],
     "websocket": ["howto/in_a_web_application.md"],
 }
