@@ -489,6 +489,18 @@ def test_the_navigation_leads_to_every_page() -> None:
     assert found == sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md"))
 
 
+def test_a_search_does_not_find_the_pages_about_the_project() -> None:
+    settings = tomllib.loads((ROOT / "zensical.toml").read_text(encoding="utf-8"))
+    (project,) = (part["Project"] for part in settings["project"]["nav"] if "Project" in part)
+
+    found = {
+        page
+        for page in pages_in(project)
+        if not (DOCS / page).read_text("utf-8").startswith("---\nsearch:\n  exclude: true\n---\n")
+    }
+    assert found == {"compatibility.md"}  # which users need
+
+
 def test_the_page_of_tasks_leads_to_every_page_about_one() -> None:
     page = (DOCS / "howto" / "index.md").read_text(encoding="utf-8")
 
