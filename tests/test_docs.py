@@ -460,7 +460,9 @@ def test_every_dotted_name_in_the_prose_exists(path: Path) -> None:
 
 @every_page
 def test_every_link_leads_to_a_file_and_a_heading(path: Path) -> None:
-    for target in _LINK.findall(FENCED.sub("", path.read_text(encoding="utf-8"))):
+    prose = FENCED.sub("", path.read_text(encoding="utf-8"))
+    assert "]()" not in prose
+    for target in _LINK.findall(prose):
         if "://" in target:
             continue
         name, _, anchor = target.partition("#")
