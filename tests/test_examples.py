@@ -35,6 +35,7 @@ from fibaction.testing import ScriptedServer, run_executor
 from tests.support.nats_server import IS_LEFT_OUT
 from tests.support.ports import free_port
 from tests.support.processes import PATIENCE, ended, lines_until
+from tests.support.ros_domain import own_domain
 
 # Examples are scripts beside each other, and import one another as such.
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
@@ -867,21 +868,34 @@ def test_an_error_is_one_line_and_an_exit_code(
 
 @pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is there, and nothing to say")
 @pytest.mark.parametrize("script", ["fibonacci_server.py", "fibonacci_client.py"])
-@pytest.mark.parametrize(
-    ("url", "said"),
-    [
-        ("ros2://?via=rclpy", ["ros2:// needs rclpy, ", "pip install 'ros-rclpy[fastrtps]'"]),
-        ("ros2://", ["arduinobot_msgs/action/Fibonacci is not known here", "search=FOLDER"]),
-        ("dds://", ["arduinobot_msgs/action/Fibonacci is not known here", "search=FOLDER"]),
-    ],
-)
-def test_without_ros_its_urls_say_in_one_sentence_what_is_missing(
-    tmp_path: Path, script: str, url: str, said: list[str]
+def test_without_ros_a_url_that_needs_it_says_in_one_sentence_what_is_missing(
+    tmp_path: Path, script: str
 ) -> None:
-    code, out, err = ended(start(script, "--url", url, cwd=tmp_path))
+    code, out, err = ended(start(script, "--url", "ros2://?via=rclpy", cwd=tmp_path))
     assert (code, out) == (2, "")
     *before, last = err.splitlines()
-    assert "error: " in last
-    assert all(text in last for text in said)
+    assert "error: ros2:// needs rclpy, " in last
+    assert "pip install 'ros-rclpy[fastrtps]'" in last
     assert "docs/" not in err  # a wheel has no such file
-    assert all("goes over DDS" in line or "has stopped" in line for line in before)
+    assert all("has stopped" in line for line in before)
+
+
+@pytest.mark.skipif(find_spec("rclpy") is not None, reason="with it, ros2:// needs a built package")
+@pytest.mark.parametrize("scheme", ["dds", "ros2"])
+def test_the_server_and_the_client_find_the_type_beside_them_where_there_is_no_ros(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scheme: str
+) -> None:
+    monkeypatch.delenv("FIBACTION_SEARCH", raising=False)
+    with own_domain():
+        server = start(
+            "fibonacci_server.py", "--url", f"{scheme}://", "--period", "0.01", cwd=tmp_path
+        )
+        try:
+            assert lines_until("^serving", server)[-1].startswith("serving fibonacci at ")
+            code, out, _ = ended(
+                start("fibonacci_client.py", "--url", f"{scheme}://", "--order", "4", cwd=tmp_path)
+            )
+        finally:
+            server.kill()
+            server.communicate(timeout=PATIENCE)
+    assert (code, out.splitlines()[-1]) == (0, "result    0 1 1 2 3")

@@ -47,6 +47,16 @@ def test_a_type_that_this_program_has_loaded_needs_no_folder(
     assert types.find("loaded_msgs/action/Go").types[0](x=3).x == 3
 
 
+@pytest.mark.parametrize("place", ["Go.action", "ros/near_msgs/action/Go.action"])
+def test_a_file_beside_the_program_needs_no_folder(
+    types: FileTypes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    write(tmp_path, f"program/{place}", "Part part\n---\n---\n")
+    write(tmp_path, "program/near_msgs/msg/Part.msg", "int32 x 3\n")
+    monkeypatch.syspath_prepend(tmp_path / "program")
+    assert types.find("near_msgs/action/Go").types[0]().part.x == 3
+
+
 def test_a_module_that_was_written_from_a_file_needs_no_folder(
     types: FileTypes, tmp_path: Path
 ) -> None:
@@ -73,8 +83,8 @@ def test_a_type_that_is_nowhere_says_where_to_put_it(types: FileTypes, tmp_path:
     with pytest.raises(TransportError) as caught:
         types.find("far_msgs/action/Go")
     assert str(caught.value).startswith(
-        "far_msgs/action/Go is not known here: put far_msgs/action/Go.action into a folder, and"
-        " name that folder with search=FOLDER or in FIBACTION_SEARCH (searched:"
+        "far_msgs/action/Go is not known here: put far_msgs/action/Go.action beside your"
+        " program, or into a folder, and name that folder with search=FOLDER or in FIBACTION_SEARCH (searched:"
     )
     assert str(tmp_path) in str(caught.value)
 

@@ -168,8 +168,8 @@ async def test_an_action_of_which_only_feedback_is_told_is_followed(
         with pytest.raises(TransportError) as caught:
             await client.send_goal({"spot": {"x": 3}})
         assert str(caught.value).startswith(
-            f"the goal and the result of {PAINT} are not known here: put {PAINT}.action into a"
-            " folder, and name that folder with search=FOLDER or in FIBACTION_SEARCH"
+            f"the goal and the result of {PAINT} are not known here: put {PAINT}.action beside"
+            " your program, or into a folder, and name that folder with search=FOLDER"
         )
         with pytest.raises(TransportError) as told:
             await connection.interface_texts(info)
@@ -224,7 +224,7 @@ async def test_an_action_of_which_nothing_is_told_is_followed_to_its_end_and_nob
             assert [one async for one in followed.feedback] == [None]
             assert await followed.result() is None
             assert await goal.result() == {"spots": 3}
-        missing = f"{PAINT} is not known here: put {PAINT}.action into a folder"
+        missing = f"{PAINT} is not known here: put {PAINT}.action beside your program"
         with pytest.raises(TransportError, match=missing):
             await client.send_goal({"spot": {"x": 3}})
         with pytest.raises(TransportError, match=missing):

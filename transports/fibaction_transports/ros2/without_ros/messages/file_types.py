@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -34,7 +36,7 @@ MOST_VERSIONS: Final = 100
 
 
 class InterfaceFiles:
-    """The files in some folders, in those of the environment, and in those of ROS."""
+    """The files in some folders, in those of the environment, beside the program, and in ROS."""
 
     def __init__(self, folders: Sequence[str | os.PathLike[str]]) -> None:
         """`folders` are searched first."""
@@ -43,12 +45,22 @@ class InterfaceFiles:
 
     def folders(self) -> list[Path]:
         """Return the folders that are searched now."""
-        return [*self._folders, *ros_folders()]
+        return [*self._folders, *_program_folders(), *ros_folders()]
 
     def path(self, type_name: str) -> Path | None:
-        """Return the file of a type that is found first."""
+        """Return the file of a type that is found first.
+
+        Beside the program, it may lie by itself, or in a folder with packages.
+        """
+        package, _, name = type_name.split("/")
+        beside = (
+            path
+            for folder in _program_folders()
+            for pattern in (f"{name}.action", f"*/{package}/action/{name}.action")
+            for path in sorted(folder.glob(pattern))
+        )
         paths = (folder / f"{type_name}.action" for folder in self.folders())
-        return next((path for path in paths if path.is_file()), None)
+        return next((path for path in chain(paths, beside) if path.is_file()), None)
 
     def first(self, type_name: str) -> ActionFile | None:
         """Return the definition of a type that this program has loaded, or that is found first.
@@ -97,10 +109,15 @@ class InterfaceFiles:
         """Return what makes a type known that is not found."""
         searched = ", ".join(map(str, self.folders())) or "no folder"
         return (
-            f"put {type_name}.action into a folder, and name that folder with search=FOLDER or in"
-            f" {FOLDERS} (searched: {searched}), or import a module that `fibaction -u ros2:// gen"
-            " --from-robot` has written where ROS has this type"
+            f"put {type_name}.action beside your program, or into a folder, and name that folder"
+            f" with search=FOLDER or in {FOLDERS} (searched: {searched}), or import a module that"
+            " `fibaction -u ros2:// gen --from-robot` has written where ROS has this type"
         )
+
+
+def _program_folders() -> list[Path]:
+    """Return the folder of the program, from which Python imports its modules first."""
+    return [*map(Path, sys.path[:1])]
 
 
 MOST_LEARNED: Final = 1_000
