@@ -84,7 +84,8 @@ def test_a_type_that_is_nowhere_says_where_to_put_it(types: FileTypes, tmp_path:
         types.find("far_msgs/action/Go")
     assert str(caught.value).startswith(
         "far_msgs/action/Go is not known here: put far_msgs/action/Go.action beside your"
-        " program, or into a folder, and name that folder with search=FOLDER or in FIBACTION_SEARCH (searched:"
+        " program, or into a folder, and name that folder with search=FOLDER or in"
+        " FIBACTION_SEARCH (searched:"
     )
     assert str(tmp_path) in str(caught.value)
 
