@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from fibaction.words.action_error import ActionError
 
@@ -28,6 +28,20 @@ class NamedNumber(IntEnum):
         """Format the name; the number if the specification is one of numbers, such as `03d`."""
         is_of_numbers = spec[-1:] in NUMBER_TYPES
         return int.__format__(self, spec) if is_of_numbers else format(self.name, spec)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, _handler: Any) -> Any:
+        """Write the name in JSON, and read the name or the number; pydantic calls this."""
+        from pydantic_core import core_schema
+
+        words = core_schema.literal_schema([one.name for one in cls])
+        named = core_schema.no_info_after_validator_function(cls.__getitem__, words)
+        return core_schema.union_schema(
+            [named, core_schema.enum_schema(cls, [*cls], sub_type="int")],
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                str, return_schema=words, when_used="json"
+            ),
+        )
 
 
 class GoalStatus(NamedNumber):

@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import msgspec
+import pydantic
 import pytest
 from hypothesis import settings, strategies
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from fibaction.schema.payload import GoalCodec
+from fibaction.types.action import Action
 from fibaction.words.errors import InvalidTransition
 from fibaction.words.statuses import INITIAL, TRANSITIONS, GoalEvent, GoalStatus, transition
 
@@ -150,3 +154,31 @@ class GoalWalk(RuleBasedStateMachine):
 
 TestGoalWalk = GoalWalk.TestCase
 TestGoalWalk.settings = settings(stateful_step_count=12)
+
+
+class Report(pydantic.BaseModel):
+    status: GoalStatus
+    before: list[GoalStatus] = []
+
+
+def test_a_status_in_a_pydantic_model_is_its_name_in_json() -> None:
+    report = Report(status=GoalStatus.EXECUTING, before=[GoalStatus.ACCEPTED])
+    text = report.model_dump_json()
+    assert text == '{"status":"EXECUTING","before":["ACCEPTED"]}'
+    assert Report.model_validate_json(text) == report
+    assert Report.model_validate({"status": 2, "before": [1]}) == report
+    assert report.model_dump()["status"] is GoalStatus.EXECUTING
+    shown = Report.model_json_schema(mode="serialization")["properties"]["status"]
+    assert shown["enum"] == [status.name for status in GoalStatus]
+    for unknown in ("RUNNING", 9):
+        with pytest.raises(pydantic.ValidationError, match="'EXECUTING'"):
+            Report.model_validate({"status": unknown})
+
+
+def test_a_status_in_a_message_of_pydantic_passes_the_check_of_its_schema() -> None:
+    action = Action("report", goal=Report, feedback=int, result=str)
+    goals = GoalCodec(action.info.goal)
+    for status in (GoalStatus.EXECUTING, "EXECUTING", 2):
+        payload = goals.encode({"status": status})
+        assert action.goal.decode(payload) == Report(status=GoalStatus.EXECUTING)
+    goals.check(msgspec.msgpack.decode(action.goal.encode(Report(status=GoalStatus.ABORTED))))
