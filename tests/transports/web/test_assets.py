@@ -81,7 +81,7 @@ async def test_a_path_that_is_not_a_files_is_not_found() -> None:
 async def test_files_need_no_token_are_only_read_and_other_hosts_do_not_get_them() -> None:
     async with served(tokens={"secret": "ann"}) as url:
         answer = await fetch(url, "DELETE", "/")
-        assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD")
+        assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD, OPTIONS")
         assert (await fetch(url, "GET", "/")).status == 200
         assert (await fetch(url, "GET", "/actions")).status == 401
         assert (await fetch(url, "GET", "/", host="evil.example")).status == 421

@@ -104,6 +104,44 @@ async def test_a_request_that_trickles_is_not_waited_for(data: bytes, log: Heari
     assert len(log.warnings) == bool(data)
 
 
+@pytest.mark.parametrize(
+    ("head", "status"),
+    [
+        (b"\r\n\r\nGET /actions HTTP/1.1\r\nHost: [::1]", 200),
+        (b"GET http://127.0.0.1/actions HTTP/1.1\r\nHost: evil.example", 200),
+        (b"GET HTTPS://[::1]:80/actions?x=1 HTTP/1.1\r\nHost: [::1]", 400),
+        (b"GET http://127.0.0.1 HTTP/1.1\r\nHost: [::1]", 200),
+        (b"GET http://127.0.0.1?x HTTP/1.1\r\nHost: [::1]", 200),
+        (b"GET http://evil.example/actions HTTP/1.1\r\nHost: 127.0.0.1", 421),
+        (b"GET /actions HTTP/2.0\r\nHost: [::1]", 505),
+        (b"GET /actions HTTP/3.1\r\nHost: [::1]", 505),
+        (b"OPTIONS * HTTP/1.1\r\nHost: [::1]", 204),
+    ],
+    ids=str,
+)
+async def test_a_request_is_read_as_its_standard_has_it(head: bytes, status: int) -> None:
+    async with served() as url:
+        said = await said_to(url, head + b"\r\nConnection: close\r\n\r\n")
+    assert said.startswith(b"HTTP/1.1 %d " % status)
+
+
+async def test_an_empty_line_between_two_requests_is_no_request() -> None:
+    body = b'{"order": 1}'
+    post = f"{POST}Content-Length: {len(body)}\r\n\r\n".encode() + body
+    last = b"GET /actions HTTP/1.1\r\nHost: [::1]\r\nConnection: close\r\n\r\n"
+    async with served() as url:
+        assert (await said_to(url, post + b"\r\n" + last)).count(b"HTTP/1.1 20") == 2
+        assert (await said_to(url, post, b"\r", b"\n", last)).count(b"HTTP/1.1 20") == 2
+        async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+            await stream.send(post + last[:4])
+            await stream.send_eof()
+            said = b""
+            with anyio.fail_after(20), suppress(anyio.EndOfStream):
+                while True:
+                    said += await stream.receive()
+    assert said.startswith(b"HTTP/1.1 201 ")
+
+
 POST = f"POST {GOALS} HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
 
 

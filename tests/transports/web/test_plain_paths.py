@@ -59,7 +59,7 @@ async def test_without_metrics_there_is_nothing_and_a_probe_is_read_only() -> No
     async with serve(new_server(), "http://127.0.0.1:0") as (url,):
         assert (await fetch(url, "GET", "/metrics")).status == 404
         answer = await fetch(url, "POST", "/healthz", {})
-        assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD")
+        assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD, OPTIONS")
 
 
 async def test_the_recording_arrives_whole_to_a_client_with_a_token(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ async def test_the_recording_arrives_whole_to_a_client_with_a_token(tmp_path: Pa
             head = await fetch(url, "HEAD", "/recording", authorization=token)
             assert (head.status, head.body) == (200, b"")
             refused = await fetch(url, "DELETE", "/recording", authorization=token)
-            assert (refused.status, refused.headers["allow"]) == (405, "GET, HEAD")
+            assert (refused.status, refused.headers["allow"]) == (405, "GET, HEAD, OPTIONS")
             file.unlink()
             gone = await fetch(url, "GET", "/recording", authorization=token)
             assert gone.status == 404

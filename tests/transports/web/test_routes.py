@@ -52,10 +52,10 @@ ONE = f"/actions/a/goals/{ID}"
         *(("GET", path, 404, "see ") for path in ("/actions/", "/openapi.json/", "/actionsx")),
         ("DELETE", "/actions/a/goals/x", 400, "has 32 hexadecimal digits"),
         ("DELETE", f"/actions/a/goals/{'0' * 32}", 400, "means all goals"),
-        ("POST", "/actions", 405, "GET"),
-        ("PUT", "/actions/a/goals", 405, "GET, POST, DELETE"),
-        ("POST", ONE, 405, "GET, PUT, DELETE"),
-        ("\x1b", f"{ONE}/events", 405, "GET"),
+        ("POST", "/actions", 405, "GET, HEAD, OPTIONS"),
+        ("PUT", "/actions/a/goals", 405, "GET, HEAD, POST, DELETE, OPTIONS"),
+        ("POST", ONE, 405, "GET, HEAD, PUT, DELETE, OPTIONS"),
+        ("\x1b", f"{ONE}/events", 405, "GET, HEAD, OPTIONS"),
     ],
 )
 def test_what_is_not_there_is_told(method: str, path: str, status: int, told: str) -> None:
@@ -66,3 +66,9 @@ def test_what_is_not_there_is_told(method: str, path: str, status: int, told: st
     assert str(refused.value).isprintable()
     if status == 405:
         assert refused.value.headers == (("Allow", told),)
+
+
+def test_who_posts_to_a_cancel_is_told_of_delete() -> None:
+    with pytest.raises(Refused, match=f"to cancel a goal, send DELETE to {ONE}$") as refused:
+        route_of("POST", f"{ONE}/cancel", ["a"])
+    assert refused.value.status == 405

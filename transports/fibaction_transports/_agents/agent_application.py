@@ -23,8 +23,7 @@ class AgentApplication(HttpApplication):
     """An application of others, which gets only the requests that are permitted."""
 
     page_headers: ClassVar[str] = (
-        "authorization, content-type, last-event-id, a2a-version, mcp-protocol-version,"
-        " mcp-session-id"
+        f"{HttpApplication.page_headers}, a2a-version, mcp-protocol-version, mcp-session-id"
     )
     shown_headers: ClassVar[str] = "mcp-session-id"
 
@@ -49,7 +48,8 @@ class AgentApplication(HttpApplication):
     async def answer(self, exchange: Exchange) -> None:
         token = bearer_in(exchange.headers)
         peer = self._access.admit(exchange.peer, token) if token else None
-        if peer is None and not (exchange.method == "GET" and exchange.path in self._public):
+        is_read = exchange.method in ("GET", "HEAD")
+        if peer is None and not (is_read and exchange.path in self._public):
             reason = "the header Authorization must be: Bearer, and the token of the bridge"
             raise Refused(401, reason, ("WWW-Authenticate", "Bearer"))
         await exchange.hand_to(self._app, {"client": peer}, self.limits.frame, self._bodies)

@@ -34,13 +34,17 @@ from fibaction.words.errors import ActionError, AuthenticationFailed
 from fibaction_transports._http.exchange import Exchange, Receive, Scope, Send
 from fibaction_transports._http.problems import RETRY, Problem, problem_of
 
+EVERY_METHOD = "GET, HEAD, POST, PUT, DELETE, OPTIONS"
+
 logger = clean_logger("fibaction.web")
 
 
 class HttpApplication(ABC):
     """Answers the requests of all clients of one server."""
 
-    page_headers: ClassVar[str] = "authorization, content-type, last-event-id"
+    page_headers: ClassVar[str] = (
+        "authorization, content-type, last-event-id, traceparent, tracestate, baggage"
+    )
     """The headers of a request that a page of `origins` may set."""
     shown_headers: ClassVar[str] = "location, link"
     """The headers of an answer that such a page may read."""
@@ -62,6 +66,12 @@ class HttpApplication(ABC):
         Raises:
             Refused, ActionError, PayloadError: It cannot be answered, which its client is told.
         """
+
+    def allowed(self, path: str) -> str:
+        """Return the methods at a path, as the header `Allow` has them; all if nothing is there,
+        which is told to the request that follows.
+        """
+        return EVERY_METHOD
 
     async def close(self) -> None:
         """Answer no more requests; end those that have begun."""
@@ -120,10 +130,12 @@ class HttpApplication(ABC):
         if len(self._requests) > most:
             raise Refused(503, f"the server is full: it answers {most} requests", RETRY)
         if exchange.method == "OPTIONS":
+            allowed = self.allowed(exchange.path)
             await exchange.answer(
                 204,
                 b"",
-                ("Access-Control-Allow-Methods", "GET, POST, PUT, DELETE"),
+                ("Allow", allowed),
+                ("Access-Control-Allow-Methods", allowed),
                 ("Access-Control-Allow-Headers", self.page_headers),
                 ("Access-Control-Max-Age", "600"),
             )

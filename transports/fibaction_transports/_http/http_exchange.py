@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from http import HTTPStatus
@@ -18,6 +19,7 @@ from fibaction_transports._socket_lines.on_anyio import BROKEN
 
 LONGEST_HEAD = 2**14
 """Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
+_ABSOLUTE = re.compile(rb"https?://(?P<host>[^/?#]+)(?P<path>[^#]*)", re.IGNORECASE)
 MOST_EARLY = 2**16
 """Bytes of later requests that are read while one is answered; more are left to the socket."""
 
@@ -38,6 +40,26 @@ def http_answer(status: int, text: str, *headers: tuple[str, str]) -> bytes:
 def is_upgrade(request: h11.Request) -> bool:
     """Return whether a request asks for WebSocket."""
     return "websocket" in headers_in(request.headers).get("upgrade", "").lower()
+
+
+def in_origin_form(request: h11.Request) -> h11.Request:
+    """Return a request whose target is a path: as it is, or made of a target in the absolute form,
+    whose host counts in place of the header (RFC 9112, 3.2.2).
+
+    Raises:
+        Refused: The request is of another version than HTTP/1.
+    """
+    if not request.http_version.startswith(b"1."):
+        version = request.http_version.decode("ascii")
+        raise Refused(505, f"this server speaks HTTP/1.1, and not HTTP/{version}")
+    found = _ABSOLUTE.fullmatch(request.target)
+    if found is None:
+        return request
+    headers = [(b"host", found["host"])]
+    headers += [(name, value) for name, value in request.headers if name != b"host"]
+    path = found["path"] if found["path"].startswith(b"/") else b"/" + found["path"]
+    http = request.http_version
+    return h11.Request(method=request.method, target=path, headers=headers, http_version=http)
 
 
 class HttpExchange:

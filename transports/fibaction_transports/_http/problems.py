@@ -86,10 +86,10 @@ def problem_of(error: Refused | PayloadError | ActionError) -> Problem:
     if isinstance(error, Refused):
         return Problem(error.status, text, headers=error.headers)
     if isinstance(error, PayloadError):
-        problems = [sendable(one) for one in error.problems]
-        return Problem(
-            422, text, "The goal is not of its type.", _type("InvalidGoal"), {"problems": problems}
-        )
+        return _invalid_goal(text, [sendable(one) for one in error.problems])
+    if isinstance(error, GoalRejected) and error.code is RejectionCode.UNREADABLE:
+        reason = sendable(error.reason)
+        return _invalid_goal(reason, [reason])
     known = next(kind for kind in (*type(error).__mro__, ServerFailed) if kind in STATUSES)
     status, title = STATUSES[known]
     members: dict[str, Any] = {}
@@ -98,6 +98,12 @@ def problem_of(error: Refused | PayloadError | ActionError) -> Problem:
         status = REJECTIONS.get(error.code, status)
     headers = (RETRY,) if status in (429, 503) else ()
     return Problem(status, text, title, _type(known.__name__), members, headers)
+
+
+def _invalid_goal(text: str, problems: list[str]) -> Problem:
+    """Return the problem of a goal that is not of its type, whichever server has found it."""
+    members = {"problems": problems, "code": RejectionCode.UNREADABLE.name}
+    return Problem(422, text, "The goal is not of its type.", _type("InvalidGoal"), members)
 
 
 def _type(name: str) -> str:

@@ -47,6 +47,7 @@ from fibaction_transports._http.http_exchange import (
     LONGEST_HEAD,
     HttpExchange,
     http_answer,
+    in_origin_form,
     is_upgrade,
 )
 from fibaction_transports._socket_lines.on_anyio import BROKEN, leave, peer_of
@@ -248,9 +249,9 @@ class _Connection:
         self._stream = stream
         self._peer = peer
         self._place = place
-        self._http = h11.Connection(h11.SERVER, max_incomplete_event_size=LONGEST_HEAD)
         self._received = b""  # of the request that is being read
         self._has_asked = False
+        self._begin()
 
     async def run(self) -> None:
         """Answer requests until the connection ends, or is another one's."""
@@ -260,7 +261,7 @@ class _Connection:
                 if request is None:
                     return
                 path = request.target.decode("ascii").partition("?")[0]
-                if not f"{path}/".startswith(f"{self._server.root}/"):
+                if not f"{path}/".startswith(f"{self._server.root}/") and path != "*":
                     raise Refused(
                         404, f"there is nothing at {path}: the server is at {self._server.root}"
                     )
@@ -287,19 +288,30 @@ class _Connection:
             if application.is_closing or not exchange.can_go_on():
                 await leave(self._stream)
                 return
-            self._received = self._http.trailing_data[0] + exchange.early
-            self._http.start_next_cycle()
-            if exchange.early:
-                self._http.receive_data(exchange.early)
+            self._begin(self._http.trailing_data[0] + exchange.early)
             if self._received and not await self._take_turn():
                 return
+
+    def _begin(self, early: bytes = b"") -> None:
+        """Begin to read a request, of which these bytes have arrived."""
+        self._http = h11.Connection(h11.SERVER, max_incomplete_event_size=LONGEST_HEAD)
+        self._received = b""
+        self._take(early)
+
+    def _take(self, data: bytes) -> None:
+        """Take bytes that have arrived, without empty lines before a request (RFC 9112, 2.2)."""
+        if not self._received:
+            data = data.lstrip(b"\r\n")
+        if data:  # nothing would be the end
+            self._received += data
+            self._http.receive_data(data)
 
     async def _next_request(self) -> h11.Request | None:
         """Return the next request; None if the connection has ended.
 
         Raises:
             h11.RemoteProtocolError: The client does not speak HTTP.
-            Refused: The request has not arrived in time.
+            Refused: The request has not arrived in time, or cannot be answered.
         """
         seconds = self._server.limits.handshake
         server = self._server
@@ -307,7 +319,7 @@ class _Connection:
         with anyio.move_on_after(seconds), server.among(waiting, self._place.address):
             while (event := self._http.next_event()) is h11.NEED_DATA:
                 await self._receive()
-            return event if isinstance(event, h11.Request) else None
+            return in_origin_form(event) if isinstance(event, h11.Request) else None
         if self._received:
             raise Refused(408, f"the request has not arrived within {seconds:g} s")
         return None
@@ -326,9 +338,9 @@ class _Connection:
         try:
             data = await self._stream.receive(CHUNK)
         except anyio.EndOfStream:
-            data = b""
-        self._received += data
-        self._http.receive_data(data)
+            self._http.receive_data(b"")
+        else:
+            self._take(data)
 
     async def _refuse(self, refused: Refused) -> None:
         """Answer a request that the application does not see."""

@@ -25,7 +25,7 @@ from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.observe.metrics import Metrics
 from fibaction.wire.wire_server import WireServer
-from fibaction_transports._http.application import HttpApplication
+from fibaction_transports._http.application import EVERY_METHOD, HttpApplication
 from fibaction_transports._http.exchange import (
     Exchange,
     Receive,
@@ -37,7 +37,7 @@ from fibaction_transports._http.exchange import (
 from fibaction_transports._http.problems import RETRY, Problem, problem_of
 from fibaction_transports.web.http.asgi_channel import AsgiChannel
 from fibaction_transports.web.http.handshake import SUBPROTOCOL
-from fibaction_transports.web.http.plain_paths import PlainPaths
+from fibaction_transports.web.http.plain_paths import READ_ONLY, PlainPaths
 from fibaction_transports.web.http.websocket_frames import BinaryMessages
 from fibaction_transports.web.rest.handlers import RestInterface
 
@@ -114,6 +114,12 @@ class WebApplication(HttpApplication):
                 await self._handle_socket(scope, receive, send)
         else:
             await super().__call__(scope, receive, send)
+
+    def allowed(self, path: str) -> str:
+        try:
+            return READ_ONLY if self._plain.has(path) else self._rest.allowed_at(path)
+        except Refused:
+            return EVERY_METHOD
 
     async def answer(self, exchange: Exchange) -> None:
         if not await self._plain.answer(exchange):

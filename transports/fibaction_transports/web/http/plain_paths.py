@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from functools import partial
 from os import PathLike
+from typing import TypeAlias
 
 import anyio
 
@@ -22,8 +23,14 @@ ALIVE = ("/healthz", "/readyz")
 METRICS = "/metrics"
 RECORDING = "/recording"
 RECORDING_TYPE = "application/jsonl"
+READ_ONLY = "GET, HEAD, OPTIONS"
+"""The methods of these paths, as the header `Allow` has them."""
 PIECE = 2**16
 """Bytes of a recording that are read at once."""
+
+
+Read: TypeAlias = Callable[[Exchange], Awaitable[None]]
+"""Answers a request that reads."""
 
 
 class PlainPaths:
@@ -49,6 +56,10 @@ class PlainPaths:
             if console or path.removeprefix("/") in CLIENT
         }
 
+    def has(self, path: str) -> bool:
+        """Return whether there is something to read at a path."""
+        return self._reader_of(path) is not None
+
     async def answer(self, exchange: Exchange) -> bool:
         """Answer the request, and return True, if it is about one of the paths.
 
@@ -56,25 +67,27 @@ class PlainPaths:
             Refused: The client lacks a token, or does not only read; or the recording cannot be
                 read.
         """
-        path = exchange.path
-        if path == "" and PAGE in self._assets:
-            # The addresses in the page are relative to its own.
-            await exchange.answer(308, b"", ("Location", f"{exchange.root}/"))
-            return True
-        if path in self._assets:
-            read: Callable[[Exchange], Awaitable[None]] = partial(_answer_with, self._assets[path])
-        elif path in ALIVE:
-            read = _answer_alive
-        elif path == METRICS and self._metrics is not None:
-            read = partial(self._answer_metrics, self._metrics)
-        elif path == RECORDING and self._recording is not None:
-            read = partial(self._answer_recording, self._recording)
-        else:
+        read = self._reader_of(exchange.path)
+        if read is None:
             return False
         if exchange.method not in ("GET", "HEAD"):
-            raise Refused(405, f"{path} is read only", ("Allow", "GET, HEAD"))
+            raise Refused(405, f"{exchange.path} is read only", ("Allow", READ_ONLY))
         await read(exchange)
         return True
+
+    def _reader_of(self, path: str) -> Read | None:
+        """Return what answers a request that reads a path; None if nothing is there."""
+        if path == "" and PAGE in self._assets:
+            return _answer_elsewhere
+        if path in self._assets:
+            return partial(_answer_with, self._assets[path])
+        if path in ALIVE:
+            return _answer_alive
+        if path == METRICS and self._metrics is not None:
+            return partial(self._answer_metrics, self._metrics)
+        if path == RECORDING and self._recording is not None:
+            return partial(self._answer_recording, self._recording)
+        return None
 
     async def _answer_metrics(self, metrics: Metrics, exchange: Exchange) -> None:
         self._admit(exchange)
@@ -92,6 +105,11 @@ class PlainPaths:
             while exchange.method != "HEAD" and (piece := await file.read(PIECE)):
                 await exchange.write(piece)
             await exchange.end()
+
+
+async def _answer_elsewhere(exchange: Exchange) -> None:
+    # The addresses in the page are relative to its own.
+    await exchange.answer(308, b"", ("Location", f"{exchange.root}/"))
 
 
 async def _answer_alive(exchange: Exchange) -> None:

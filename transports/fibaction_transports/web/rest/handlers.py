@@ -30,7 +30,13 @@ from fibaction.wire.auth import Permission
 from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.wire_server import WireServer
-from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
+from fibaction.words.errors import (
+    ActionError,
+    AuthenticationFailed,
+    CancelRejected,
+    ServerNotFound,
+    UnknownGoal,
+)
 from fibaction.words.goal_query import cancel_stamp_of
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.words.meta import trace_meta, with_labels
@@ -52,6 +58,7 @@ from fibaction_transports.web.rest.routes import (
     FILTERS,
     Resource,
     Route,
+    allowed_at,
     check_parameters,
     route_of,
 )
@@ -93,9 +100,18 @@ class RestInterface:
             ActionError: It cannot be answered.
         """
         client = self.admit(exchange)
-        route = route_of(exchange.method, exchange.path, self._endpoints)
-        check_parameters(exchange.query, route, exchange.method)
-        await self._handlers[route.resource, exchange.method](exchange, client, route)
+        method = "GET" if exchange.method == "HEAD" else exchange.method
+        route = route_of(method, exchange.path, self._endpoints)
+        check_parameters(exchange.query, route, method)
+        await self._handlers[route.resource, method](exchange, client, route)
+
+    def allowed_at(self, path: str) -> str:
+        """Return the methods of what is at a path.
+
+        Raises:
+            Refused: Nothing is there.
+        """
+        return allowed_at(path, self._endpoints)
 
     def admit(self, exchange: Exchange) -> SessionClient:
         """Return the client, if it has a token where one is asked for.
@@ -255,6 +271,10 @@ class RestInterface:
             return
         stream = await endpoint.feedback(route.goal_id, after=cursor.number, attempt=cursor.attempt)
         with stream:
+            if exchange.method == "HEAD":
+                exchange.begin_events(200)
+                await exchange.end()
+                return
             await tell_goal(exchange, _events_of(endpoint), stream, 200)
 
     # Cancels
@@ -263,7 +283,7 @@ class RestInterface:
         endpoint = await self._endpoint(client, route, Permission.CANCEL)
         answer = await endpoint.cancel_goals(route.goal_id)
         if answer.return_code is CancelCode.UNKNOWN_GOAL_ID:
-            raise Refused(404, f"goal {route.goal_id} is unknown")
+            raise UnknownGoal(route.goal_id)
         await self._answer_cancel(exchange, answer)
 
     async def _cancel_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:

@@ -103,6 +103,7 @@ _PROBLEM = {
     "description": "A problem.",
     "content": {"application/problem+json": {"schema": {"$ref": SHARED + "Problem"}}},
 }
+_PROBLEMS = {"4XX": _PROBLEM, "default": _PROBLEM}
 _GOAL_ID = {"name": "goal_id", "in": "path", "required": True, "schema": _ONE_ID}
 
 
@@ -132,7 +133,9 @@ _STATUSES = _parameter(
     {"type": "array", "minItems": 1, "items": {"type": "string", "enum": [*STATUSES]}},
 )
 _LABEL = {"type": "string", "pattern": LABEL_TEXT}
-_CLIENT = _parameter("client", "Only goals whose client has this text in it.", {"type": "string"})
+_CLIENT = _parameter(
+    "client", "Only goals whose client has this text in it.", {"type": "string", "minLength": 1}
+)
 _LABELS, _NEW_LABELS = (
     _parameter(
         "label",
@@ -197,7 +200,7 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
         "description": "All actions of this server, each with the JSON Schemas of its messages.",
         "operationId": "list_actions",
         "tags": ["actions"],
-        "responses": {"200": _answer("The actions.", listed), "default": _PROBLEM},
+        "responses": {"200": _answer("The actions.", listed)} | _PROBLEMS,
     }
     paths: Json = {"/actions": {"get": all_actions}}
     schemas = dict(_SHARED_SCHEMAS)
@@ -219,6 +222,7 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
         ],
         "paths": paths,
         "components": {"schemas": schemas},
+        "security": [],
     }
     if asks_for_tokens:
         bearer = {"type": "http", "scheme": "bearer"}
@@ -315,7 +319,7 @@ class _Described:
         }
         if parameters:
             described["parameters"] = list(parameters)
-        return described | {"responses": answers | {"default": _PROBLEM}}
+        return described | {"responses": answers | _PROBLEMS}
 
 
 def _needs_goal(info: ActionInfo) -> bool:

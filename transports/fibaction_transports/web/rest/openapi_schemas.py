@@ -69,6 +69,7 @@ def moved(schema: Json, name: str, names: Names, *, is_goal: bool = False) -> Js
             found = {key: _changed(part, _closed) for key, part in found.items()}
         if is_goal:
             found = {key: _changed(part, _limited) for key, part in found.items()}
+        found = {key: _changed(part, _without_object_default) for key, part in found.items()}
     except RecursionError:
         return {name: {}}
     return found
@@ -186,6 +187,15 @@ def _is_combined(part: Json) -> bool:
 def _closed(part: Json) -> Json:
     if "properties" in part:
         part.setdefault("additionalProperties", False)
+    return part
+
+
+def _without_object_default(part: Json) -> Json:
+    """Leave out a default that is an object: openapi-python-client 0.29 takes none, and leaves out
+    the operations that need it. The field stays one that may be missing.
+    """
+    if is_map(part.get("default")):
+        del part["default"]
     return part
 
 

@@ -38,7 +38,7 @@ METHODS = {
     Resource.GOAL: ("GET", "PUT", "DELETE"),
     Resource.EVENTS: ("GET",),
 }
-"""The methods of each resource."""
+"""The methods of each resource; HEAD is GET without the body of the answer."""
 
 
 FILTERS = ("status", "client", "label", "since", "until", "parent")
@@ -83,15 +83,23 @@ def route_of(method: str, path: str, served: Container[str]) -> Route:
         Refused: Nothing is there, or it does not have this method.
     """
     route = _route_of(path, served)
-    methods = METHODS[route.resource]
-    if method not in methods:
-        allowed = ", ".join(methods)
-        raise Refused(
-            405,
-            f"{excerpt(path)} has the methods {allowed}, and not {excerpt(method)}",
-            ("Allow", allowed),
-        )
+    if method not in METHODS[route.resource]:
+        allowed = allowed_at(path, served)
+        text = f"{excerpt(path)} has the methods {allowed}, and not {excerpt(method)}"
+        if path.endswith("/cancel"):
+            text += f": to cancel a goal, send DELETE to {excerpt(path.removesuffix('/cancel'))}"
+        raise Refused(405, text, ("Allow", allowed))
     return route
+
+
+def allowed_at(path: str, served: Container[str]) -> str:
+    """Return the methods of what is at a path, for the header `Allow`.
+
+    Raises:
+        Refused: Nothing is there.
+    """
+    own = METHODS[_route_of(path, served).resource]
+    return ", ".join([*own[:1], "HEAD", *own[1:], "OPTIONS"])
 
 
 def check_parameters(query: Iterable[str], route: Route, method: str) -> None:
