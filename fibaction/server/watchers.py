@@ -18,7 +18,7 @@ from fibaction.border.watchers import Watcher
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.types.action import ActionInfo
-from fibaction.words.errors import text_of
+from fibaction.words.errors import FAILURES, text_of
 from fibaction.words.goals import CancelAnswer, GoalID, Sender
 from fibaction.words.meta import Meta
 
@@ -128,7 +128,7 @@ class Watchers:
         for watcher, call in calls:
             try:
                 call(*arguments)
-            except Exception as exc:
+            except FAILURES as exc:
                 self._report(watcher, name, exc)
             before, begin = begin, perf_counter()
             if (seconds := begin - before) > SLOW and watcher not in self._slow:
@@ -142,7 +142,7 @@ class Watchers:
                     seconds,
                 )
 
-    def _report(self, watcher: Watcher, name: str, exc: Exception) -> None:
+    def _report(self, watcher: Watcher, name: str, exc: Exception | SystemExit) -> None:
         if watcher in self._failed:
             return
         self._failed.add(watcher)

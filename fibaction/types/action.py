@@ -16,7 +16,7 @@ import msgspec
 from fibaction._runtime.text import excerpt
 from fibaction.types.encodings import encoding_of
 from fibaction.types.ros_classes import is_message, load
-from fibaction.words.errors import ProtocolError, text_of
+from fibaction.words.errors import FAILURES, ProtocolError, text_of
 from fibaction.words.plain_data import is_map
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class Codec(Generic[T]):
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             # msgspec raises TypeError for a set of unhashable values.
             text = excerpt(str(exc))
-        except Exception as exc:  # of the type's own, for instance in its `__post_init__`
+        except FAILURES as exc:  # of the type's own, for instance in its `__post_init__`
             raise self._misread(text_of(exc)) from exc
         if (goal := self._goal_of_nothing(payload)) is not NO_VALUE:
             return goal

@@ -38,6 +38,10 @@ from fibaction.words.statuses import (
     InvalidTransition as InvalidTransition,  # raised by the table alone
 )
 
+FAILURES = (Exception, SystemExit)
+"""The errors of a user's function that end what it was called for: a goal, or an answer. A library
+that calls `sys.exit` means the program, and does not know that it runs in a server of many."""
+
 
 class _GoalError(ActionError):
     """An error with a reason, and with the ID of its goal once that is known."""
@@ -285,6 +289,9 @@ def text_of(exc: BaseException) -> str:
     of the class.
     """
     try:
+        if isinstance(exc, SystemExit):  # its text alone would be a number, or empty
+            code = "" if exc.code is None else repr(exc.code)
+            return excerpt(f"sys.exit({code}) was called", REASON)
         text = str(exc)
         return excerpt(f"{type(exc).__name__}: {text}" if text else type(exc).__name__, REASON)
     except Exception:

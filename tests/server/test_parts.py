@@ -172,22 +172,22 @@ async def test_only_a_coroutine_that_runs_is_given_up() -> None:
 
 
 @pytest.mark.promise("EXECUTE-10")
-async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on(
+async def test_ctrl_c_in_an_executor_ends_its_goal_and_the_program(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def exits(goal: GoalHandle[Goal]) -> Items:
-        raise SystemExit(3)
+        raise KeyboardInterrupt
         yield Result([])
 
     server = ActionServer(FIBONACCI, exits)
     streams: list[GoalStream] = []
 
-    # asyncio ends its loop at once on a SystemExit, so that the wire is cut on trio only; here the
-    # executor is run by hand, and both must let it through.
+    # asyncio ends its loop at once on a KeyboardInterrupt, so that the wire is cut on trio only;
+    # here the executor is run by hand, and both must let it through.
     run_goal = Runs._run
 
     async def run_and_catch(runs: Any, run: Any, scopes: CancelOnce) -> None:
-        with pytest.raises(SystemExit):
+        with pytest.raises(KeyboardInterrupt):
             await run_goal(runs, run, scopes)
         scope.cancel()
 
@@ -196,7 +196,7 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on(
         async with server:
             streams.append(await server.send_goal(GoalID.random(), packed(1)))
             await anyio.sleep_forever()
-    assert await streams[0].outcome() == End(GoalStatus.ABORTED, None, "SystemExit")
+    assert await streams[0].outcome() == End(GoalStatus.ABORTED, None, "KeyboardInterrupt")
 
 
 class Stubborn:

@@ -35,6 +35,7 @@ from fibaction.border.event_loop import asyncio_task
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.types.action import GoalT
 from fibaction.words.errors import (
+    FAILURES,
     CancelRejected,
     GoalAborted,
     GoalRejected,
@@ -196,7 +197,7 @@ def failures_as(rejection: _Rejection, name: str, action: str) -> Generator[None
         yield
     except rejection:
         raise
-    except Exception as exc:
+    except FAILURES as exc:
         reason = f"{name} failed: {text_of(exc)}"
         logger.error("action %r: %s", action, reason, exc_info=exc)
         raise _rejected(rejection, reason, RejectionCode.FAILED) from exc

@@ -21,7 +21,8 @@ The end of the executor becomes an `Ending`:
 - it raised the cancellation, or `GoalCanceled`: CANCELED, with the partial result, if any;
 - it raised `GoalAborted`: FAILED, with the reason and the partial result;
 - it raised another exception, or broke a rule of executors (`Misuse`): FAILED, with the error as
-  the reason, and a traceback in the log `fibaction.server`.
+  the reason, and a traceback in the log `fibaction.server`. `SystemExit` is one of these, and
+  `KeyboardInterrupt` is not.
 
 An executor that is killed and does not end is given up (`_abandoned`): nothing awaits it any more.
 So that nothing closes a generator either, the event loop is not told of it (`_first`).
@@ -256,7 +257,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             assert self._scopes is not None
             self._scopes.reach(ScopesPhase.SPENT)  # the task itself may have been canceled
             return Ending(EndKind.CANCELED, self._result)
-        if isinstance(cause, (KeyboardInterrupt, SystemExit)):
+        if isinstance(cause, KeyboardInterrupt):
             raise exc
         return error_end(cause, self._action, self.goal, self._result)
 

@@ -10,7 +10,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.ros_classes import is_message, ros_type_of
-from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
+from fibaction.words.errors import FAILURES, GoalAborted, GoalCanceled, text_of
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def _partial_end(
         return Ending(kind, result, reason)
     try:
         return Ending(kind, codec.encode(exc.result), exc.reason)
-    except Exception as bad:  # encoding runs the user's own code, which may raise anything
+    except FAILURES as bad:  # encoding runs the user's own code, which may raise anything
         return failed(bad, action, goal, result)
 
 

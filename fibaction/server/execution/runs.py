@@ -186,7 +186,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
                 self._step(run, EXECUTE)
                 ending = await execution.run(scopes)
         except BaseException as exc:
-            # KeyboardInterrupt or SystemExit, which end the program.
+            # KeyboardInterrupt, which ends the program.
             self._end(execution, Ending(EndKind.FAILED, reason=type(exc).__name__))
             raise
         self._end(execution, ending)

@@ -48,7 +48,7 @@ from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.scheduled_goals import Act, Order
 from fibaction.server.scheduling.shared_scheduler import SharedScheduler
 from fibaction.types.action import GoalT
-from fibaction.words.errors import GoalRejected, text_of
+from fibaction.words.errors import FAILURES, GoalRejected, text_of
 from fibaction.words.goals import GoalID, Sender
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
                 _asked(check, function, request, sender)
             except GoalRejected:
                 return ""  # as the function wants it
-            except Exception as exc:
+            except FAILURES as exc:
                 return f"{name} failed: {text_of(exc)}"
         return ""
 
