@@ -4,11 +4,13 @@ Theory of operation
 -------------------
 
 A goal is followed from its `FeedbackLog`. The record of an active goal has it (`GoalRecord.log`).
-After the end of the goal, a log is kept by its followers (`HeldBytes` has a weak reference), and,
-if the statuses are followed, for RECENT_TIME (`_recent`): such a follower learns of a goal by its
-status, and then asks for its feedback. Without a log, an ended goal is followed without its
-feedback, by a new one; so it has one log at a time, which loses the result if results take too many
-bytes. The payload of a goal is in its log, too, for those who have not sent it.
+After the end of the goal, its log is kept as long as its result if it has any feedback (`_kept`),
+for a client that was away, or comes later. If the server holds too many bytes, such logs give way
+before any result does, the oldest first. A log is also kept by its followers (`HeldBytes` has a
+weak reference), and, if the statuses are followed, for RECENT_TIME (`_recent`): such a follower
+learns of a goal by its status, and then asks for its payload, which is in the log, too. Without a
+log, an ended goal is followed by a new one; so it has one log at a time, which loses the result if
+results take too many bytes.
 
 What is told at a step of a goal's life is told here: the effects `TELL_...`. With the end, the
 record gets its outcome, and the registry remembers it.
@@ -21,7 +23,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 from weakref import ref
@@ -49,9 +51,9 @@ EXPIRY_STEP = 0.1
 freed, since the registry compares times exactly."""
 
 RECENT_TIME, RECENT_GOALS = 1.0, 1000
-"""Seconds that the feedback of a goal is kept after its end, and the number of such goals at most,
-while the statuses are followed: a follower that learns of a goal asks for its feedback, and the
-goal may have ended by then."""
+"""Seconds that the payload of a goal is kept after its end, and the number of such goals at most,
+while the statuses are followed: a follower that learns of a goal asks for its payload, and the goal
+may have ended by then."""
 
 FORGOTTEN_AT_ONCE = 200
 """Goals that are forgotten in one turn of the event loop, which takes less than a millisecond."""
@@ -84,6 +86,7 @@ class GoalLogs:
         """The error for goals that are not known here, once the server has let goals go that it
         keeps: a client that asks for one of them is to ask again after the next start."""
         self._recent: deque[tuple[float, FeedbackLog[GoalRecord]]] = deque(maxlen=RECENT_GOALS)
+        self._kept: OrderedDict[GoalID, FeedbackLog[GoalRecord]] = OrderedDict()
         self._statuses = StatusBroadcast()
         self.ended = Notifier()
         """The notifier of the ends of goals."""
@@ -137,9 +140,7 @@ class GoalLogs:
         run.log.reveal()
 
     def _tell_end(self, run: AnyRun) -> None:
-        """Make the outcome the goal's, for as long as results are kept, and tell it. Keep the log
-        of the goal for its followers only.
-        """
+        """Make the outcome the goal's, for as long as results are kept, and tell it."""
         goal, log = run.goal, run.log
         assert run.outcome is not None
         if goal.told_status is not goal.status:
@@ -151,6 +152,8 @@ class GoalLogs:
             self._recent.append((now + RECENT_TIME, log))
         else:
             log.payload = None
+        if goal.feedback_count:
+            self._kept[goal.goal_id] = log
         assert goal.held is not None
         goal.held.log = ref(log)
         self._tell(run, goal.status)
@@ -267,11 +270,13 @@ class GoalLogs:
 
         Return whether there may be more of them.
         """
-        if self._recent:
-            is_over = self._registry.budget.is_over
-            while self._recent and (is_over or self._recent[0][0] <= now):
-                self._recent.popleft()
+        budget = self._registry.budget
+        while self._recent and (budget.is_over or self._recent[0][0] <= now):
+            self._recent.popleft()
+        while budget.used > budget.limit and self._kept:  # without a call for each goal
+            self._kept.popitem(last=False)
         gone = self._registry.expire(now, FORGOTTEN_AT_ONCE)
         for goal_id in gone:
+            self._kept.pop(goal_id, None)
             self._tell_unknown(goal_id)
         return len(gone) == FORGOTTEN_AT_ONCE

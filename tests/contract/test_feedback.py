@@ -273,6 +273,20 @@ async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
 
 
 @pytest.mark.promise("FEEDBACK-11")
+async def test_the_feedback_of_a_goal_that_has_ended_can_be_asked_for(reach: Reach) -> None:
+    server = ActionServer(FIBONACCI, Steps(go=True), feedback_window=4)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(10))
+        await goal.result()
+        for after, seen, dropped in ((8, [9, 10], 0), (0, [7, 8, 9, 10], 6), (10, [], 0)):
+            late = await client.attach(goal.goal_id, after=after)
+            assert numbers([item async for item in late.feedback]) == seen
+            assert late.feedback_dropped == dropped
+        again = await client.send_goal(Goal(10), goal_id=goal.goal_id)
+        assert numbers([item async for item in again.feedback]) == [7, 8, 9, 10]
+
+
+@pytest.mark.promise("FEEDBACK-11")
 async def test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once(
     reach: Reach,
 ) -> None:

@@ -79,6 +79,7 @@ EXCLUSIONS: dict[str, str] = {
     "test_latest_never_waits_and_a_slow_reader_sees_the_newest": NUMBER,
     "test_an_observer_follows_from_now_on_and_does_not_slow_the_goal_down": NUMBER,
     "test_an_observer_may_ask_for_what_was_before": PAST,
+    "test_the_feedback_of_a_goal_that_has_ended_can_be_asked_for": PAST,
     "test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once": PAST,
     "test_two_clients_are_two_senders": SENDER,
     "test_the_sender_has_the_name_of_its_token_and_its_address": SENDER,
