@@ -39,7 +39,7 @@ class Spectrometer(StreamRequestHandler):
             elif command == "LAMP?":
                 self.wfile.write(f"{Spectrometer.lamp}\n".encode())
             elif command == "READ?":
-                time.sleep(0.01)  # noqa: TID251  # this thread is the instrument's
+                time.sleep(0.01)  # this thread is the instrument's
                 self.wfile.write(f"{1 - abs(int(value) - 550) / 1000:.3f}\n".encode())
 
 
@@ -96,7 +96,7 @@ class Driver:
         self.tell(command)
         return self._lines.readline().strip()
 
-    def scan(self, goal: Range, report: Report[Reading]) -> list[Reading]:
+    def scan(self, report: Report[Reading], goal: Range) -> list[Reading]:
         """Read at each wavelength, with the lamp on."""
         readings: list[Reading] = []
         self.tell("LAMP ON")

@@ -11,6 +11,7 @@ Exit codes: 0 the arm has moved and stopped, 2 the command line is invalid.
 from __future__ import annotations
 
 import argparse
+import asyncio
 from contextlib import AsyncExitStack
 from pathlib import Path
 
@@ -40,7 +41,7 @@ class Moving(Struct):
 
 
 @action("move_arm", type_name="arduinobot_msgs/action/MoveArm")
-async def move_arm(goal: Joints, report: Report[Moving]) -> Joints:
+async def move_arm(report: Report[Moving], goal: Joints) -> Joints:
     """Move all joints at once, in ten parts."""
     joints = [0.0] * len(goal.joints)
     try:
@@ -48,7 +49,7 @@ async def move_arm(goal: Joints, report: Report[Moving]) -> Joints:
             joints = [round(angle * part / 10, 3) for angle in goal.joints]
             await report(Moving("moves", joints))
             await anyio.sleep(0.2)
-    except anyio.get_cancelled_exc_class():
+    except asyncio.CancelledError:
         raise GoalCanceled(result=Joints(joints)) from None  # the brakes are on
     return Joints(joints)
 

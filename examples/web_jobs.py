@@ -9,6 +9,7 @@ It needs the extra `web`, FastAPI and uvicorn. `uvicorn web_jobs:app` serves it 
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import socket
@@ -42,14 +43,14 @@ class Progress(Struct):
 
 
 @action("make_report")
-async def make_report(job: Job, report: Report[Progress]) -> str:
+async def make_report(report: Report[Progress], job: Job) -> str:
     """Write one page after another."""
     page = 0
     try:
         for page in range(1, job.pages + 1):
             await anyio.sleep(0.05)  # for real work: `await anyio.to_process.run_sync(...)`
             await report(Progress(100 * page // job.pages))
-    except anyio.get_cancelled_exc_class():
+    except asyncio.CancelledError:
         raise GoalCanceled(result=f"{job.title}.pdf, only a part") from None
     return f"{job.title}.pdf, {job.pages} pages"
 

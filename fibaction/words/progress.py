@@ -30,7 +30,7 @@ class Progress(msgspec.Struct, frozen=True):
     For example:
 
         @action("copy")
-        async def copy(files: list[str], report: Report[Progress]) -> int:
+        async def copy(report: Report[Progress], files: list[str]) -> int:
             for number, name in enumerate(files):
                 await report(Progress(number, len(files), name))
             return len(files)

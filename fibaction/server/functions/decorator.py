@@ -129,7 +129,7 @@ def action(
     """Make an action of a function, which becomes its executor.
 
         @action("drive")
-        async def drive(meters: int, report: Report[int]) -> str:
+        async def drive(report: Report[int], meters: int) -> str:
             for done in range(meters):
                 await report(done)
             return f"drove {meters} m"
