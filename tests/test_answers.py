@@ -15,9 +15,13 @@ DOCS = ROOT / "docs"
 TROUBLES = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
 MESSAGES = re.findall(r"^### `(.+)`$", TROUBLES, re.MULTILINE)
 ANSWERS = {
+    "authentication": ["howto/access.md"],
     "blocking": ["howto/blocking.md"],
+    "cancel a goal": ["howto/embed.md"],
+    "django": ["howto/blocking.md"],
     "humble": ["faq.md"],
     "jupyter": ["howto/notebook.md"],
+    "limit the goals": ["howto/schedule.md"],
     "metrics": ["howto/observe.md"],
     "multiprocessing": ["howto/threads_and_processes.md"],
     "no feedback": ["faq.md"],
@@ -26,9 +30,12 @@ ANSWERS = {
     "priority": ["howto/schedule.md"],
     "progress bar": ["howto/progress.md", "howto/notebook.md"],
     "pydantic": ["howto/types.md"],
+    "restart": ["howto/reconnecting.md"],
     "retry": ["howto/deadlines.md"],
     "same type": ["howto/generators.md"],
     "serial port": ["howto/threads_and_processes.md"],
+    "several machines": ["howto/fleet.md"],
+    "transport": ["howto/write_a_transport.md"],
     "websocket": ["howto/in_a_web_application.md"],
 }
 """Words that people type, and the pages that answer them."""
