@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar, Unpack, cast,
 
 import anyio
 
+from fibaction._runtime.async_only import AsyncBlock
 from fibaction.border.abc import Connection, Endpoint, Transport
 from fibaction.border.urls import transport_for
 from fibaction.client.client import ActionClient
@@ -114,8 +115,10 @@ class ClientConnection(Connection):
 ConnectedT = TypeVar("ConnectedT", covariant=True)
 
 
-class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
+class Connecting(AsyncBlock, AbstractAsyncContextManager[ConnectedT, None]):
     """A connection to be opened, by `async with` or `await`: see `connect`."""
+
+    opened_by = "async with connect(...) as client:"
 
     def __init__(
         self,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, Unpack
 
 from anyio import create_task_group
 
+from fibaction._runtime.async_only import AsyncBlock
 from fibaction.border.abc import Endpoint, Startable, Transport
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.urls import transport_for, without_settings
@@ -25,8 +26,10 @@ Served: TypeAlias = "Endpoint | FunctionAction[Any, Any, Any, Any]"
 """A server or another endpoint, or an action that is made of a function."""
 
 
-class Serving(AbstractAsyncContextManager[tuple[str, ...], None]):
+class Serving(AsyncBlock, AbstractAsyncContextManager[tuple[str, ...], None]):
     """Servers at their addresses, to be run by `async with`: see `serve`."""
+
+    opened_by = "async with serve(...):"
 
     def __init__(self, block: AbstractAsyncContextManager[tuple[str, ...]]) -> None:
         self._block = block

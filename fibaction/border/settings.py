@@ -12,9 +12,8 @@ from collections.abc import Callable, Iterable, Mapping
 from inspect import formatannotation, get_annotations
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
-import msgspec
-
-from fibaction.border.urls import check_settings, unknown_setting, without_settings
+from fibaction._runtime.settings_struct import SettingsStruct, unknown_setting
+from fibaction.border.urls import check_settings, without_settings
 from fibaction.words.errors import InvalidURL
 from fibaction.words.plain_data import check_is_number
 
@@ -55,7 +54,7 @@ def _written(kind: object) -> str:
     return text.replace("collections.abc.", "")
 
 
-class TransportSettings(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+class TransportSettings(SettingsStruct, frozen=True, kw_only=True, dict=True):
     """The settings of a transport. A subclass has the fields, and checks their values."""
 
     for_clients: ClassVar[bool] = True

@@ -12,6 +12,7 @@ from functools import cache
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
+from fibaction._runtime.settings_struct import nearest, unknown_setting
 from fibaction.border.abc import Transport
 from fibaction.words.errors import InvalidURL, TransportError
 from fibaction.words.extras import MissingExtra
@@ -54,9 +55,12 @@ def transport_class(scheme: str) -> type[Transport]:
 
     found = tuple(entry_points(group=GROUP, name=scheme))
     if not found:
-        known = ", ".join(sorted({f"{entry.name}://" for entry in entry_points(group=GROUP)}))
+        names = {entry.name for entry in entry_points(group=GROUP)}
+        known = ", ".join(sorted(f"{name}://" for name in names))
+        near = nearest(scheme, names)
+        hint = f": did you mean {near}://? Installed" if near else "; installed"
         raise InvalidURL(
-            f"no transport for {scheme}:// is installed; installed are {known or 'none at all'}"
+            f"no transport for {scheme}:// is installed{hint} are {known or 'none at all'}"
         )
     try:
         transport: type[Transport] = found[0].load()
@@ -136,14 +140,3 @@ def check_settings(where: str, given: Iterable[str], known: Iterable[str]) -> No
     for name in given:
         if name not in names:
             raise TypeError(unknown_setting(where, name, names))
-
-
-def unknown_setting(where: str, name: str, known: Iterable[str]) -> str:
-    """Return the sentence about a setting that there is not."""
-    from difflib import get_close_matches  # needed for this sentence only
-
-    names = tuple(known)
-    near = get_close_matches(name, names, 1)
-    hint = f": did you mean {near[0]!r}?" if near else ";"
-    has = f"its settings are {', '.join(names)}" if names else "it has no settings"
-    return f"{where} has no setting {name!r}{hint} {has[0].upper() + has[1:] if near else has}"

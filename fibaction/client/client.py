@@ -32,11 +32,15 @@ from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.retry import Retry
 from fibaction.types.action import NO_VALUE, Action, Codec, FeedbackT, GoalT, ResultT
-from fibaction.words.errors import ServerNotFound
+from fibaction.words.errors import ActionError, ServerNotFound
 from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.words.meta import NO_META, with_labels
 from fibaction.words.plain_data import check_is_number
+
+SOON = 0.5
+"""Seconds to find out why an action was not served."""
+WAIT_HINT = ", or wait for it with wait_for_server()"
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
@@ -262,7 +266,13 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             check_is_number("timeout", timeout)
         with anyio.move_on_after(timeout):
             return await self.endpoint.wait_for_server()
-        raise ServerNotFound(f"the action {self.action.name!r} was not served within {timeout:g} s")
+        what = f"the action {self.action.name!r} was not served within {timeout:g} s"
+        with anyio.move_on_after(SOON):  # most endpoints know at once what is missing
+            try:
+                (await self.endpoint.status()).close()
+            except ActionError as exc:
+                raise ServerNotFound(f"{what}: {exc}".partition(WAIT_HINT)[0]) from exc
+        raise ServerNotFound(what)
 
     async def leave(self) -> None:
         """Cancel the goals of `call`, and of blocks of `send_goal`, that have not ended.

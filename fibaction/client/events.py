@@ -39,6 +39,7 @@ import msgspec
 from anyio.abc import TaskGroup
 from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStream
 
+from fibaction._runtime.async_only import AsyncItems
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.border.event_loop import Background
@@ -62,7 +63,7 @@ class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
     """The attempt at the goal that the feedback is of, from 1: see `ClientGoal.attempt`."""
 
 
-class Events(Generic[FeedbackT]):
+class Events(AsyncItems, Generic[FeedbackT]):
     """The events of all goals, for `async for`, which ends when the server stops or the block of
     the events is left.
 
@@ -72,6 +73,8 @@ class Events(Generic[FeedbackT]):
             async for event in events:
                 print(event)
     """
+
+    read_by = "async for event in events:"
 
     def __init__(
         self,

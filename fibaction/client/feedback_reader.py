@@ -23,6 +23,7 @@ from typing import Generic, TypeVar
 
 import anyio
 
+from fibaction._runtime.async_only import AsyncItems
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
@@ -36,6 +37,8 @@ T = TypeVar("T")
 
 logger = clean_logger("fibaction.client")
 
+LOOP = "async for feedback in goal.feedback:"
+
 CALLER: ContextVar[int] = ContextVar("CALLER", default=0)
 """The thread on whose behalf a task of `fibaction.blocking` runs; 0 for a task of its own."""
 
@@ -45,8 +48,10 @@ def _caller() -> int:
     return CALLER.get() or anyio.get_current_task().id
 
 
-class FeedbackReader(Generic[FeedbackT]):
+class FeedbackReader(AsyncItems, Generic[FeedbackT]):
     """The feedback of one goal, for `async for`; the iteration ends when the goal does."""
+
+    read_by = LOOP
 
     def __init__(
         self,

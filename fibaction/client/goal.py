@@ -27,18 +27,21 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias
 
 import anyio
 
+from fibaction._runtime.async_only import AsyncBlock, AsyncItems
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.client.attempts import Attempts, cancel_left
-from fibaction.client.feedback_reader import FeedbackReader
+from fibaction.client.feedback_reader import LOOP, FeedbackReader
 from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.types.action import Action, FeedbackT, ResultT
 from fibaction.words.errors import ActionError, GoalAborted, GoalCanceled, UnknownGoal
 from fibaction.words.goals import CancelAnswer, GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 
+BLOCK = "async with client.send_goal(...) as goal:"
 
-class ClientGoal(Generic[FeedbackT, ResultT]):
+
+class ClientGoal(AsyncItems, AsyncBlock, Generic[FeedbackT, ResultT]):
     """One accepted goal, as its client sees it.
 
     For example:
@@ -48,6 +51,8 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
                 print(meters)
             print(await goal.result())
     """
+
+    opened_by, read_by = BLOCK, LOOP
 
     def __init__(
         self,
@@ -167,11 +172,13 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         return f"<ClientGoal {self.goal_id} {self.status.name}>"
 
 
-class SendingGoal(Generic[FeedbackT, ResultT]):
+class SendingGoal(AsyncBlock, Generic[FeedbackT, ResultT]):
     """A goal to be sent: `async with` cancels it at the end of the block, `await` does not.
 
     See `ActionClient.send_goal`.
     """
+
+    opened_by = BLOCK
 
     def __init__(
         self,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-import msgspec
-
+from fibaction._runtime.settings_struct import SettingsStruct
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
@@ -31,7 +30,7 @@ _MOST_DOUBLINGS = 60
 """More would be a number that no float can hold, and each delay is limited anyway."""
 
 
-class Retry(msgspec.Struct, frozen=True, kw_only=True):
+class Retry(SettingsStruct, frozen=True, kw_only=True):
     """The rule by which `ActionClient.call` tries again, without running a goal twice.
 
     A goal keeps its ID. Until its acceptance is known, the same goal is sent again; a server that

@@ -31,6 +31,7 @@ from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
 from fibaction.schema.mismatch_texts import field_name, sentences
 from fibaction.schema.parts import SchemaPart, SchemaParts
 from fibaction.schema.steps import Extent
+from fibaction.types.unsendable import unsendable
 
 __all__ = [
     "MAX_PARTS",
@@ -122,7 +123,7 @@ class JsonCodec:
         Raises:
             PayloadError: As `complete`.
         """
-        with self._errors():
+        with self._errors(data):
             if self._root is not None:
                 if not is_json:  # without tuples and sets, and without parts that are the same
                     data = msgspec.to_builtins(data, builtin_types=(bytes, datetime.datetime))
@@ -160,14 +161,17 @@ class JsonCodec:
         return to_json(message)
 
     @contextmanager
-    def _errors(self) -> Generator[None, None, None]:
+    def _errors(self, data: Any = None) -> Generator[None, None, None]:
         try:
             yield
         except PayloadError:
             raise
         except SchemaError as exc:
             raise PayloadError(f"the schema of the {self._name} {exc}") from exc
-        except (TypeError, ValueError, OverflowError, RecursionError) as exc:
+        except (OverflowError, UnicodeEncodeError) as exc:
+            text = unsendable(data, exc, self._name)
+            raise PayloadError(f"the {self._name} cannot be encoded: {text}") from exc
+        except (TypeError, ValueError, RecursionError) as exc:
             raise PayloadError(f"the {self._name} cannot be encoded: {exc}") from exc
 
     def _checked(self, data: Any, root: SchemaPart, pause: Pause | None) -> Any:

@@ -41,7 +41,8 @@ LARGEST_LOG = 4 * 1024 * 1024
 
 WHAT_TO_DO = {
     sqlite3.SQLITE_BUSY: (
-        "it is in use by another process or another SqliteStore; stop that one, or use another file"
+        "it is in use by another process or another SqliteStore; stop that one, use another file,"
+        " or give the servers of one process one SqliteStore"
     ),
     sqlite3.SQLITE_FULL: "the disk is full; make room on it and start the server again",
     sqlite3.SQLITE_READONLY: "the file or its folder is read-only; allow this process to write",

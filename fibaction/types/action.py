@@ -9,6 +9,8 @@ import gc
 import re
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, suppress
+from inspect import formatannotation
+from types import NoneType
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
@@ -92,6 +94,14 @@ class Codec(Generic[T]):
         """The classes that a value of this type is an instance of; `object` for any."""
         self._messages = ros_type
 
+    @property
+    def type_text(self) -> str:
+        """The type as it is written, for the text of an error."""
+        kind: Any = self.type
+        if isinstance(kind, type) and get_origin(kind) is None:
+            return "None" if kind is NoneType else kind.__name__
+        return excerpt(formatannotation(kind))
+
     def holds(self, value: object) -> TypeGuard[T]:
         """Return whether the value is of this type, judging by its class alone."""
         return isinstance(value, self.classes)
@@ -118,19 +128,25 @@ class Codec(Generic[T]):
         Raises:
             TypeError: It contains an object that msgpack cannot express, or a ROS message of
                 another type.
-            OverflowError: It contains an integer of more than 64 bits.
-            ValueError: It contains text that is not valid Unicode.
+            OverflowError: It contains an integer of more than 64 bits; the text says where.
+            ValueError: It contains text that is not valid Unicode; the text says where.
             RecursionError: It contains itself.
         """
         try:
-            return self._encode(value)
-        except (TypeError, ValueError):
-            from fibaction.types.ros_messages import encoded
+            try:
+                return self._encode(value)
+            except (TypeError, ValueError):
+                from fibaction.types.ros_messages import encoded
 
-            payload = encoded(value, self.type, self._messages, self._encoding)
-            if payload is None:
-                raise
-            return payload
+                payload = encoded(value, self.type, self._messages, self._encoding)
+                if payload is None:
+                    raise
+                return payload
+        except (OverflowError, UnicodeEncodeError) as exc:
+            from fibaction.types.unsendable import unsendable
+
+            kind = OverflowError if isinstance(exc, OverflowError) else ValueError
+            raise kind(unsendable(value, exc)) from None
 
     def decode(self, payload: bytes) -> T:
         """Turn bytes into a value; only pydantic models convert from one type to another.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import datetime
 import decimal
+import re
 import sys
 import uuid
 from collections.abc import Callable, Iterator
@@ -78,11 +79,21 @@ def encoding_of(message_type: Any) -> Encoding:
     except NameError as exc:
         name = getattr(message_type, "__qualname__", message_type)
         raise TypeError(f"{name} has a field of a type that is not defined: {exc}") from exc
-    except TypeError:
+    except TypeError as exc:
+        if (union := _UNION.search(str(exc))) is not None:
+            has_classes = "Struct" in str(exc) or "dataclass" in str(exc)
+            raise TypeError(
+                f"a message does not tell the types of {union[1]} apart: "
+                + ("make each a msgspec.Struct with tag=True" if has_classes else "use one of them")
+            ) from exc
         if isinstance(message_type, type) or type(message_type).__module__ in _SPECIAL:
             raise
         shown = excerpt(repr(message_type))
     raise TypeError(f"{shown} is a value, and not a type")
+
+
+_UNION = re.compile(r"type union.* - type `(.*)` is not supported", re.IGNORECASE)
+"""The error of msgspec for a union of types that have one form in a message."""
 
 
 _SPECIAL = {"types", "typing", "typing_extensions"}

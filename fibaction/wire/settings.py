@@ -16,8 +16,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import ClassVar, Literal
 
-import msgspec
-
+from fibaction._runtime.settings_struct import SettingsStruct
 from fibaction.border.settings import TransportSettings, check_range
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
@@ -31,7 +30,7 @@ _SECONDS = ("handshake", "heartbeat", "write")
 """The limits that are times, and may be any number."""
 
 
-class Limits(msgspec.Struct, frozen=True):
+class Limits(SettingsStruct, frozen=True):
     """Limits of one server; a client that reaches one gets an error, and other clients do not.
 
     For example:

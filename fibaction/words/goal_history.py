@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from typing import cast
 
-import msgspec
-
+from fibaction._runtime.settings_struct import SettingsStruct
 from fibaction.words.plain_data import check_is_number
 
 SECOND = 1_000_000_000
 DAY = 24 * 3600.0
 
 
-class GoalHistory(msgspec.Struct, frozen=True, kw_only=True):
+class GoalHistory(SettingsStruct, frozen=True, kw_only=True):
     """The bounds of a history: goals that have ended stay in the store until one is passed.
 
     For example:

@@ -88,6 +88,8 @@ def test_an_unknown_scheme_is_rejected_and_the_known_ones_are_told(install: Inst
     assert str(caught.value) == (
         "no transport for raven:// is installed; installed are crow://, pigeon://"
     )
+    with pytest.raises(TransportError, match=r"did you mean crow://\? Installed are crow://, pig"):
+        transport_for("corw://tower")
 
 
 @pytest.mark.parametrize("text", ["", "127.0.0.1:7400", "pigeon:loft", "pigeon:/loft"])

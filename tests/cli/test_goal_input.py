@@ -43,6 +43,22 @@ def test_no_text_is_the_goal_of_an_action_without_one() -> None:
     assert read_goal(" ", {"type": "null"}) is None
 
 
+@pytest.mark.parametrize(
+    ("pairs", "goal"),
+    [
+        (("object_name=cup", "pose.x=1", "pose.frame=7"), {"x": 1.0, "y": 0.0, "frame": "7"}),
+        (("object_name=cup", 'pose={"x": 2}'), {"x": 2.0, "y": 0.0, "frame": "map"}),
+        (("object_name=a=b", "pose.frame="), {"x": 0.0, "y": 0.0, "frame": ""}),
+    ],
+)
+def test_pairs_are_fields_whose_text_is_text_and_whose_rest_is_yaml(
+    pairs: tuple[str, ...], goal: object
+) -> None:
+    assert read_goal(pairs, PICK)["pose"] == goal
+    assert read_goal(("a=1", "b.c:=[x]"), {}) == {"a": 1, "b": {"c": ["x"]}}
+    assert read_goal(("a=1",), {"type": "string"}) == "a=1"
+
+
 def test_a_goal_is_checked_and_completed_by_the_schema() -> None:
     assert read_goal("x: 1", POSE) == {"x": 1, "y": 0.0, "frame": "map"}
 
@@ -67,7 +83,7 @@ def test_a_goal_is_checked_and_completed_by_the_schema() -> None:
         ("x: !!int ''", "the goal is not valid YAML: "),
         ("x: !!bool x", "the goal is not valid YAML: "),
         ("x: !!timestamp x", "the goal is not valid YAML: "),
-        (r'{"frame": "\ud800"}', "the goal cannot be encoded: 'utf-8' codec can't encode"),
+        (r'{"frame": "\ud800"}', "the goal cannot be encoded: text with half a character"),
         ("frame: \udc80", "the goal is not valid YAML: unacceptable character"),
         ("{? [1] : 2}", "the goal is not valid YAML"),
         ("{x: {? 2026-01-01 : 1, ? !!binary aGk= : 2}}", "goal.x must be a number"),

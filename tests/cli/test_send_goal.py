@@ -222,7 +222,11 @@ def test_the_goal_comes_from_one_place(invoke: Invoke, tcp: str, tmp_path: Path)
             ["fibonacci", "x/action/Y", "order: 1"],
             "Error: the action /fibonacci is of the type arduinobot_msgs/action/Fibonacci, not x/",
         ),
-        (["fibonacci", "a/action/B", "order: 1", "more"], "'more' is too much after NAME"),
+        (["fibonacci", "a/action/B", "order: 1", "more"], "or write each field as FIELD=VALUE"),
+        (["fibonacci", "order=1", "order=2"], "Error: the field order is given twice"),
+        (["fibonacci", "order=1", "order.a=2"], "Error: the field order.a is given twice"),
+        (["fibonacci", "order:=[1"], "Error: the goal is not valid YAML (line 1, column "),
+        (["fibonacci", "ordr=1"], 'Error: goal has no field "ordr"; did you mean order?'),
         (["fibonacci", "--goal-file", "/nowhere"], "Error: /nowhere: No such file"),
         (["fibonacci", "order: 1", "--detach", "-f"], "--detach does not wait for feedback"),
         (["fibonacci", "order: 1", "-t", "0"], "0 is not in the range"),
@@ -256,6 +260,26 @@ def test_a_type_that_the_server_does_not_say_is_not_checked(invoke: Invoke, tcp:
 
     assert result.exit_code == 0
     assert result.stderr == "the server of /words does not say its type, so it is not checked\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["order: 3"],
+        ["order:", "3"],
+        ["order=3"],
+        ["order:=3"],
+        ["arduinobot_msgs/Fibonacci", "order=3"],
+    ],
+    ids=" ".join,
+)
+def test_a_goal_may_be_yaml_or_pairs_of_fields_and_values(
+    invoke: Invoke, tcp: str, words: list[str]
+) -> None:
+    result = invoke("send_goal", "fibonacci", *words, url=tcp)
+
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.startswith("Sending goal:\n    order: 3\n")
 
 
 def test_a_rejected_goal_says_why(invoke: Invoke, tcp: str) -> None:

@@ -226,6 +226,11 @@ async def test_servers_that_have_a_store_keep_it(tmp_path: Path) -> None:
     [
         (["tcp://0.0.0.0:0"], ExitCode.USAGE, "append ?insecure=true to the URL\n"),
         (
+            ["robot:count"],
+            ExitCode.USAGE,
+            "can be given: write a list of the servers in the module",
+        ),
+        (
             ["--store", "none/goals.db"],
             ExitCode.STORE,
             "{folder}/none/goals.db: there is no folder {folder}/none; make it first\n",

@@ -32,6 +32,7 @@ from fibaction import (
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpdate, StatusStream
+from fibaction.border.endpoints import ForwardingEndpoint
 from fibaction.testing import ScriptedServer
 from fibaction.words.goal_steps import GoalStep, GoalSteps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -283,6 +284,19 @@ async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
     assert not stream.closed
     del feedback
     assert stream.closed
+
+
+class LateEndpoint(ForwardingEndpoint):
+    """An endpoint whose server comes at the end of the wait."""
+
+    async def wait_for_server(self) -> None:
+        await anyio.sleep_forever()
+
+
+async def test_a_server_that_comes_at_the_end_of_the_wait_is_too_late() -> None:
+    async with ActionServer(FIBONACCI, _never) as server:
+        with pytest.raises(ServerNotFound, match=r"was not served within 0\.001 s$"):
+            await client_of(LateEndpoint(server)).wait_for_server(timeout=0.001)
 
 
 async def test_waiting_for_a_server_has_an_end() -> None:

@@ -123,7 +123,7 @@ async def test_the_error_of_another_goal_that_passes_through_keeps_its_reason(
         yield Result([])
 
     ending = await Bench(passes_on).run()
-    reason = "half (its result is left out: a dict is not of the result's type)"
+    reason = "half (its result is left out: a dict is not Result)"
     kind = EndKind.FAILED if error is GoalAborted else EndKind.CANCELED
     assert ending == Ending(kind, None, reason)
     assert f"{error.__name__}: {reason}" in caplog.text

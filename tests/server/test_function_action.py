@@ -249,7 +249,7 @@ async def test_a_result_of_another_type_is_told() -> None:
         return meters  # type: ignore[return-value]  # pyright: ignore[reportReturnType]  # that is wrong
 
     outcome = await outcome_of(wrong, 1)
-    text = "the executor is wrong: it returned an int, which is not of the result's type"
+    text = "wrong() returned an int, and its result is str"
     assert outcome == End(GoalStatus.ABORTED, None, text)
 
 

@@ -64,7 +64,7 @@ async def test_a_message_that_is_of_neither_type_is_a_mistake() -> None:
         GoalStatus.ABORTED,
         (
             "the executor is wrong: it yielded the ROS message like_msgs/msg/Point, which is"
-            " neither feedback nor a result"
+            " neither feedback (Dock_Feedback) nor a result (Dock_Result)"
         ),
     )
 
@@ -87,6 +87,5 @@ async def test_a_message_is_a_part_of_the_result() -> None:
     assert (outcome.reason, outcome.result) == ("stuck", OurResult(distance=1.0))
     _, outcome = await outcome_of(DOCK, GoalAborted("stuck", result=Vector3()))
     assert outcome.reason == (
-        "stuck (its result is left out: the ROS message like_msgs/msg/Vector3 is not of the"
-        " result's type)"
+        "stuck (its result is left out: the ROS message like_msgs/msg/Vector3 is not Dock_Result)"
     )

@@ -151,7 +151,8 @@ sqlite3.connect(sys.argv[1], timeout=0).execute('select 1 from log')
 
 def test_a_file_in_use_is_not_opened_again(path: Path) -> None:
     expected = (
-        "it is in use by another process or another SqliteStore; stop that one, or use another file"
+        "it is in use by another process or another SqliteStore; stop that one, use another file,"
+        " or give the servers of one process one SqliteStore"
     )
     with closing(JournalFile(str(path), "full")) as file:
         assert why_not(path) == expected

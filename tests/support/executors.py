@@ -181,7 +181,7 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     (yields_two_results, WRONG + "it yielded a Result after its result", [1]),
     (
         yields_a_wrong_type,
-        WRONG + "it yielded a dict, which is neither feedback nor a result",
+        WRONG + "it yielded a dict, which is neither feedback (Feedback) nor a result (Result)",
         None,
     ),
     (yields_what_cannot_be_encoded, f"TypeError: {UNENCODABLE}", None),
@@ -198,7 +198,7 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     (aborts_in_a_task_group, "the object is too heavy", [1]),
     (
         aborts_with_a_wrong_part,
-        "the object is too heavy (its result is left out: a list is not of the result's type)",
+        "the object is too heavy (its result is left out: a list is not Result)",
         None,
     ),
     (

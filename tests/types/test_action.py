@@ -548,8 +548,8 @@ class Unfounded:
         (
             list[int] | tuple[int, ...],
             (
-                "Type unions may not contain more than one array-like (list, set, tuple) type -"
-                " type `list[int] | tuple[int, ...]` is not supported"
+                "a message does not tell the types of list[int] | tuple[int, ...] apart: use one of"
+                " them"
             ),
         ),
         (typing.NoReturn, "Type 'typing.NoReturn' is not supported"),
@@ -569,6 +569,40 @@ def test_a_type_that_cannot_be_is_told_with_the_message_that_it_is_of(
         with pytest.raises(TypeError) as caught:
             Action("a", **types)
         assert str(caught.value) == f"{message} of action 'a': {text}"
+
+
+@pytest.mark.parametrize(
+    ("value", "path"),
+    [
+        (2**64, "$"),
+        ([{"a": 1}, {"a": "\ud800"}], "$[1].a"),
+        ({"\ud800": 1}, "$"),
+        (Path([Pose(1, 2)], {"a": Pose(3, -(2**64))}), "$.frames.a.y"),
+        (([2**64], [1]), "$[0][0]"),
+    ],
+    ids=shown,
+)
+def test_a_number_or_a_text_that_cannot_be_sent_is_told_with_its_place(
+    value: Any, path: str
+) -> None:
+    with pytest.raises((OverflowError, ValueError), match=re.escape(f" - at `{path}`")):
+        Codec(object).encode(value)
+
+
+def test_a_number_that_cannot_be_sent_is_told_without_its_place_if_that_is_not_found() -> None:
+    itself: list[Any] = [2**64]
+    itself.append(itself)
+    for value in (itself, [2**64, object()]):
+        with pytest.raises(OverflowError, match=r"send it as text$"):
+            Codec(object).encode(value)
+
+
+def test_a_type_is_told_as_it_is_written() -> None:
+    kinds: list[Any] = [None, int, Pose, list[int], int | None, type(None)]
+
+    texts = [Codec(kind).type_text for kind in kinds]
+
+    assert texts == ["None", "int", "Pose", "list[int]", "int | None", "None"]
 
 
 def test_an_untyped_action_takes_and_gives_plain_data() -> None:

@@ -8,27 +8,40 @@ import json
 import os
 import re
 from contextlib import suppress
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn, TypeAlias, cast
 
 import yaml
 
 from fibaction.border.abc import Meta
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.schema.payload import GoalCodec, PayloadError
+from fibaction.schema.template import Template
 from fibaction.words.goal_query import Labels
 from fibaction.words.meta import trace_meta, with_labels
+from fibaction.words.plain_data import is_map
+
+Pairs: TypeAlias = tuple[str, ...]
+"""A goal as words such as `speed=1.5`, or `pose.x=1` for a field in a field."""
+
+PAIR = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):?=(.*)", re.ASCII | re.DOTALL)
 
 
-def read_goal(text: str, schema: dict[str, Any]) -> Any:
+def read_goal(text: str | Pairs, schema: dict[str, Any]) -> Any:
     """Return the goal as plain data that can be sent.
 
-    Fields that the text leaves out get their defaults from the schema; an empty text is the goal
-    `{}`. Bytes are written in base64, or as YAML's `!!binary`; times in ISO 8601.
+    Fields that are left out get their defaults from the schema; an empty text is the goal `{}`.
+    Bytes are written in base64, or as YAML's `!!binary`; times in ISO 8601. In a pair, the value of
+    a field with text is the text; any other is YAML.
 
     Raises:
         Failure: The text is not YAML, or the schema does not allow it; the message names the field.
     """
-    goal = _parse(text)
+    if isinstance(text, tuple):
+        template = Template(schema)
+        takes_fields = template.fields or template.value == {}
+        goal = _fields(text, template) if takes_fields else _parse(" ".join(text))
+    else:
+        goal = _parse(text)
     try:
         return GoalCodec(schema).complete(goal)
     except PayloadError as exc:
@@ -36,6 +49,29 @@ def read_goal(text: str, schema: dict[str, Any]) -> Any:
         glued = any(re.search(r'has no field ".*:', problem) for problem in exc.problems)
         advice = "; in YAML, a space follows the colon" if glued else ""
         raise _unusable(f"{exc}{advice}") from exc
+
+
+def _fields(pairs: Pairs, template: Template) -> dict[str, Any]:
+    """Return the goal that pairs tell.
+
+    Raises:
+        Failure: A value is not YAML, or a field is given twice.
+    """
+    goal: dict[str, Any] = {}
+    for pair in pairs:
+        found = PAIR.fullmatch(pair)
+        assert found is not None
+        *path, name = found[1].split(".")
+        inner, fields = goal, template.fields
+        for one in path:
+            # Within a field that has a value already, each name is taken.
+            inner = inner.setdefault(one, {}) if is_map(inner) else {name: inner}
+            fields = template.resolved(fields.get(one)).get("properties", {})
+        if not is_map(inner) or name in inner:
+            raise _unusable(f"the field {found[1]} is given twice")
+        is_text = template.resolved(fields.get(name)).get("type") == "string"
+        inner[name] = found[2] if is_text else _parse(found[2] or "null")
+    return goal
 
 
 def shell_meta(labels: Labels, *, is_detached: bool) -> Meta:

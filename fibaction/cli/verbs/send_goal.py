@@ -20,7 +20,7 @@ from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.border.event_loop import Background
 from fibaction.cli.arguments.action_names import find_action, shown
 from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL, namespace_option
-from fibaction.cli.arguments.goal_input import read_goal, shell_meta
+from fibaction.cli.arguments.goal_input import PAIR, Pairs, read_goal, shell_meta
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import full_option, json_option, labels_option, url_option
 from fibaction.cli.output.goal_table import ordinal
@@ -69,6 +69,7 @@ class SendOptions(msgspec.Struct, frozen=True):
     "send_goal",
     epilog="""\b
 Examples:
+  fibaction send_goal drive meters=3 speed=1.5
   fibaction send_goal fibonacci "order: 10" -f
   fibaction send_goal fibonacci arduinobot_msgs/action/Fibonacci "{order: 10}" --json
   fibaction send_goal arm/pick --goal-file pick.yaml --timeout 30
@@ -77,7 +78,7 @@ Examples:
 Ctrl-C cancels the goal and waits for its end; a second Ctrl-C leaves at once.""",
 )
 @click.argument("name", type=ACTION)
-@click.argument("rest", nargs=-1, metavar="[TYPE] [GOAL]", type=TYPE_OR_GOAL)
+@click.argument("rest", nargs=-1, metavar="[TYPE] [GOAL | FIELD=VALUE...]", type=TYPE_OR_GOAL)
 @click.option("-f", "--feedback", is_flag=True, help="Print the feedback as it comes.")
 @click.option("--stdin", "from_stdin", is_flag=True, help="Read the goal from stdin.")
 @click.option("--goal-file", type=click.Path(path_type=Path), help="Read the goal from a file.")
@@ -110,8 +111,9 @@ def send_goal_command(
 ) -> None:
     """Send a goal to the action NAME, and follow it to its end.
 
-    GOAL is YAML or JSON. Fields with a default are optional; without GOAL all of them have their
-    defaults. The goal is checked before it is sent. TYPE, as in package/action/Type, is optional.
+    GOAL is YAML or JSON, or one FIELD=VALUE for each field; pose.x=1 is a field in a field. Fields
+    with a default are optional; without GOAL all of them have their defaults. The goal is checked
+    before it is sent. TYPE, as in package/action/Type, is optional.
     """
     type_name, text = _type_and_text(rest)
     text = _text_from(text, from_stdin, goal_file)
@@ -121,8 +123,11 @@ def send_goal_command(
     run(send, url, namespace.absolute(name), type_name, text, options)
 
 
-def _type_and_text(rest: tuple[str, ...]) -> tuple[str, str | None]:
+def _type_and_text(rest: tuple[str, ...]) -> tuple[str, str | Pairs | None]:
     """Tell TYPE and GOAL apart if only one of them is given."""
+    pairs = rest[1:] if rest and _TYPE_NAME.fullmatch(rest[0]) else rest
+    if pairs and all(map(PAIR.fullmatch, pairs)):
+        return _type_and_text(rest[: len(rest) - len(pairs)])[0], pairs
     match rest:
         case ():
             return "", None
@@ -133,15 +138,18 @@ def _type_and_text(rest: tuple[str, ...]) -> tuple[str, str | None]:
                 if found
                 else ("", one)
             )
+        case (field, text) if field.endswith(":"):
+            return "", f"{field} {text}"  # YAML without its quotes
         case (type_name, text):
             return type_name, text
         case _:
             raise click.UsageError(
-                f"{rest[2]!r} is too much after NAME, TYPE and GOAL: put the goal into quotes"
+                f"{rest[2]!r} is too much after NAME, TYPE and GOAL: put the goal into quotes, or"
+                f" write each field as FIELD=VALUE"
             )
 
 
-def _text_from(text: str | None, from_stdin: bool, file: Path | None) -> str:
+def _text_from(text: str | Pairs | None, from_stdin: bool, file: Path | None) -> str | Pairs:
     """Return the goal's text, from the one place that was given."""
     if (text is not None) + from_stdin + (file is not None) > 1:
         raise click.UsageError("the goal is given twice: as GOAL, by --stdin or by --goal-file")
@@ -161,7 +169,7 @@ async def send(
     url: str,
     name: str,
     type_name: str,
-    text: str,
+    text: str | Pairs,
     options: SendOptions,
     times: SendTimes = USUAL_TIMES,
 ) -> int:
@@ -173,7 +181,7 @@ async def send(
     return await _GoalSender(options, times).run(url, name, type_name, text)
 
 
-def goal_for(info: ActionInfo, type_name: str, text: str) -> Any:
+def goal_for(info: ActionInfo, type_name: str, text: str | Pairs) -> Any:
     """Return the goal, checked against the schema of the action.
 
     Raises:
@@ -205,7 +213,7 @@ class _GoalSender:
         self._late = False
         self._deadline = math.inf
 
-    async def run(self, url: str, name: str, type_name: str, text: str) -> int:
+    async def run(self, url: str, name: str, type_name: str, text: str | Pairs) -> int:
         with SignalReceiver(self._left) as signals:
             async with Background() as tasks:
                 tasks.start_soon(self._handle_signals, signals)
@@ -219,7 +227,7 @@ class _GoalSender:
         return self._left()
 
     async def _send(
-        self, connection: ClientConnection, name: str, type_name: str, text: str
+        self, connection: ClientConnection, name: str, type_name: str, text: str | Pairs
     ) -> ExitCode:
         info = await find_action(connection, name)
         goal = goal_for(info, type_name, text)

@@ -105,6 +105,11 @@ def serve_command(
             "--history is a setting of --store FILE; in a fleet, append ?history_days=7 to the URL"
         )
     where = urls or (url_of(context),)
+    if second := next((one for one in urls if "://" not in one and ":" in one), ""):
+        raise Failure(
+            f"{excerpt(second)!r} is not a URL, and only one MODULE:SERVER can be given: write a"
+            f" list of the servers in the module, and name it"
+        )
     reject_inproc(*where)  # beside another one it is for clients in the module itself
     sync = sync or "full"
     if record is not None:

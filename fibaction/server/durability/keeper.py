@@ -176,7 +176,7 @@ class Checkpoints:
         if not codec.accepts(state):
             raise TypeError(
                 f"a checkpoint of action {self._action!r} is of type"
-                f" {_name_of(codec.type)}, not {excerpt(repr(state))}"
+                f" {codec.type_text}, not {excerpt(repr(state))}"
             )
         await self._keeper.keep_state(goal, partial(codec.encode, state))
 
@@ -191,7 +191,3 @@ class Checkpoints:
         if self._codec is None:
             raise ProtocolError(f"action {self._action!r} has no checkpoints any more")
         return self._codec.decode(stored.checkpoint)
-
-
-def _name_of(kind: object) -> str:
-    return getattr(kind, "__qualname__", None) or str(kind)

@@ -89,7 +89,7 @@ class LostAttempts(Generic[GoalT, FeedbackT, ResultT]):
         if exc.result is None:
             return Ending(EndKind.FAILED, reason=exc.reason)
         if not result.accepts(exc.result):
-            raise TypeError(f"{exc.result!r} is not of the result's type")
+            raise TypeError(f"its result is {result.type_text}, not {exc.result!r}")
         return Ending(EndKind.FAILED, result.encode(exc.result), exc.reason)
 
 

@@ -47,6 +47,7 @@ from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.log import clean_logger
 from fibaction.server.execution.executor_ends import (
+    GENERATOR,
     Misuse,
     cause_of,
     error_end,
@@ -54,6 +55,7 @@ from fibaction.server.execution.executor_ends import (
     is_feedback_message,
     kind_of,
     no_result,
+    wrong_result,
 )
 from fibaction.server.execution.interruption import CancelOnce, ScopesPhase, Stepper
 from fibaction.server.execution.running_goal import RunningGoal
@@ -279,7 +281,7 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
                     del step  # it may reference the exception, which references this frame
                     raise
                 if self._result is not None:
-                    raise Misuse(f"it yielded {kind_of(item)} after its result")
+                    raise Misuse(f"yielded {kind_of(item)} after its result")
                 if isinstance(item, Return):
                     self.keep_result(cast("object", item.value))
                 elif isinstance(item, feedback.classes) or (
@@ -326,14 +328,16 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
     def encode(self, feedback: object) -> bytes:
         codec = self._action.feedback
         if not codec.accepts(feedback):
-            what = f"feedback of action {self._action.name!r}"
-            raise TypeError(f"{what} is not of its type: it is {kind_of(feedback)}")
+            raise TypeError(
+                f"feedback of action {self._action.name!r} is {codec.type_text}, and not"
+                f" {kind_of(feedback)}"
+            )
         return codec.encode(feedback)
 
-    def keep_result(self, value: object) -> None:
+    def keep_result(self, value: object, subject: str = GENERATOR) -> None:
         result = self._action.result
         if not result.accepts(value):
-            raise Misuse(f"it returned {kind_of(value)}, which is not of the result's type")
+            raise wrong_result(value, self._action, subject)
         self._result = result.encode(value)
 
     def append(self, payload: bytes) -> bool:
@@ -377,7 +381,7 @@ def _generator_of(items: Any) -> AsyncGenerator[Any, None]:
     if not isinstance(items, (AsyncGeneratorType, AsyncGenerator)):
         if isinstance(items, Coroutine):
             items.close()  # or Python warns that it was never awaited
-        raise Misuse(f"it is not an async generator: it returned {kind_of(cast('object', items))}")
+        raise Misuse(f"is not an async generator: it returned {kind_of(cast('object', items))}")
     return cast("AsyncGenerator[Any, None]", items)
 
 

@@ -10,7 +10,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.ros_classes import is_message, ros_type_of
-from fibaction.words.errors import FAILURES, GoalAborted, GoalCanceled, text_of
+from fibaction.words.errors import FAILURES, GoalAborted, GoalCanceled, GoalRejected, text_of
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
@@ -23,8 +23,14 @@ logger = clean_logger("fibaction.server")
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
 
+GENERATOR = "the executor is wrong: it"
+
+
 class Misuse(Exception):
-    """A rule of executors that the user's generator broke."""
+    """A rule of executors that the user's generator or function broke."""
+
+    def __init__(self, text: str, subject: str = GENERATOR) -> None:
+        super().__init__(f"{subject} {text}")
 
 
 def is_feedback_message(item: object, action: Action[Any, Any, Any]) -> bool:
@@ -36,11 +42,14 @@ def is_feedback_message(item: object, action: Action[Any, Any, Any]) -> bool:
     feedback, result = action.feedback.accepts(item), action.result.accepts(item)
     if feedback and result:
         raise Misuse(
-            f"it yielded {kind_of(item)}, which could be feedback or a result:"
+            f"yielded {kind_of(item)}, which could be feedback or a result:"
             " mark the result with `Return(...)`"
         )
     if not feedback and not result:
-        raise Misuse(f"it yielded {kind_of(item)}, which is neither feedback nor a result")
+        raise Misuse(
+            f"yielded {kind_of(item)}, which is neither feedback ({action.feedback.type_text}) nor"
+            f" a result ({action.result.type_text})"
+        )
     return feedback
 
 
@@ -48,10 +57,17 @@ def no_result(action: Action[Any, Any, Any], feedback_count: int) -> Misuse:
     """Return the error of an executor that has ended without a result."""
     if feedback_count and action.is_ambiguous:
         return Misuse(
-            "it ended without yielding a result; its feedback and its result have one type, so mark"
+            "ended without yielding a result; its feedback and its result have one type, so mark"
             " the result: `Return(...)`"
         )
-    return Misuse("it ended without yielding a result")
+    return Misuse("ended without yielding a result")
+
+
+def wrong_result(value: object, action: Action[Any, Any, Any], subject: str) -> Misuse:
+    """Return the error of an executor whose result is of another type."""
+    hint = ": is a return missing?" if value is None and subject != GENERATOR else ""
+    text = f"returned {kind_of(value)}, and its result is {action.result.type_text}{hint}"
+    return Misuse(text, subject)
 
 
 def cause_of(exc: BaseException) -> BaseException | None:
@@ -73,6 +89,8 @@ def kind_of(value: object) -> str:
     """Return the class of a value with its article, for the text of an error."""
     if is_message(value):
         return f"the ROS message {ros_type_of(type(value))}"
+    if value is None:
+        return "None"
     name = type(value).__qualname__
     return f"an {name}" if name[0] in "AEIOUaeiou" else f"a {name}"
 
@@ -104,7 +122,7 @@ def _partial_end(
         return Ending(kind, result, exc.reason)
     if not codec.accepts(exc.result):
         # Usually the error of another goal that the executor sent, and did not catch.
-        left_out = f"its result is left out: {kind_of(exc.result)} is not of the result's type"
+        left_out = f"its result is left out: {kind_of(exc.result)} is not {codec.type_text}"
         reason = f"{exc.reason} ({left_out})" if exc.reason else left_out
         _log_failure(f"{type(exc).__name__}: {reason}", exc, action.name, goal)
         return Ending(kind, result, reason)
@@ -118,11 +136,25 @@ def failed(
     exc: BaseException, action: Action[Any, Any, Any], goal: GoalRecord, result: bytes | None = None
 ) -> Ending:
     """Return the end of an executor by another error, and log it."""
-    reason = text_of(exc)
-    if isinstance(exc, Misuse):
-        reason = f"the executor is wrong: {exc}"
+    reason = str(exc) if isinstance(exc, Misuse) else text_of(exc) + _hint(exc, action)
     _log_failure(reason, exc, action.name, goal)
     return Ending(EndKind.FAILED, result, reason)
+
+
+def _hint(exc: BaseException, action: Action[Any, Any, Any]) -> str:
+    """Return what to write in place of what was probably meant; empty if it is not known."""
+    if isinstance(exc, GoalRejected) and exc.goal_id is None:  # not of a goal that was sent
+        return " (the goal is accepted by now: raise GoalAborted here, or reject it in on_goal)"
+    if not isinstance(exc, TypeError):
+        return ""
+    text = str(exc)
+    if "'GoalHandle'" in text:
+        return " (what the client sent is goal.request)"
+    for kind in action.goal.classes:
+        fields = getattr(kind, "__annotations__", ())
+        if fields and f"'{kind.__name__}'" in text:
+            return f" ({kind.__name__} has the fields {', '.join(fields)})"
+    return ""
 
 
 def _log_failure(reason: str, exc: BaseException, action: str, goal: GoalRecord) -> None:

@@ -53,8 +53,9 @@ class RunningGoal(ABC):
         """
 
     @abstractmethod
-    def keep_result(self, value: object) -> None:
-        """Keep the result, which is of the goal as soon as the executor has ended.
+    def keep_result(self, value: object, subject: str) -> None:
+        """Keep the result, which is of the goal as soon as the executor has ended; `subject` is
+        what has returned it, for the text of an error.
 
         Raises:
             Misuse: It is not of the result's type.

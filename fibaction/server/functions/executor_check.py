@@ -65,9 +65,11 @@ def check_is_executor(executor: object) -> None:
     """
     while isinstance(executor, partial):
         executor = executor.func
+    name = getattr(executor, "__name__", type(executor).__name__)
+    if isinstance(executor, FunctionAction):
+        raise TypeError(f"{executor!r} has its executor: write ActionServer({name})")
     if not callable(executor):
         raise TypeError(f"the executor is an async generator function, and not {executor!r}")
-    name = getattr(executor, "__name__", type(executor).__name__)
     for function in (executor, executor.__call__):
         if inspect.iscoroutinefunction(function):
             raise TypeError(

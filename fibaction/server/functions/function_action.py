@@ -56,6 +56,7 @@ class FunctionAction(Action[GoalT, FeedbackT, ResultT], Generic[GoalT, FeedbackT
             type_name=type_name,
         )
         self._function = function
+        self._call_text = f"{getattr(function, '__name__', name)}()"
         self._is_async = inspect.iscoroutinefunction(function) or inspect.iscoroutinefunction(
             type(function).__call__
         )
@@ -97,7 +98,7 @@ class FunctionAction(Action[GoalT, FeedbackT, ResultT], Generic[GoalT, FeedbackT
 
     async def run(self, running: RunningGoal, goal: GoalHandle[GoalT]) -> None:
         """Run the function for one goal, in a server: the `Runner` of this function."""
-        running.keep_result(await self._returned(running, goal))
+        running.keep_result(await self._returned(running, goal), self._call_text)
 
     async def _returned(self, running: RunningGoal, goal: GoalHandle[GoalT]) -> ResultT:
         report: Report[FeedbackT] = Report(running)

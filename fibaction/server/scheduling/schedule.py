@@ -7,8 +7,7 @@ from collections.abc import Hashable
 from inspect import iscoroutinefunction
 from typing import Any, Literal
 
-import msgspec
-
+from fibaction._runtime.settings_struct import SettingsStruct
 from fibaction.server.admission.sender_argument import GoalFunction, with_sender
 
 WORDS = ("reject", "preempt", "replace")
@@ -16,7 +15,7 @@ LONGEST_LIMIT_NAME = 50
 """Characters of the name of a limit."""
 
 
-class Schedule(msgspec.Struct, frozen=True, kw_only=True):
+class Schedule(SettingsStruct, frozen=True, kw_only=True):
     """The rules by which a server runs its accepted goals. Without one, all run at once.
 
     One arm that always moves to the newest target, as `SimpleActionServer` of ROS 1 does:
