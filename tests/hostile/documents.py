@@ -55,6 +55,7 @@ DOCUMENTS: dict[str, Document] = {
     "a wrong field": Document("tree", '{"more":5,"kids":[', "{}", "]}", is_goal=False),
     "nothing right": Document("tree", '{"kids":[', "5", "]}", is_goal=False),
     "floats": Document("numbers", "[", "1.5", "]"),
+    "floats of 308 digits": Document("numbers", "[", "1e308", "]"),
     "whole numbers": Document("numbers", "[", "1", "]"),
     "a wrong number": Document("numbers", "[", "1", ',"x"]', is_goal=False),
     "empty lists": Document("anything", '{"a":[', "[]", "]}"),

@@ -23,6 +23,7 @@ from fibaction.border.abc import Endpoint
 from fibaction.border.http_access import Refused, bearer_in
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
+from fibaction.schema.json_text import read_json
 from fibaction.schema.payload import GoalCodec, JsonCodec
 from fibaction.schema.turns import Pause, in_turn
 from fibaction.types.action import ActionInfo
@@ -342,7 +343,7 @@ def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:
         PayloadError: It is not a goal.
     """
     try:
-        data = msgspec.json.decode(body or b"{}")
+        data = read_json(body or b"{}")
     except (ValueError, RecursionError) as exc:
         raise Refused(400, f"the body is not JSON: {exc}") from None
     return codec.encode(data, is_json=True, pause=pause)

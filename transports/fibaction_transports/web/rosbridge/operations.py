@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeAlias, Union, cast
 import msgspec
 
 from fibaction.border.peer_text import excerpt
+from fibaction.schema.json_text import has_costly_numbers, read_json
 from fibaction.wire.errors import sendable
 from fibaction.words.errors import ProtocolError
 from fibaction.words.plain_data import is_map
@@ -163,6 +164,8 @@ class OperationReader:
             ProtocolError: The message is not JSON.
         """
         try:
+            if has_costly_numbers(text):
+                return msgspec.convert(read_json(text), self._type)
             return self._decoder.decode(text)
         except (ValueError, RecursionError) as exc:
             why = str(exc)
