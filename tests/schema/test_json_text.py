@@ -1,4 +1,4 @@
-"""`fibaction.schema.json_text`: JSON texts of strangers."""
+"""`read_json` of `fibaction.schema.turns`: JSON texts of strangers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction.schema.json_text import MOST_COSTLY, has_costly_numbers, read_json
+from fibaction.schema.turns import MOST_COSTLY, has_costly_numbers, read_json
 
 COSTLY = ["1e308"] * (MOST_COSTLY + 1)
 

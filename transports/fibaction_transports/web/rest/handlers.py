@@ -23,9 +23,8 @@ from fibaction.border.abc import Endpoint
 from fibaction.border.http_access import Refused, bearer_in
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
-from fibaction.schema.json_text import read_json
 from fibaction.schema.payload import GoalCodec, JsonCodec
-from fibaction.schema.turns import Pause, in_turn
+from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.types.action import ActionInfo
 from fibaction.wire.auth import Permission
 from fibaction.wire.messages import VERSION, Hello

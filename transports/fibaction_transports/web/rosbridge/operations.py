@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeAlias, Union, cast
 import msgspec
 
 from fibaction.border.peer_text import excerpt
-from fibaction.schema.json_text import has_costly_numbers, read_json
+from fibaction.schema.turns import has_costly_numbers, read_json
 from fibaction.wire.errors import sendable
 from fibaction.words.errors import ProtocolError
 from fibaction.words.plain_data import is_map
