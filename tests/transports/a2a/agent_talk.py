@@ -159,9 +159,10 @@ def text_of(task: Task) -> str:
 
 
 @asynccontextmanager
-async def talking(url: str) -> AsyncGenerator[Talk, None]:
+async def talking(url: str, token: str = TOKEN) -> AsyncGenerator[Talk, None]:
     """A client of the SDK for the server at a URL."""
-    async with httpx.AsyncClient(headers=GOOD, trust_env=False, timeout=PATIENCE) as http:
+    headers = {"Authorization": f"Bearer {token}"}
+    async with httpx.AsyncClient(headers=headers, trust_env=False, timeout=PATIENCE) as http:
         card = await A2ACardResolver(http, url).get_agent_card()
         client = ClientFactory(ClientConfig(httpx_client=http)).create(card)
         yield Talk(client, url, card, http)

@@ -17,6 +17,7 @@ from tests.transports.a2a.agent_talk import (
     message,
     robot_and_talk,
     state_of,
+    talking,
     text_of,
     told,
 )
@@ -64,6 +65,32 @@ async def test_a_question_is_canceled() -> None:
             await talk.get(task.id)
         assert state_of(await talk.send(text="hallo", skill="say")) == "COMPLETED"
         assert robot.sent == []
+
+
+async def test_a_question_is_of_the_client_that_asked_and_of_the_goal_that_was_shown() -> None:
+    async with (
+        robot_and_talk(unasked=[], tokens={"b-b-b-b-b-b": "bob"}) as (robot, alice),
+        talking(alice.url, "b-b-b-b-b-b") as bob,
+    ):
+        made = message({"meters": 3}, skill="arm-drive")
+        task = await alice.send(made=made)
+        other = message({"meters": 50}, skill="arm-drive")
+        other.message_id = made.message_id
+        for talk, sent in ((bob, other), (bob, made), (alice, other)):
+            with pytest.raises(InvalidParamsError, match="another message has this ID"):
+                await talk.send(made=sent)
+        for forbidden in (
+            bob.send(text="yes", task=task.id),
+            bob.send(text="no", task=task.id),
+            bob.cancel(task.id),
+            bob.get(task.id),
+        ):
+            with pytest.raises(TaskNotFoundError):
+                await forbidden
+        assert robot.sent == []
+        assert (await alice.send(made=made)).id == task.id
+        await alice.send(text="yes", task=task.id)
+        assert robot.sent == [Drive(3)]
 
 
 async def test_a_goal_that_the_user_cannot_be_shown_is_not_sent() -> None:

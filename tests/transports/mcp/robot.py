@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import anyio
 from mcp import Client
-from mcp_types import CallToolResult, ElicitRequestFormParams, ElicitResult, TextContent
+from mcp_types import (
+    CallToolResult,
+    ElicitRequestFormParams,
+    ElicitResult,
+    InputRequiredResult,
+    TextContent,
+)
 
 from fibaction import (
     Action,
@@ -147,3 +153,28 @@ async def robot_and_talk(
 async def sent_by_others(robot: Robot, meters: int) -> ClientGoal[Driven, Arrived]:
     """Send a goal that is not one of the bridge."""
     return await ActionClient(robot.drive, DRIVE).send_goal(Drive(meters))
+
+
+class Rounds:
+    """Calls of tools, round by round."""
+
+    def __init__(self, made: Talk) -> None:
+        self._session = made.client.session
+
+    async def ask(self, meters: int = 3) -> str:
+        """Make a first call, and return the state for the second."""
+        result = await self.call(meters)
+        assert isinstance(result, InputRequiredResult)
+        assert result.request_state
+        assert set(result.input_requests or ()) == {"consent"}
+        return result.request_state
+
+    async def call(self, meters: int = 3, **settings: Any) -> CallToolResult | InputRequiredResult:
+        """Make one call."""
+        result = await self._session.call_tool(
+            "arm-drive", {"meters": meters}, allow_input_required=True, **settings
+        )
+        return cast("CallToolResult | InputRequiredResult", result)
+
+
+YES = {"consent": ElicitResult(action="accept", content={})}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import Any, cast
+from typing import Any
 
 import anyio
 import pytest
@@ -28,8 +28,10 @@ from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
 from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import (
     MODES,
+    YES,
     Mode,
     Robot,
+    Rounds,
     Talk,
     robot_and_talk,
     sent_by_others,
@@ -169,31 +171,6 @@ async def test_a_user_who_does_not_answer_is_waited_for_a_limited_time(
 
 
 # The protocol without one: the client calls again, with the answer and what the server gave it
-
-
-class Rounds:
-    """Calls of tools, round by round."""
-
-    def __init__(self, made: Talk) -> None:
-        self._session = made.client.session
-
-    async def ask(self, meters: int = 3) -> str:
-        """Make a first call, and return the state for the second."""
-        result = await self.call(meters)
-        assert isinstance(result, InputRequiredResult)
-        assert result.request_state
-        assert set(result.input_requests or ()) == {"consent"}
-        return result.request_state
-
-    async def call(self, meters: int = 3, **settings: Any) -> CallToolResult | InputRequiredResult:
-        """Make one call."""
-        result = await self._session.call_tool(
-            "arm-drive", {"meters": meters}, allow_input_required=True, **settings
-        )
-        return cast("CallToolResult | InputRequiredResult", result)
-
-
-YES = {"consent": ElicitResult(action="accept", content={})}
 
 
 async def test_an_answer_counts_once_and_for_the_same_goal_only(

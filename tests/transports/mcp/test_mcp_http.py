@@ -12,7 +12,7 @@ import httpx2
 import pytest
 from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
-from mcp_types import ElicitResult
+from mcp_types import ElicitResult, InputRequiredResult
 
 from fibaction import InvalidURL, TransportError, connect, serve
 from fibaction.border.urls import transport_for
@@ -21,7 +21,7 @@ from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.mcp import McpHttpTransport
 from tests.support.certificates import pems
 from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
-from tests.transports.mcp.robot import MODES, Mode, Robot, Talk
+from tests.transports.mcp.robot import MODES, YES, Mode, Robot, Rounds, Talk
 
 pytestmark = pytest.mark.asyncio
 both = pytest.mark.parametrize("mode", MODES)
@@ -45,7 +45,7 @@ async def served(
 
 
 @asynccontextmanager
-async def talking(url: str, mode: Mode) -> AsyncGenerator[Talk, None]:
+async def talking(url: str, mode: Mode, token: str = TOKEN) -> AsyncGenerator[Talk, None]:
     made = Talk()
 
     async def yes(context: Any, params: Any) -> ElicitResult:
@@ -56,7 +56,8 @@ async def talking(url: str, mode: Mode) -> AsyncGenerator[Talk, None]:
         if type(message).__name__ == "ToolListChangedNotification":
             made.told.set()
 
-    async with httpx2.AsyncClient(headers=GOOD, trust_env=False) as http:
+    headers = {"Authorization": f"Bearer {token}"}
+    async with httpx2.AsyncClient(headers=headers, trust_env=False) as http:
         made.client = Client(
             streamable_http_client(url, http_client=http),
             mode=mode,
@@ -75,6 +76,21 @@ async def test_the_user_is_asked_and_the_goal_runs(mode: Mode) -> None:
         assert made.progress == [(1, '{"meters":1}')]
         assert len(made.asked) == 1
         assert robot.sent == [Drive(3)]
+
+
+async def test_the_answer_of_another_client_does_not_send_a_goal() -> None:
+    other = "b-b-b-b-b-b-b-b"
+    async with (
+        served(tokens={other: "bob"}) as (robot, url),
+        talking(url, "auto") as alice,
+        talking(url, "auto", other) as bob,
+    ):
+        state = await Rounds(alice).ask(3)
+
+        again = await Rounds(bob).call(3, input_responses=YES, request_state=state)
+
+        assert isinstance(again, InputRequiredResult)
+        assert robot.sent == []
 
 
 @both

@@ -11,6 +11,7 @@ from a2a.types import AgentCard
 from a2a.utils.constants import AGENT_CARD_WELL_KNOWN_PATH
 from starlette.applications import Starlette
 
+from fibaction.wire.auth import Peer
 from fibaction_transports._http.exchange import App, Receive, Scope, Send
 from fibaction_transports.a2a.agent_card import CardMaker
 
@@ -23,8 +24,13 @@ class AskedRequest(NamedTuple):
 
     url: str
     """The URL of this server, as its client calls it."""
-    is_known: bool
-    """True if the client has a token."""
+    client: str | None
+    """The name that belongs to the client's token; None without a token."""
+
+    @property
+    def is_known(self) -> bool:
+        """True if the client has a token."""
+        return self.client is not None
 
 
 _ASKED: ContextVar[AskedRequest] = ContextVar("_ASKED")
@@ -35,9 +41,9 @@ def asked_request() -> AskedRequest:
     return _ASKED.get()
 
 
-def note_request(url: str, *, is_known: bool) -> None:
+def note_request(url: str, client: str | None) -> None:
     """Note the request that the calling task answers from now on."""
-    _ASKED.set(AskedRequest(url, is_known))
+    _ASKED.set(AskedRequest(url, client))
 
 
 class A2aApp:
@@ -55,7 +61,8 @@ class A2aApp:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         host = dict(scope["headers"]).get(b"host", b"").decode("latin-1")
         url = f"{scope['scheme']}://{host}{PATH}"
-        note_request(url, is_known=scope["state"]["client"] is not None)
+        client: Peer | None = scope["state"]["client"]
+        note_request(url, None if client is None else client.name)
         await self._app(scope, receive, send)
 
     async def _card(self, _: AgentCard) -> AgentCard:

@@ -121,7 +121,7 @@ class GoalRequests(RequestHandler):
         headers = context.state["headers"]
         after = position_of(headers["last-event-id"]) if "last-event-id" in headers else None
         goal_id = _goal_id(params.id)
-        if (question := self._questions.find(goal_id)) is not None:
+        if (question := self._question(goal_id)) is not None:
             yield _asking(question)
             return
         goal = await self._find(goal_id)
@@ -137,7 +137,7 @@ class GoalRequests(RequestHandler):
         """Return a task as it is now."""
         validate_proto_required_fields(params)
         goal_id = _goal_id(params.id)
-        if (question := self._questions.find(goal_id)) is not None:
+        if (question := self._question(goal_id)) is not None:
             return _asking(question)
         return task_of(await self._find(goal_id))
 
@@ -157,7 +157,7 @@ class GoalRequests(RequestHandler):
         """Cancel the goal of a task, and wait a moment for its end."""
         validate_proto_required_fields(params)
         goal_id = _goal_id(params.id)
-        if (question := self._questions.find(goal_id)) is not None:
+        if (question := self._question(goal_id)) is not None:
             self._questions.close(question)
             return _task(
                 question, TaskState.TASK_STATE_CANCELED, "it was canceled before it was sent"
@@ -214,12 +214,17 @@ class GoalRequests(RequestHandler):
             text = question_about(skill, goal)
         except HiddenGoal as exc:
             raise InvalidParamsError(str(exc)) from exc
-        return _asking(self._questions.ask(goal_id, skill, goal, message.context_id, text))
+        client = asked_request().client
+        return _asking(self._questions.ask(goal_id, skill, goal, message.context_id, text, client))
+
+    def _question(self, goal_id: GoalID) -> Question | None:
+        """Return the question about a goal that the asking client may answer; None without one."""
+        return self._questions.find(goal_id, asked_request().client)
 
     async def _answer(self, params: SendMessageRequest) -> AgentGoal[Skill] | Task:
         """Take the answer to a question."""
         goal_id = _goal_id(params.message.task_id)
-        question = self._questions.find(goal_id)
+        question = self._question(goal_id)
         if question is None:
             goal = await self._find(goal_id)
             state = "has ended" if goal.status.is_terminal else "takes no messages while it runs"

@@ -2,8 +2,10 @@
 
 A question is a task that requires input. Its ID is that of the goal, which is sent once the agent
 has answered with a message to the task: the text `yes`, or the data `{"consent": true}`. A goal
-that the user declines is a rejected task. An agent that answers in place of its user is not
-noticed: that is a matter of trust, as with every protocol for agents.
+that the user declines is a rejected task. A question belongs to the client that asked, by its
+token, and to the goal that was shown: the same ID with another goal is an error, and other clients
+know no task of that ID. An agent that answers in place of its user is not noticed: that is a matter
+of trust, as with every protocol for agents.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from typing import Any, NamedTuple
 
 import anyio
 from a2a.types import Message
+from a2a.utils.errors import InvalidParamsError
 
 from fibaction.words.goals import GoalID
 from fibaction_transports.a2a.a2a_values import plain_of
@@ -34,6 +37,8 @@ class Question(NamedTuple):
     context_id: str
     text: str
     """The question, for the user."""
+    client: str | None
+    """The client whose user is asked."""
     expires: float
 
 
@@ -43,20 +48,42 @@ class Questions:
     def __init__(self) -> None:
         self._questions: dict[GoalID, Question] = {}
 
-    def ask(self, goal_id: GoalID, skill: Skill, goal: Any, context_id: str, text: str) -> Question:
-        """Begin to wait for an answer."""
+    def ask(
+        self,
+        goal_id: GoalID,
+        skill: Skill,
+        goal: Any,
+        context_id: str,
+        text: str,
+        client: str | None,
+    ) -> Question:
+        """Begin to wait for an answer; a question that is asked again goes on.
+
+        Raises:
+            InvalidParamsError: Another question has the ID.
+        """
         expires = anyio.current_time() + QUESTION_TIMEOUT
-        question = Question(goal_id, skill, goal, context_id or str(goal_id), text, expires)
+        question = Question(goal_id, skill, goal, context_id or str(goal_id), text, client, expires)
+        known = self._questions.get(goal_id)
+        is_open = known is not None and known.expires > anyio.current_time()
+        if known is not None and is_open and (known.client, known.text) != (client, text):
+            raise InvalidParamsError(
+                "another message has this ID: give each message an ID of its own"
+            )
         self._questions.pop(goal_id, None)
         while len(self._questions) >= MOST_QUESTIONS:
             del self._questions[next(iter(self._questions))]
         self._questions[goal_id] = question
         return question
 
-    def find(self, goal_id: GoalID) -> Question | None:
-        """Return the question about a goal; None if there is none, or it was asked too long ago."""
+    def find(self, goal_id: GoalID, client: str | None) -> Question | None:
+        """Return the question of a client about a goal; None if there is none, or it was asked too
+        long ago.
+        """
         question = self._questions.get(goal_id)
-        if question is not None and question.expires <= anyio.current_time():
+        if question is None or question.client != client:
+            return None
+        if question.expires <= anyio.current_time():
             del self._questions[goal_id]
             return None
         return question

@@ -9,8 +9,8 @@ it travels depends on the protocol that the client speaks.
 - With a handshake (versions up to 2025-11-25), the server asks the client while the tool runs.
 - Without one (from 2026-07-28 on), the tool answers that input is required, and the client calls
   it again with the user's answer and with a `requestState`. That is a random number here, which
-  stands for one question, about one tool with exactly these arguments, and is valid once and for a
-  limited time: an answer cannot be used for another goal.
+  stands for one question of one client, with exactly this text, tool and arguments, and is valid
+  once and for a limited time: an answer cannot be used for another goal, nor by another client.
 
 A client says by its capabilities whether it can ask. One that cannot gets an error, so nothing
 moves; the error does not tell the model how that is changed, since some models can run commands. A
@@ -39,6 +39,7 @@ from mcp_types import (
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
+from fibaction.wire.auth import Peer
 from fibaction_transports.mcp.answers import ToolError
 
 QUESTION_TIMEOUT = 600.0
@@ -75,7 +76,7 @@ class Consents:
         if not _can_ask(context.session.client_capabilities):
             raise _cannot_ask("this client cannot ask")
         if context.protocol_version in MODERN_PROTOCOL_VERSIONS:
-            return self._asked_again(params, question)
+            return self._asked_again(_client_of(context), params, question)
         try:
             with anyio.fail_after(QUESTION_TIMEOUT):
                 answer = await context.session.elicit_form(question, _SCHEMA, context.request_id)
@@ -87,9 +88,9 @@ class Consents:
         return None
 
     def _asked_again(
-        self, params: CallToolRequestParams, question: str
+        self, client: str, params: CallToolRequestParams, question: str
     ) -> InputRequiredResult | None:
-        call, now = _call_of(params), anyio.current_time()
+        call, now = _call_of(client, params, question), anyio.current_time()
         answer = (params.input_responses or {}).get(_KEY)
         asked = self._questions.pop(params.request_state or "", None)
         if asked is not None and asked.call == call and asked.expires > now:
@@ -136,6 +137,13 @@ def _check(answer: ElicitResult) -> None:
         raise ToolError("Nothing was sent: the user has closed the question without an answer.")
 
 
-def _call_of(params: CallToolRequestParams) -> str:
-    """Return the text that is the same for the same call only."""
-    return json.dumps([params.name, params.arguments], sort_keys=True)
+def _call_of(client: str, params: CallToolRequestParams, question: str) -> str:
+    """Return the text that is the same for the same call and question of a client only."""
+    return json.dumps([client, params.name, params.arguments, question], sort_keys=True)
+
+
+def _client_of(context: ServerRequestContext[Any, Any]) -> str:
+    """Return the name that belongs to the client's token; empty if the transport has no tokens."""
+    scope: dict[str, Any] = getattr(context.request, "scope", {})
+    client: Peer | None = scope.get("state", {}).get("client")
+    return "" if client is None else client.name
