@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         ActionServer,
         Executor,
         FunctionAction,
-        GoalFields,
         GoalHandle,
         Report,
         Schedule,
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     )
     from fibaction.stores.sqlite_store import SqliteStore
     from fibaction.types.action import Action, ActionInfo
+    from fibaction.types.arguments import Arguments
     from fibaction.wire.auth import Peer, Permission
     from fibaction.wire.settings import Limits
     from fibaction.words.errors import (
@@ -80,6 +80,7 @@ else:
         "_api": "ClientConnection Connecting Serving call connect serve",
         "border.abc": "Endpoint Transport",
         "types.action": "Action ActionInfo",
+        "types.arguments": "Arguments",
         "client.client": "ActionClient",
         "client.goal": "ClientGoal SendingGoal",
         "client.events": "Events GoalFeedback",
@@ -95,9 +96,7 @@ else:
         ),
         "client.retry": "Retry",
         "client.track": "track",
-        "server": (
-            "ActionServer Executor FunctionAction GoalFields GoalHandle Report Schedule action"
-        ),
+        "server": ("ActionServer Executor FunctionAction GoalHandle Report Schedule action"),
         "words.progress": "Progress",
         "words.returned": "Return",
         "words.statuses": "GoalEvent GoalStatus",
@@ -129,6 +128,7 @@ __all__ = [
     "ActionInfo",
     "ActionPeers",
     "ActionServer",
+    "Arguments",
     "AuthenticationFailed",
     "CancelAnswer",
     "CancelCode",
@@ -145,7 +145,6 @@ __all__ = [
     "GoalCanceled",
     "GoalEvent",
     "GoalFeedback",
-    "GoalFields",
     "GoalHandle",
     "GoalHistory",
     "GoalID",

@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator, Sequence
-from typing import Generic, TypeAlias
+from typing import Any, Generic, TypeAlias, TypedDict, TypeVar, Unpack, overload
 
 import anyio
 import msgspec
 
 from fibaction.client.client import ActionClient
-from fibaction.server import ActionServer, Executor, GoalHandle
+from fibaction.client.options import goal_of
+from fibaction.server import ActionServer, Executor, FunctionAction, GoalHandle
+from fibaction.server.functions.executor_check import executor_of
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.arguments import Arguments, P, TakesNone, TakesOne
 from fibaction.words.errors import GoalRejected, ProtocolError
 from fibaction.words.goals import Outcome
+
+OneT = TypeVar("OneT")
 
 
 class Trial(msgspec.Struct, Generic[FeedbackT, ResultT], frozen=True):
@@ -27,37 +32,77 @@ class Trial(msgspec.Struct, Generic[FeedbackT, ResultT], frozen=True):
     """All feedback of the goal, in order."""
 
 
+class TrialOptions(TypedDict, total=False):
+    """The options of `run_executor`, which describes them."""
+
+    cancel_after: int | None
+    interrupt_on_cancel: bool
+    timeout: float | None
+
+
+@overload
+async def run_executor(
+    action: FunctionAction[P, FeedbackT, ResultT, Any], *args: P.args, **kwargs: P.kwargs
+) -> Trial[FeedbackT, ResultT]: ...
+@overload
+async def run_executor(
+    action: TakesNone[FeedbackT, ResultT], **options: Unpack[TrialOptions]
+) -> Trial[FeedbackT, ResultT]: ...
+@overload
+async def run_executor(
+    action: TakesOne[OneT, FeedbackT, ResultT], first: OneT, /, **options: Unpack[TrialOptions]
+) -> Trial[FeedbackT, ResultT]: ...
+@overload
 async def run_executor(
     action: Action[GoalT, FeedbackT, ResultT],
     executor: Executor[GoalT, FeedbackT, ResultT],
     goal: GoalT,
-    *,
+    **options: Unpack[TrialOptions],
+) -> Trial[FeedbackT, ResultT]: ...
+@overload
+async def run_executor(
+    action: FunctionAction[P, FeedbackT, ResultT, Any],
+    goal: Arguments[P],
+    **options: Unpack[TrialOptions],
+) -> Trial[FeedbackT, ResultT]: ...
+async def run_executor(  # type: ignore[misc]  # an argument with the name of an option is refused
+    action: Any,
+    *args: Any,
     cancel_after: int | None = None,
     interrupt_on_cancel: bool = True,
-    timeout: float = 5.0,
-) -> Trial[FeedbackT, ResultT]:
+    timeout: float | None = None,
+    **fields: Any,
+) -> Trial[Any, Any]:
     """Run an executor with a goal, and return its feedback and its outcome.
+
+        await run_executor(drive, 3)  # a function with its arguments
+        await run_executor(DRIVE, drive, 3)  # a generator of another action, with a goal
 
     With `cancel_after`, the goal is canceled when that many feedback messages have been yielded,
     exactly at that `yield`; 0 cancels the goal before the executor starts, which then never runs.
 
     Raises:
-        TimeoutError: The executor did not end within `timeout` seconds.
+        TimeoutError: The executor did not end within `timeout` seconds, 5 if it is not given.
         ProtocolError: It yielded feedback or a result that is not of its type; the text names the
             field. A server does not check this; its clients raise this error.
         GoalRejected: The goal is not of its type.
     """
-    feedback: list[FeedbackT] = []
+    executor: Any = None
+    if args and callable(args[0]):  # which no goal is
+        executor, args = args[0], args[1:]
+    goal = goal_of(action, args, fields, cancel_after=cancel_after, timeout=timeout)
+    limit = 5.0 if timeout is None else timeout
+    feedback: list[Any] = []
     # A window of one makes the executor wait at each `yield` until the feedback has been read.
     server = ActionServer(
         action,
-        executor,
+        executor or executor_of(action),
         feedback_window=1,
         stall_timeout=math.inf,
         interrupt_on_cancel=interrupt_on_cancel,
     )
     async with server:
-        with anyio.move_on_after(timeout):
+        with anyio.move_on_after(limit):
             try:
                 async with ActionClient(server, action).send_goal(goal) as sent:
                     if cancel_after == 0:
@@ -70,7 +115,7 @@ async def run_executor(
             except ProtocolError as exc:
                 raise ProtocolError(f"the executor is wrong: {exc}") from exc
         raise TimeoutError(
-            f"the executor of action {action.name!r} has not ended within {timeout:g} s"
+            f"the executor of action {action.name!r} has not ended within {limit:g} s"
         )
 
 

@@ -203,8 +203,8 @@ def test_a_unix_socket_is_one_sentence(folder: Path) -> None:
         (("info", "drive"), r"drive"),
         (("wait", "drive"), r""),
         (("ping",), r"ms"),
-        (("send_goal", "drive", "3", "-f"), r"SUCCEEDED"),
-        (("send_goal", "drive", "3", "--detach"), r"^[0-9a-f]{32}$"),
+        (("send_goal", "drive", "meters: 3", "-f"), r"SUCCEEDED"),
+        (("send_goal", "drive", "meters: 3", "--detach"), r"^[0-9a-f]{32}$"),
         (("goals", "drive", "--json"), r""),
         (("store", "given_up", "--help"), r"Usage"),
     ],
@@ -218,14 +218,14 @@ def test_a_verb_that_ends_by_itself_works(
 
 
 def test_ctrl_c_cancels_the_goal_that_was_sent(fibaction: Start) -> None:
-    done = interrupted(fibaction("send_goal", "drive", "9999", "-f"), "    3")
+    done = interrupted(fibaction("send_goal", "drive", "meters: 9999", "-f"), "    3")
     assert done.code == 3
     assert "braked" in done.out
     assert "Canceling goal..." in done.err
 
 
 def test_ctrl_c_ends_what_follows_a_goal(fibaction: Start) -> None:
-    (goal_id,) = ended(fibaction("send_goal", "drive", "9999", "--detach")).lines
+    (goal_id,) = ended(fibaction("send_goal", "drive", "meters: 9999", "--detach")).lines
     assert interrupted(fibaction("attach", goal_id), r"    \d").code == 130
     assert interrupted(fibaction("echo", "drive"), r"\d").code == 0
     assert ended(fibaction("cancel", "drive", goal_id)).code == 0

@@ -18,9 +18,11 @@ from fibaction.client.goal import Blocks, leave_blocks
 from fibaction.client.goal_span import GoalTracer
 from fibaction.client.kept_connection import KeptConnection, keep_open
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.types.arguments import Arguments, P
 from fibaction.words.goals import ActionPeers, WorkerInfo
 
 if TYPE_CHECKING:
+    from fibaction.server.functions.function_action import FunctionAction
     from fibaction_transports.keywords import ConnectKeywords
 
 
@@ -41,9 +43,15 @@ class ClientConnection(Connection):
         self._where = where
         self._blocks: Blocks = connection.blocks if isinstance(connection, KeptConnection) else {}
 
+    @overload
+    def client(
+        self, action: FunctionAction[P, FeedbackT, ResultT, Any]
+    ) -> ActionClient[Arguments[P], FeedbackT, ResultT]: ...
+    @overload
     def client(
         self, action: Action[GoalT, FeedbackT, ResultT]
-    ) -> ActionClient[GoalT, FeedbackT, ResultT]:
+    ) -> ActionClient[GoalT, FeedbackT, ResultT]: ...
+    def client(self, action: Action[Any, Any, Any]) -> ActionClient[Any, Any, Any]:
         """Return a client of one action over this connection."""
         return ActionClient(self.endpoint(action), action, self._blocks, tracing=self._tracing)
 
@@ -179,6 +187,16 @@ def connect(
     tracing: GoalTracer | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> Connecting[ClientConnection]: ...
+
+
+@overload
+def connect(
+    where: str | Transport,
+    action: FunctionAction[P, FeedbackT, ResultT, Any],
+    *,
+    tracing: GoalTracer | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> Connecting[ActionClient[Arguments[P], FeedbackT, ResultT]]: ...
 
 
 @overload

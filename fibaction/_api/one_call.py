@@ -2,56 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Unpack, overload
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 from fibaction._api.connections import check_is_action, connect
 from fibaction.border.abc import Transport
-from fibaction.client.retry import Retry
-from fibaction.types.action import NO_VALUE, FeedbackT, GoalT, ResultT
+from fibaction.client.options import CALL_OPTIONS
+from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.arguments import CalledAction, P, TakesNone, TakesOne
 
 if TYPE_CHECKING:
+    from fibaction.client.options import CallOptions
+    from fibaction.server.functions.function_action import FunctionAction
     from fibaction_transports.keywords import ConnectKeywords
 
-
-T_co = TypeVar("T_co", covariant=True)
-T_contra = TypeVar("T_contra", contravariant=True)
-FeedbackT_co = TypeVar("FeedbackT_co", covariant=True)
+    class OneCallOptions(CallOptions[FeedbackT], ConnectKeywords, total=False):
+        """The options of `call`, and the settings of `connect`."""
 
 
-class Encodes(Protocol[T_contra]):
-    """A codec, as it is used for what is sent."""
-
-    def encode(self, value: T_contra, /) -> bytes:
-        """Turn a value into bytes."""
-        ...
+OneT = TypeVar("OneT")
 
 
-class Decodes(Protocol[T_co]):
-    """A codec, as it is used for what is received."""
-
-    def decode(self, payload: bytes, /) -> T_co:
-        """Turn bytes into a value."""
-        ...
+# For type checkers: as for `ActionClient.call`.
 
 
-class CalledAction(Protocol[T_contra, FeedbackT_co, T_co]):
-    """An action, by the types of its goal, its feedback and its result."""
+@overload
+async def call(
+    where: str | Transport,
+    action: FunctionAction[P, FeedbackT, ResultT, Any],
+    *args: P.args,
+    **kwargs: P.kwargs,
+) -> ResultT: ...
 
-    @property
-    def goal(self) -> Encodes[T_contra]:
-        """The codec of the goal."""
-        ...
 
-    @property
-    def feedback(self) -> Decodes[FeedbackT_co]:
-        """The codec of the feedback."""
-        ...
+@overload
+async def call(
+    where: str | Transport,
+    action: TakesNone[FeedbackT, ResultT],
+    **options: Unpack[OneCallOptions[FeedbackT]],
+) -> ResultT: ...
 
-    @property
-    def result(self) -> Decodes[T_co]:
-        """The codec of the result."""
-        ...
+
+@overload
+async def call(
+    where: str | Transport,
+    action: TakesOne[OneT, FeedbackT, ResultT],
+    first: OneT,
+    /,
+    **options: Unpack[OneCallOptions[FeedbackT]],
+) -> ResultT: ...
 
 
 @overload
@@ -59,12 +58,7 @@ async def call(
     where: str | Transport,
     action: CalledAction[None, FeedbackT, ResultT],
     goal: None = None,
-    *,
-    on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
-    timeout: float | None = None,
-    retry: Retry | None = None,
-    labels: Mapping[str, str] | None = None,
-    **settings: Unpack[ConnectKeywords],
+    **options: Unpack[OneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
 
@@ -73,39 +67,45 @@ async def call(
     where: str | Transport,
     action: CalledAction[GoalT, FeedbackT, ResultT],
     goal: GoalT,
-    *,
-    on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
-    timeout: float | None = None,
-    retry: Retry | None = None,
-    labels: Mapping[str, str] | None = None,
-    **settings: Unpack[ConnectKeywords],
+    **options: Unpack[OneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
 
-async def call(
-    where: str | Transport,
-    action: Any,
-    goal: Any = NO_VALUE,
-    *,
-    on_feedback: Callable[[Any], Awaitable[object] | object] | None = None,
-    timeout: float | None = None,
-    retry: Retry | None = None,
-    labels: Mapping[str, str] | None = None,
-    **settings: Unpack[ConnectKeywords],
-) -> Any:
+async def call(where: str | Transport, action: Any, *args: Any, **given: Any) -> Any:
     """Connect to a URL, or by a transport, send one goal, and return its result.
 
-        print(await call("tcp://127.0.0.1:7400", DRIVE, 3, on_feedback=print))
+        print(await call("tcp://127.0.0.1:7400", drive, 3, on_feedback=print))
 
-    A program that sends several goals keeps a connection: see `connect`, whose `settings` these
-    are. `on_feedback`, `timeout`, `retry` and `labels` are those of `ActionClient.call`; neither
-    the timeout nor the retry counts the time to connect.
+    The goal is the arguments of the action's function, or one value: see `ActionClient.call`, whose
+    options these are. Other names are settings of `connect`. Neither `timeout` nor `retry` counts
+    the time to connect. A program that sends several goals keeps a connection: see `connect`.
 
     Raises:
         ActionError, TypeError, ValueError: As for `connect`, and for `ActionClient.call`.
     """
     check_is_action(action, "call")
-    async with connect(where, action, **settings) as client:
-        return await client.call(
-            goal, on_feedback=on_feedback, timeout=timeout, retry=retry, labels=labels
-        )
+    async with connect_for_call(connect, where, action, given) as client:
+        return await client.call(*args, **given)
+
+
+def connect_for_call(
+    connecting: Callable[..., Any],
+    where: str | Transport,
+    action: Action[Any, Any, Any],
+    given: dict[str, Any],
+) -> Any:
+    """Connect with the settings among what `call` was given, which keeps the rest.
+
+    Raises:
+        TypeError: Something is neither a setting, nor an option or an argument of the call.
+    """
+    settings = {name: given.pop(name) for name in given.keys() - CALL_OPTIONS - action.parameters}
+    try:
+        return connecting(where, action, **settings)
+    except TypeError as exc:
+        if not any(f"{name!r}" in str(exc) for name in settings):
+            raise
+        takes = f"the goal of {action.name!r} is one value, given as one argument"
+        if action.parameters:
+            takes = f"the parameters of {action.name!r} are {', '.join(sorted(action.parameters))}"
+        raise TypeError(f"{exc}; {takes}") from None

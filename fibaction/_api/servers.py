@@ -6,7 +6,7 @@ import inspect
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, Unpack, cast
 
 from anyio import create_task_group
 
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from fibaction.server.functions.function_action import FunctionAction
     from fibaction_transports.keywords import ServeKeywords
 
-Served: TypeAlias = "Endpoint | FunctionAction[Any, Any, Any, Any]"
-"""A server or another endpoint, or an action that is made of a function."""
+Served: TypeAlias = "Endpoint | FunctionAction[..., Any, Any, Any] | object"
+"""A server or another endpoint, an action that is made of a function, or an object whose methods
+are such actions."""
 
 
 class Serving(AsyncBlock, AbstractAsyncContextManager[tuple[str, ...], None]):
@@ -64,7 +65,8 @@ def serve(
     """Serve one endpoint or several, at one address or several, for as long as the block lasts.
 
     An endpoint is an `ActionServer`, or any other `Endpoint`. An action that is made of a function
-    is served by an `ActionServer` with the default settings. An address is a URL or a transport.
+    is served by an `ActionServer` with the default settings, and so is each action that is a method
+    of an object: `serve(robot, url)`. An address is a URL or a transport.
     `settings` are those of the constructors of the URLs' transports, for example `tokens={...}`.
     The block gets the URLs under which clients find the endpoints. Servers that are not running are
     started, and stopped at the end, while their clients can still be answered. `watchers` are added
@@ -140,23 +142,28 @@ def _keep_in(store: GoalStore, endpoints: Iterable[Endpoint]) -> None:
 
 
 def _chosen(endpoints: Served | Iterable[Served]) -> tuple[Endpoint, ...]:
-    from fibaction.server import ActionServer, FunctionAction  # as above
+    from fibaction.server import ActionServer, FunctionAction, actions_of  # as above
 
-    given: Iterable[object] = (endpoints,)
+    given: Iterable[Any] = (endpoints,)
     if isinstance(endpoints, Iterable) and not isinstance(endpoints, Endpoint | str):
-        given = endpoints
+        given = cast("Iterable[Any]", endpoints)
     chosen: list[Endpoint] = []
+    one: Any
     for one in given:
-        if isinstance(one, FunctionAction):
+        if issubclass(type(one), FunctionAction):
             chosen.append(ActionServer(one))
         elif isinstance(one, Endpoint):
             chosen.append(one)
+        elif methods := actions_of(one):
+            chosen += map(ActionServer, methods)
         else:
             # If the arguments are swapped, it is a URL, which may contain a token.
             shown = without_settings(one) if isinstance(one, str) else one
             hint = ""
             if isinstance(one, Action):
                 hint = f": write serve(ActionServer({one.name.upper()}, executor), ...)"
+            elif inspect.isclass(one):
+                hint = f": serve an object of it, as in serve({one.__name__}(), ...)"
             elif inspect.isroutine(one):
                 hint = ": make an action of a function with @action, or give it to an ActionServer"
             raise TypeError(

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, Generic
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, Unpack, overload
 
 from fibaction._api import ClientConnection
 from fibaction.blocking._blocking_goal import BlockingGoal
 from fibaction.blocking._loop_thread import LoopThread
 from fibaction.client.client import ActionClient
 from fibaction.client.goal import ClientGoal, SendingGoal
-from fibaction.client.retry import Retry
-from fibaction.types.action import NO_VALUE, Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.client.options import BlockingCallOptions, GoalOptions
+from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.types.arguments import Arguments, CalledAction, HasAction, P, TakesNone, TakesOne
 from fibaction.words.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo, WorkerInfo
+
+if TYPE_CHECKING:
+    from fibaction.server.functions.function_action import FunctionAction
+
+OneT = TypeVar("OneT")
 
 
 class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
@@ -29,15 +35,38 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         self._client = client
         self.action = client.action
 
+    # For type checkers: as for `ActionClient`.
+
+    @overload
     def call(
-        self,
-        goal: GoalT = NO_VALUE,
-        *,
-        on_feedback: Callable[[FeedbackT], object] | None = None,
-        timeout: float | None = None,
-        retry: Retry | None = None,
-        labels: Mapping[str, str] | None = None,
-    ) -> ResultT:
+        self: BlockingClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+    ) -> ResultT: ...
+    @overload
+    def call(
+        self: BlockingClient[Arguments[[]], FeedbackT, ResultT],
+        **options: Unpack[BlockingCallOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    def call(
+        self: HasAction[TakesNone[FeedbackT, ResultT]],
+        **options: Unpack[BlockingCallOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    def call(
+        self: HasAction[TakesOne[OneT, FeedbackT, ResultT]],
+        first: OneT,
+        /,
+        **options: Unpack[BlockingCallOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    def call(
+        self: HasAction[CalledAction[None, FeedbackT, ResultT]],
+        goal: None = None,
+        **options: Unpack[BlockingCallOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    def call(self, goal: GoalT, **options: Unpack[BlockingCallOptions[FeedbackT]]) -> ResultT: ...
+    def call(self, *args: Any, **given: Any) -> Any:
         """Send a goal, and return its result.
 
         `on_feedback` is called with each feedback, in this thread. Its exception cancels the goal,
@@ -46,27 +75,46 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             ActionError, TypeError, ValueError: As for `ActionClient.call`.
         """
-        client = self._client
+        client: ActionClient[Any, FeedbackT, ResultT] = self._client
+        on_feedback = given.pop("on_feedback", None)
         if on_feedback is None:
-            return self._loop.run(
-                lambda: client.call(goal, timeout=timeout, retry=retry, labels=labels)
-            )
+            return self._loop.run(lambda: client.call(*args, **given))
 
         async def call(hand_over: Callable[[FeedbackT], Awaitable[None]]) -> ResultT:
-            return await client.call(
-                goal, on_feedback=hand_over, timeout=timeout, retry=retry, labels=labels
-            )
+            return await client.call(*args, on_feedback=hand_over, **given)
 
         return self._loop.run_with_callback(call, on_feedback)
 
+    @overload
     def send_goal(
-        self,
-        goal: GoalT = NO_VALUE,
-        *,
-        goal_id: GoalID | str | None = None,
-        timeout: float | None = None,
-        labels: Mapping[str, str] | None = None,
-    ) -> BlockingGoal[FeedbackT, ResultT]:
+        self: BlockingClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+    ) -> BlockingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: BlockingClient[Arguments[[]], FeedbackT, ResultT], **options: Unpack[GoalOptions]
+    ) -> BlockingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: HasAction[TakesNone[FeedbackT, ResultT]], **options: Unpack[GoalOptions]
+    ) -> BlockingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: HasAction[TakesOne[OneT, FeedbackT, ResultT]],
+        first: OneT,
+        /,
+        **options: Unpack[GoalOptions],
+    ) -> BlockingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: HasAction[CalledAction[None, FeedbackT, ResultT]],
+        goal: None = None,
+        **options: Unpack[GoalOptions],
+    ) -> BlockingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self, goal: GoalT, **options: Unpack[GoalOptions]
+    ) -> BlockingGoal[FeedbackT, ResultT]: ...
+    def send_goal(self, *args: Any, **given: Any) -> BlockingGoal[Any, Any]:
         """Send a goal, and return it: **`with send_goal` cancels, `goal.detach()` prevents it.**
 
         It returns as soon as the server has accepted the goal. `with client.send_goal(...) as goal`
@@ -77,9 +125,10 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             ActionError, TypeError, ValueError: As for `ActionClient.send_goal`.
         """
+        client: ActionClient[Any, FeedbackT, ResultT] = self._client
 
         async def send() -> tuple[ClientGoal[FeedbackT, ResultT], SendingGoal[FeedbackT, ResultT]]:
-            sending = self._client.send_goal(goal, goal_id=goal_id, timeout=timeout, labels=labels)
+            sending = client.send_goal(*args, **given)
             return await sending.__aenter__(), sending
 
         return BlockingGoal(self._loop, *self._loop.run(send))
@@ -135,12 +184,18 @@ class BlockingConnection:
         self._loop = loop
         self._connection = connection
 
+    @overload
+    def client(
+        self, action: FunctionAction[P, FeedbackT, ResultT, Any]
+    ) -> BlockingClient[Arguments[P], FeedbackT, ResultT]: ...
+    @overload
     def client(
         self, action: Action[GoalT, FeedbackT, ResultT]
-    ) -> BlockingClient[GoalT, FeedbackT, ResultT]:
+    ) -> BlockingClient[GoalT, FeedbackT, ResultT]: ...
+    def client(self, action: Action[Any, Any, Any]) -> BlockingClient[Any, Any, Any]:
         """Return a client of one action over this connection."""
 
-        async def client() -> ActionClient[GoalT, FeedbackT, ResultT]:
+        async def client() -> ActionClient[Any, Any, Any]:
             return self._connection.client(action)
 
         return BlockingClient(self._loop, self._loop.run(client))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, NoReturn, Unpack, overload
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, overload
 
 import fibaction._api
-from fibaction._api import CalledAction, ClientConnection, check_is_action
+from fibaction._api import ClientConnection, check_is_action, connect_for_call
 from fibaction.blocking._blocking_client import (
     BlockingClient,
     BlockingConnection,
@@ -17,12 +16,20 @@ from fibaction.blocking._loop_thread import LoopBlock
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.client.goal_span import GoalTracer
-from fibaction.client.retry import Retry
-from fibaction.types.action import NO_VALUE, Action, FeedbackT, GoalT, ResultT
+from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.arguments import Arguments, CalledAction, P, TakesNone, TakesOne
 from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
+    from fibaction.client.options import BlockingCallOptions
+    from fibaction.server.functions.function_action import FunctionAction
     from fibaction_transports.keywords import ConnectKeywords
+
+    class BlockingOneCallOptions(BlockingCallOptions[FeedbackT], ConnectKeywords, total=False):
+        """The options of `call`, and the settings of `connect`."""
+
+
+OneT = TypeVar("OneT")
 
 
 @overload
@@ -32,6 +39,16 @@ def connect(
     tracing: GoalTracer | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> AbstractContextManager[BlockingConnection]: ...
+
+
+@overload
+def connect(
+    where: str | Transport,
+    action: FunctionAction[P, FeedbackT, ResultT, Any],
+    *,
+    tracing: GoalTracer | None = None,
+    **settings: Unpack[ConnectKeywords],
+) -> AbstractContextManager[BlockingClient[Arguments[P], FeedbackT, ResultT]]: ...
 
 
 @overload
@@ -99,17 +116,42 @@ class _OpenBlock(LoopBlock[ClientConnection, Any]):
         )
 
 
+# For type checkers: as for `fibaction.call`.
+
+
+@overload
+def call(
+    where: str | Transport,
+    action: FunctionAction[P, FeedbackT, ResultT, Any],
+    *args: P.args,
+    **kwargs: P.kwargs,
+) -> ResultT: ...
+
+
+@overload
+def call(
+    where: str | Transport,
+    action: TakesNone[FeedbackT, ResultT],
+    **options: Unpack[BlockingOneCallOptions[FeedbackT]],
+) -> ResultT: ...
+
+
+@overload
+def call(
+    where: str | Transport,
+    action: TakesOne[OneT, FeedbackT, ResultT],
+    first: OneT,
+    /,
+    **options: Unpack[BlockingOneCallOptions[FeedbackT]],
+) -> ResultT: ...
+
+
 @overload
 def call(
     where: str | Transport,
     action: CalledAction[None, FeedbackT, ResultT],
     goal: None = None,
-    *,
-    on_feedback: Callable[[FeedbackT], object] | None = None,
-    timeout: float | None = None,
-    retry: Retry | None = None,
-    labels: Mapping[str, str] | None = None,
-    **settings: Unpack[ConnectKeywords],
+    **options: Unpack[BlockingOneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
 
@@ -118,39 +160,22 @@ def call(
     where: str | Transport,
     action: CalledAction[GoalT, FeedbackT, ResultT],
     goal: GoalT,
-    *,
-    on_feedback: Callable[[FeedbackT], object] | None = None,
-    timeout: float | None = None,
-    retry: Retry | None = None,
-    labels: Mapping[str, str] | None = None,
-    **settings: Unpack[ConnectKeywords],
+    **options: Unpack[BlockingOneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
 
-def call(
-    where: str | Transport,
-    action: Any,
-    goal: Any = NO_VALUE,
-    *,
-    on_feedback: Callable[[Any], object] | None = None,
-    timeout: float | None = None,
-    retry: Retry | None = None,
-    labels: Mapping[str, str] | None = None,
-    **settings: Unpack[ConnectKeywords],
-) -> Any:
+def call(where: str | Transport, action: Any, *args: Any, **given: Any) -> Any:
     """Connect to a URL, or by a transport, send one goal, and return its result.
 
         print(call("tcp://127.0.0.1:7400", drive, 3, on_feedback=print))
 
-    Ctrl-C cancels the goal. `on_feedback`, `timeout`, `retry` and `labels` are those of
-    `BlockingClient.call`, and `settings` those of `connect`.
+    Ctrl-C cancels the goal. The goal and the options are given as to `BlockingClient.call`, and
+    other names are settings of `connect`.
 
     Raises:
         ActionError, TypeError, ValueError, RuntimeError: As for `connect`, and for
             `BlockingClient.call`.
     """
     check_is_action(action, "call")
-    with connect(where, action, **settings) as client:
-        return client.call(
-            goal, on_feedback=on_feedback, timeout=timeout, retry=retry, labels=labels
-        )
+    with connect_for_call(connect, where, action, given) as client:
+        return client.call(*args, **given)

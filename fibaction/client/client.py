@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 from operator import index
-from typing import Generic
+from typing import Any, Generic, TypeVar, Unpack, overload
 
 import anyio
 from anyio import get_cancelled_exc_class
@@ -30,8 +30,14 @@ from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
 from fibaction.client.goal_span import NO_SPAN, GoalTracer
 from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
+from fibaction.client.options import (
+    CallOrStepOptions,
+    GoalOrStepOptions,
+    goal_of,
+)
 from fibaction.client.retry import Retry
 from fibaction.types.action import NO_VALUE, Action, Codec, FeedbackT, GoalT, ResultT
+from fibaction.types.arguments import Arguments, CalledAction, HasAction, P, TakesNone, TakesOne
 from fibaction.words.errors import ActionError, ServerNotFound
 from fibaction.words.goal_steps import GoalStep
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
@@ -41,6 +47,8 @@ from fibaction.words.plain_data import check_is_number
 SOON = 0.5
 """Seconds to find out why an action was not served."""
 WAIT_HINT = ", or wait for it with wait_for_server()"
+
+OneT = TypeVar("OneT")
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
@@ -69,19 +77,53 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         self.endpoint = endpoint
         """The endpoint that the goals are sent to."""
         self.action = action
+        self._takes_value = type(action) is Action  # and not the arguments of a function
         self._thread = OwnThread()
         self._blocks: Blocks = {} if blocks is None else blocks
         self._tracing = tracing
 
+    # For type checkers: the arguments of a function alone, or the options alone, for a function
+    # without parameters and for one with defaults; or one argument and the options; None; or any
+    # other goal.
+
+    @overload
     def send_goal(
+        self: ActionClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+    ) -> SendingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: ActionClient[Arguments[[]], FeedbackT, ResultT], **options: Unpack[GoalOrStepOptions]
+    ) -> SendingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: HasAction[TakesNone[FeedbackT, ResultT]], **options: Unpack[GoalOrStepOptions]
+    ) -> SendingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: HasAction[TakesOne[OneT, FeedbackT, ResultT]],
+        first: OneT,
+        /,
+        **options: Unpack[GoalOrStepOptions],
+    ) -> SendingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self: HasAction[CalledAction[None, FeedbackT, ResultT]],
+        goal: None = None,
+        **options: Unpack[GoalOrStepOptions],
+    ) -> SendingGoal[FeedbackT, ResultT]: ...
+    @overload
+    def send_goal(
+        self, goal: GoalT, **options: Unpack[GoalOrStepOptions]
+    ) -> SendingGoal[FeedbackT, ResultT]: ...
+    def send_goal(  # type: ignore[misc]  # an argument with the name of an option is refused
         self,
-        goal: GoalT = NO_VALUE,
-        *,
+        *args: Any,
         goal_id: GoalID | str | None = None,
         timeout: float | None = None,
         labels: Mapping[str, str] | None = None,
         step: GoalStep | None = None,
-    ) -> SendingGoal[FeedbackT, ResultT]:
+        **fields: Any,
+    ) -> SendingGoal[Any, Any]:
         """Send a goal: **`async with send_goal` cancels, `await send_goal` does not.**
 
         The end of the block of `async with` cancels the goal if it has not ended, without waiting
@@ -113,6 +155,11 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ValueError: `timeout` is not more than 0; a label has a key of a trace or of a parent;
                 or, from the block, the step was taken before.
         """
+        if self._takes_value and len(args) == 1 and not fields:
+            goal = args[0]
+        else:
+            options = {"goal_id": goal_id, "timeout": timeout, "labels": labels, "step": step}
+            goal = goal_of(self.action, args, fields, **options)
         if step is not None:
             if goal_id is not None:
                 raise TypeError("a step has the ID of its goal: give goal_id or step, not both")
@@ -122,16 +169,47 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         sending = self._send(self.endpoint, goal, goal_id, attempts, labels=labels)
         return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
 
+    @overload
     async def call(
+        self: ActionClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+    ) -> ResultT: ...
+    @overload
+    async def call(
+        self: ActionClient[Arguments[[]], FeedbackT, ResultT],
+        **options: Unpack[CallOrStepOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    async def call(
+        self: HasAction[TakesNone[FeedbackT, ResultT]],
+        **options: Unpack[CallOrStepOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    async def call(
+        self: HasAction[TakesOne[OneT, FeedbackT, ResultT]],
+        first: OneT,
+        /,
+        **options: Unpack[CallOrStepOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    async def call(
+        self: HasAction[CalledAction[None, FeedbackT, ResultT]],
+        goal: None = None,
+        **options: Unpack[CallOrStepOptions[FeedbackT]],
+    ) -> ResultT: ...
+    @overload
+    async def call(
+        self, goal: GoalT, **options: Unpack[CallOrStepOptions[FeedbackT]]
+    ) -> ResultT: ...
+    async def call(  # type: ignore[misc]  # an argument with the name of an option is refused
         self,
-        goal: GoalT = NO_VALUE,
-        *,
+        *args: Any,
         on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
         timeout: float | None = None,
         retry: Retry | None = None,
         labels: Mapping[str, str] | None = None,
         step: GoalStep | None = None,
-    ) -> ResultT:
+        **fields: Any,
+    ) -> Any:
         """Send a goal, and return its result.
 
         `on_feedback`, sync or async, is called with each feedback. A cancellation of the calling
@@ -157,6 +235,11 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ValueError: `timeout` is not more than 0, or the step was taken before.
             TypeError: `retry` is not a `Retry`.
         """
+        if self._takes_value and len(args) == 1 and not fields:
+            goal = args[0]
+        else:
+            options = {"on_feedback": on_feedback, "timeout": timeout, "retry": retry}
+            goal = goal_of(self.action, args, fields, **options, labels=labels, step=step)
         follow = on_feedback is not None
         block: SendingGoal[FeedbackT, ResultT]
         if step is not None:

@@ -10,9 +10,8 @@ user, which `fibaction.border.watchers` defines. `functions` makes executors of 
 
 from fibaction.server.execution.executor import Executor
 from fibaction.server.functions.decorator import action
-from fibaction.server.functions.function_action import FunctionAction
+from fibaction.server.functions.function_action import FunctionAction, actions_of
 from fibaction.server.functions.report import Report
-from fibaction.server.functions.signature import GoalFields
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.server import ActionServer
@@ -21,9 +20,9 @@ __all__ = [
     "ActionServer",
     "Executor",
     "FunctionAction",
-    "GoalFields",
     "GoalHandle",
     "Report",
     "Schedule",
     "action",
+    "actions_of",
 ]

@@ -275,6 +275,25 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         """True if a value may be of the type of the feedback and of the result. Then a generator
         marks its result with `Return`."""
 
+    description = ""
+    """The docstring of the function that it is made of; empty for any other."""
+    parameters: frozenset[str] = frozenset()
+    """The names of the parameters of the function that it is made of; empty for any other."""
+
+    def goal_from(self, args: tuple[Any, ...], fields: Mapping[str, Any]) -> GoalT:
+        """Return the goal that a caller gives, as one argument; `NO_VALUE` if there is none.
+
+        Raises:
+            TypeError: There are several arguments, or some that have names.
+        """
+        if fields or len(args) > 1:
+            wrong = f"{min(fields)!r} is no option of the call" if fields else "there are several"
+            raise TypeError(
+                f"the goal of the action {self.name!r} is one value, and is given as one argument:"
+                f" {wrong}"
+            )
+        return args[0] if args else cast("GoalT", NO_VALUE)
+
     def default_goal(self) -> bytes:
         """Return the bytes of the goal of a client that gives none: None, or a goal whose fields
         all have defaults.
@@ -295,8 +314,10 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
     def info(self) -> ActionInfo:
         """The description that is sent to clients: name, type name and JSON Schemas."""
         if self._info is None:
-            schemas = (codec.schema() for codec in (self.goal, self.feedback, self.result))
-            self._info = ActionInfo(self.name, self.type_name, *schemas)
+            goal, *answers = (one.schema() for one in (self.goal, self.feedback, self.result))
+            if self.description:
+                goal = goal | {"description": self.description}
+            self._info = ActionInfo(self.name, self.type_name, goal, *answers)
         return self._info
 
     @classmethod

@@ -70,7 +70,7 @@ def encoding_of(message_type: Any) -> Encoding:
         from fibaction.types.ros_messages import RosEncoding
 
         return RosEncoding(message_type)
-    if "pydantic" in sys.modules and _has_pydantic(message_type, set()):
+    if "pydantic" in sys.modules and has_pydantic(message_type):
         from fibaction.types.pydantic_codec import PydanticEncoding  # which imports pydantic
 
         return PydanticEncoding(message_type)
@@ -100,11 +100,14 @@ _SPECIAL = {"types", "typing", "typing_extensions"}
 """The modules of the classes of types that are not classes, such as `list[int]`."""
 
 
-def _has_pydantic(kind: Any, seen: set[int]) -> bool:
-    """Return whether a type is a model or a dataclass of pydantic, or has one in it."""
+def has_pydantic(kind: Any, seen: frozenset[int] = frozenset()) -> bool:
+    """Return whether a type is a model or a dataclass of pydantic, or has one in it.
+
+    `seen` are the types, by their identity, that have this one in them.
+    """
     if id(kind) in seen:  # a type may contain itself
         return False
-    seen.add(id(kind))
+    seen |= {id(kind)}
     if isinstance(kind, type) and hasattr(kind, "__pydantic_serializer__"):
         return True
     # A `NewType` and a type alias name another type.
@@ -113,7 +116,7 @@ def _has_pydantic(kind: Any, seen: set[int]) -> bool:
     if isinstance(kind, type):
         with suppress(NameError, TypeError):  # the check of the type tells what is wrong
             parts += get_type_hints(kind, include_extras=True).values()
-    return any(_has_pydantic(part, seen) for part in parts if part is not None)
+    return any(has_pydantic(part, seen) for part in parts if part is not None)
 
 
 _CLASSES: dict[type[inspect.Type], tuple[type, ...]] = {

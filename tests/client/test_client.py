@@ -218,7 +218,7 @@ async def test_an_action_without_a_goal_is_called_without_one(
 async def test_a_goal_that_an_action_needs_is_not_left_out() -> None:
     broken = Broken(BrokenStream())
     with pytest.raises(TypeError, match="action 'fibonacci' needs a goal, and none was given"):
-        await client_of(broken).call()
+        await cast("Any", client_of(broken)).call()
 
 
 async def test_a_timeout_that_is_text_is_told_in_one_sentence() -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
-from collections.abc import AsyncGenerator, AsyncIterator, Generator
-from typing import Any
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
+from functools import partial
+from typing import Annotated, Any, TypedDict
 
 import anyio
+import attrs
 import msgspec
+import pydantic
 import pytest
 
 from fibaction import (
@@ -16,7 +20,6 @@ from fibaction import (
     ActionServer,
     FunctionAction,
     GoalCanceled,
-    GoalFields,
     GoalHandle,
     GoalStatus,
     Outcome,
@@ -24,6 +27,7 @@ from fibaction import (
     Return,
     action,
 )
+from fibaction.server import actions_of
 from fibaction.server.functions import function_action
 from fibaction.testing import run_executor
 from tests.support.matching import End
@@ -35,26 +39,26 @@ class Pose(msgspec.Struct):
     x: float
 
 
-@action("drive")
-async def drive(meters: int, report: Report[int]) -> str:
+@action
+async def drive(report: Report[int], meters: int) -> str:
     """Drive some meters."""
     for done in range(1, meters + 1):
         await report(done)
     return f"drove {meters} m"
 
 
-@action("pick")
+@action
 async def pick(what: str, force: float, report: Report[float]) -> list[float]:
     await report(force)
     return [force, len(what)]
 
 
-@action("place")
-async def place(what: str, force: float = 1.0) -> list[float]:
+@action
+async def place(what: Annotated[str, "the name of a part"], force: float = 1.0) -> list[float]:
     return [force, len(what)]
 
 
-@action("home")
+@action
 async def home() -> None:
     return
 
@@ -71,49 +75,125 @@ async def move(pose: Pose, goal: GoalHandle[Pose], report: Report[Pose]) -> Pose
     return pose
 
 
-async def outcome_of(function: Any, goal: Any) -> Outcome[Any]:
-    return (await run_executor(function, function.executor, goal)).outcome
+async def outcome_of(function: Any, *args: Any) -> Outcome[Any]:
+    return (await run_executor(function, *args)).outcome
 
 
 # The types
 
 
+class Row(TypedDict):
+    row: int
+
+
+@attrs.define
+class Part:
+    name: str
+
+
+class Place(pydantic.BaseModel):
+    x: float
+
+
+class Up(msgspec.Struct, tag=True):
+    meters: int
+
+
+class Down(msgspec.Struct, tag=True):
+    meters: int
+
+
+async def by_a_dataclass(goal: Way) -> None: ...
+async def by_an_attrs_class(goal: Part) -> None: ...
+async def by_a_typed_dict(goal: Row) -> None: ...
+async def by_a_model(goal: Place) -> None: ...
+async def by_one_of_two(goal: Up | Down) -> None: ...
+
+
+@dataclasses.dataclass
+class Way:
+    meters: int
+
+
 @pytest.mark.parametrize(
-    ("function", "goal", "feedback", "result"),
+    ("function", "goal"),
     [
-        (drive, int, int, str),
-        (home, type(None), type(None), type(None)),
-        (look, Pose, type(None), Pose),
-        (move, Pose, Pose, Pose),
+        (by_a_dataclass, Way(1)),
+        (by_an_attrs_class, Part("arm")),
+        (by_a_typed_dict, Row(row=1)),
+        (by_a_model, Place(x=1)),
+        (by_one_of_two, Down(1)),
     ],
 )
-def test_the_types_are_those_of_the_signature(
-    function: Any, goal: Any, feedback: Any, result: Any
-) -> None:
-    assert (function.goal.type, function.feedback.type) == (goal, feedback)
-    assert function.result.type is result
-    assert function.checkpoint is None or function is move
+def test_a_single_parameter_that_has_fields_is_the_goal_itself(function: Any, goal: Any) -> None:
+    made = action("go")(function)
+    assert made.goal.decode(made.goal.encode(goal)) == goal
+    assert made.goal_of(goal) is made.goal_of(goal=goal) is goal
+    assert made.parameters == frozenset()
 
 
-def test_several_parameters_are_the_fields_of_the_goal_with_their_defaults() -> None:
-    assert issubclass(pick.goal.type, GoalFields)
-    assert issubclass(place.goal.type, GoalFields)
+async def of_a_union(goal: Pose | None = None) -> None: ...
+async def of_a_list(goal: list[Pose]) -> None: ...
+async def of_any(goal: Any) -> None: ...
+async def of_models(goal: list[Place], speed: float = 1.0) -> None: ...
+async def of_no_model(goal: Place | None = None) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("function", "payload"),
+    [
+        (of_a_union, {}),
+        (of_a_union, {"goal": {"x": 1.0}}),
+        (of_a_list, {"goal": [{"x": 1.0}]}),
+        (of_any, {"goal": 3}),
+        (of_models, {"goal": [{"x": 1.0}]}),
+        (of_no_model, {}),
+    ],
+)
+def test_any_other_parameter_is_a_field_of_the_goal(function: Any, payload: Any) -> None:
+    made = action("go")(function)
+    goal = made.goal.decode(msgspec.msgpack.encode(payload))
+    assert made.goal_of(**made._signature.goal.arguments(goal)) == goal
+    schema = made.info.goal
+    if "$ref" in schema:
+        schema = schema["$defs"][schema["$ref"].rpartition("/")[2]]
+    assert schema["properties"].keys() == made.parameters
+
+
+def test_parameters_are_the_fields_of_the_goal_with_their_defaults_and_descriptions() -> None:
     assert place.info.goal["$defs"]["PlaceGoal"]["properties"] == {
-        "what": {"type": "string"},
+        "what": {"type": "string", "description": "the name of a part"},
         "force": {"type": "number", "default": 1.0},
     }
-    goal = pick.goal_of("cup", force=2)
+    goal: Any = pick.goal_of("cup", 2)
     assert repr(goal) == "PickGoal(what='cup', force=2)"
     assert place.goal.decode(b"\x81\xa4what\xa3cup") == place.goal_of("cup", 1.0)
-    assert drive.goal_of(3) == 3
-    assert home.goal_of() is None
-    with pytest.raises(TypeError, match="missing a required argument: 'what'"):
-        pick.goal_of(force=1)
+    assert drive.goal.encode(drive.goal_of(3)) == b"\x81\xa6meters\x03"
+    assert home.goal.encode(home.goal_of()) == b"\x80"
+    assert (drive.feedback.type, drive.result.type) == (int, str)
+    assert home.result.type is home.feedback.type is type(None)
+
+
+def test_the_request_of_a_handle_alone_is_the_goal() -> None:
+    made: list[Any] = [look, move]
+    assert [one.goal.type for one in made] == [Pose, Pose]
+    assert [one.goal_of(Pose(1)) for one in made] == [Pose(1), Pose(1)]
+
+
+def test_arguments_that_do_not_fit_are_told_with_the_signature() -> None:
+    told = r"^place\(what: .*, force: float = 1.0\): missing a required argument: 'what'$"
+    wrong: Any = place
+    with pytest.raises(TypeError, match=told):
+        wrong.goal_of(force=1)
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'forc'"):
+        wrong.goal_of("cup", forc=1)
 
 
 def test_it_is_named_and_documented_as_its_function() -> None:
     assert (drive.name, drive.__doc__) == ("drive", "Drive some meters.")
     assert getattr(drive, "__name__", "") == "drive"
+    assert action("arm/drive")(drive._function).name == "arm/drive"
+    assert (drive.info.description, home.info.description) == ("Drive some meters.", "")
     assert move.type_name == "my_robot/action/Move"
 
 
@@ -126,6 +206,8 @@ def of_two_handles(one: GoalHandle[int], two: GoalHandle[int]) -> None: ...
 def of_any_goal(goal: GoalHandle) -> None: ...  # type: ignore[type-arg]  # as above
 def of_many(*meters: int) -> None: ...
 def of_names(**meters: int) -> None: ...
+def of_perhaps_a_report(meters: int, report: Report[int] | None = None) -> None: ...
+def of_a_function(meters: int, report: Callable[[int], None]) -> None: ...
 def of_what_is_not_defined(meters: Metres) -> None: ...  # type: ignore[name-defined]  # noqa: F821  # pyright: ignore[reportUndefinedVariable]  # as above
 def of_a_changeable_default(meters: int, way: list[int] = [1]) -> None: ...  # noqa: B006  # as above
 def of_a_thread(thread: threading.Thread) -> None: ...
@@ -155,9 +237,18 @@ class Yields:
         (of_many, "takes *meters: 'int', and the fields of a goal have names"),
         (of_names, "takes **meters: 'int', and the fields of a goal have names"),
         (
-            of_what_is_not_defined,
-            "has a type that its module does not define: name 'Metres' is not defined",
+            of_perhaps_a_report,
+            "may be called without 'report': a server always gives it a `Report[",
         ),
+        (
+            of_a_function,
+            "takes a function as 'report', and a goal is data: write `report: Report[int]`",
+        ),
+        (
+            of_what_is_not_defined,
+            "has a type that is not defined here: name 'Metres' is not defined",
+        ),
+        (staticmethod(of_many), "is a staticmethod: write @action below @staticmethod"),
         (of_a_changeable_default, "cannot have its parameters as fields of a goal: "),
         (yields, "is a generator function, and @action is for functions that report and return"),
         (yields_without_async, "is a generator function, and @action is for functions"),
@@ -177,10 +268,7 @@ def test_a_type_that_cannot_be_encoded_is_told_as_for_an_action() -> None:
         action("drive")(of_a_thread)
 
 
-def test_a_decorator_without_a_name_is_told_with_what_to_write() -> None:
-    wrong: Any = action
-    with pytest.raises(TypeError, match=r'write `@action\("drive"\)`'):
-        wrong(Robot.drive)
+def test_a_name_that_breaks_the_rule_is_told() -> None:
     with pytest.raises(ValueError, match="an action's name is like"):
         action("3 m")(Robot())
 
@@ -201,17 +289,17 @@ async def test_an_executor_iterates_over_the_one_of_a_function() -> None:
         async for item in drive.executor(goal):
             yield Return(f"{item.value} in all") if isinstance(item, Return) else item
 
-    trial = await run_executor(drive, twice, 3)
+    trial = await run_executor(drive, twice, drive.goal_of(3))
     assert trial.feedback == [0, 1, 2, 3]
     assert trial.outcome.result == "drove 3 m in all"
 
 
 async def test_the_arguments_are_the_fields_the_handle_and_the_report() -> None:
-    trial = await run_executor(pick, pick.executor, pick.goal_of("cup", force=0.5))
+    trial = await run_executor(pick, "cup", 0.5)
     assert (trial.feedback, trial.outcome.result) == ([0.5], [0.5, 3])
-    assert (await outcome_of(home, None)).status is GoalStatus.SUCCEEDED
+    assert (await outcome_of(home)).status is GoalStatus.SUCCEEDED
     assert (await outcome_of(look, Pose(1))).result == Pose(2)
-    trial_of_move = await run_executor(move, move.executor, Pose(1))
+    trial_of_move = await run_executor(move, Pose(1))
     assert trial_of_move.feedback == [trial_of_move.outcome.result] == [Pose(1)]
 
 
@@ -220,8 +308,8 @@ async def test_a_report_may_be_given_by_its_name_only() -> None:
         await report(force)
         return force
 
-    weighing = FunctionAction[Any, float, float, Any]("weigh", weigh)
-    trial = await run_executor(weighing, weighing.executor, weighing.goal_of("cup"))
+    weighing = FunctionAction[..., float, float, Any]("weigh", weigh)
+    trial = await run_executor(weighing, "cup")
     assert (trial.feedback, trial.outcome.result) == ([1.0], 1.0)
 
 
@@ -238,9 +326,76 @@ class Robot:
 
 async def test_methods_and_objects_that_can_be_called_are_functions_too() -> None:
     method = action("drive")(Robot().drive)
-    trial = await run_executor(method, method.executor, 3)
+    trial = await run_executor(method, 3)
     assert (trial.feedback, trial.outcome.result) == ([3], 3)
     assert (await outcome_of(action("drive")(Robot()), 3)).result == 4
+
+
+async def test_what_a_partial_function_has_been_given_is_no_field_of_the_goal() -> None:
+    async def drive(robot: Robot, meters: int, report: Report[int]) -> int:
+        return await robot.drive(meters, report)
+
+    robot = Robot()
+    by_name, by_place = action(partial(drive, robot=robot)), action("go")(partial(drive, robot))
+    assert by_name.name == "drive"
+    made: Any
+    for made in (by_name, by_place):
+        assert (await run_executor(made, meters=3)).outcome.result == 3
+
+
+async def test_the_types_of_a_function_may_be_those_of_the_block_around_it() -> None:
+    class Local(msgspec.Struct):
+        x: int
+
+    factor = 2
+
+    @action
+    async def scale(where: Local) -> int:
+        return where.x * factor
+
+    assert (await outcome_of(scale, Local(2))).result == 4
+
+
+class Rover:
+    """An object whose methods are actions."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+
+    @action
+    async def move(self, report: Report[float], x: float) -> float:
+        """Move along the x axis."""
+        await report(x)
+        return x / self.speed
+
+    @action("rover/grip")
+    def grip(self, force: float = 1.0) -> float:
+        return force * self.speed
+
+    @staticmethod
+    @action
+    async def halt() -> None: ...
+
+
+async def test_the_action_of_a_method_runs_with_the_object_that_it_is_an_attribute_of() -> None:
+    slow, fast = Rover(1), Rover(10)
+    assert Rover.move.info == slow.move.info
+    assert (Rover.move.name, Rover.move.__doc__) == ("move", "Move along the x axis.")
+    assert Rover.grip.parameters == {"force"}
+    for rover, took in ((slow, 5.0), (fast, 0.5)):
+        trial = await run_executor(rover.move, 5.0)
+        assert (trial.feedback, trial.outcome.result) == ([5.0], took)
+        assert await rover.move(5.0) == await Rover.move(rover, 5.0) == took
+    assert (await outcome_of(fast.grip)).result == 10.0
+    assert [one.name for one in actions_of(slow)] == ["move", "rover/grip", "halt"]
+
+
+def test_a_method_cannot_be_served_without_its_object() -> None:
+    told = (
+        r"^<Action 'move'> is a method, .*: serve the action of one, as in `serve\(Robot\(\).move"
+    )
+    with pytest.raises(TypeError, match=told):
+        ActionServer(Rover.move)
 
 
 async def test_a_result_of_another_type_is_told() -> None:
@@ -277,11 +432,12 @@ async def test_it_is_called_as_the_function_that_it_was() -> None:
     assert await drive(3, report=found.append) == "drove 3 m"
     assert found == [1, 2, 3]
     assert await drive(2) == "drove 2 m"
-    assert await drive(1, found.append) == "drove 1 m"
+    assert await drive(found.append, 1) == "drove 1 m"
     assert found[3:] == [1]
     assert await place("cup") == [1.0, 3]
-    with pytest.raises(TypeError, match="missing 1 required positional argument: 'meters'"):
-        await drive(report=print)
+    for options in ({"report": print}, {}):
+        with pytest.raises(TypeError, match="missing a required argument: 'meters'"):
+            await drive(**options)
     assert await pick("cup", 2.0) == [2.0, 3]
 
 
@@ -294,9 +450,9 @@ async def test_its_report_may_be_an_async_function_or_a_report() -> None:
 
     @action("twice")
     async def twice(meters: int, report: Report[int]) -> str:
-        return await drive(meters, report=report) + await drive(meters, report=note)
+        return await drive(report, meters) + await drive(meters, report=note)
 
-    trial = await run_executor(twice, twice.executor, 2)
+    trial = await run_executor(twice, 2)
     assert trial.feedback == found == [1, 2]
 
 
@@ -328,7 +484,7 @@ async def test_a_cancel_arrives_at_the_next_check() -> None:
         return "not canceled"
 
     async with ActionServer(wait) as server:
-        async with ActionClient(server, wait).send_goal(None) as goal:
+        async with ActionClient(server, wait).send_goal() as goal:
             await anyio.wait_all_tasks_blocked()
             assert (await goal.cancel()).accepted
             go.set()
@@ -348,7 +504,7 @@ async def test_a_server_that_stops_raises_in_its_threads(anyio_backend: Any) -> 
             raise
 
     async with ActionServer(spin, feedback="latest") as server:
-        async with ActionClient(server, spin).send_goal(None) as goal:
+        async with ActionClient(server, spin).send_goal() as goal:
             async for _ in goal.feedback:
                 break
             await server.stop()
@@ -374,7 +530,7 @@ async def test_a_thread_that_was_abandoned_is_canceled_at_each_report() -> None:
         gone.set()
 
     async with ActionServer(stuck, shutdown_timeout=0) as server:
-        async with ActionClient(server, stuck).send_goal(None) as goal:
+        async with ActionClient(server, stuck).send_goal() as goal:
             async for _ in goal.feedback:
                 break
             assert await anyio.to_thread.run_sync(reported.wait, 5)

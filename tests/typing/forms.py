@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import (
@@ -149,8 +149,7 @@ def measure(over: Meters | None) -> Annotated[float, Meta(ge=0)]:
     return 1.0
 
 
-assert_type(turn, FunctionAction[int, int | str, None, Coroutine[Any, Any, None]])
-assert_type(
-    choose, FunctionAction[Part, Meters, list[int] | None, Coroutine[Any, Any, list[int] | None]]
-)
-assert_type(measure, FunctionAction[Meters | None, None, float, float])
+functions: list[FunctionAction[..., Any, Any, Any]] = [turn, choose, measure]
+turning: Action[Any, int | str, None] = turn
+choosing: Action[Any, Meters, list[int] | None] = choose
+measuring: Action[Any, None, float] = measure

@@ -13,115 +13,136 @@ from fibaction import (
     Action,
     ActionClient,
     ActionServer,
+    Arguments,
     FunctionAction,
-    GoalFields,
     GoalHandle,
     Report,
     Return,
     action,
+    blocking,
     call,
     connect,
     serve,
 )
+from fibaction.testing import Trial, run_executor
 
 
 class Pose(msgspec.Struct):
     x: float
 
 
-@action("drive")
-async def drive(meters: int, report: Report[int]) -> str:
+@action
+async def drive(report: Report[int], meters: int, speed: float = 1.0) -> str:
     assert_type(report, Report[int])
     await report(meters)
     await report("one")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
     return "there"
 
 
-@action("look")
+@action("arm/look")
 async def look(what: str) -> Pose:
     return Pose(1)
 
 
-@action("home")
+@action
 async def home() -> None: ...
 
 
-@action("wave")
+@action(checkpoint=int)
 async def wave(report: Report[float]) -> bool:
     await report(1)
     return True
 
 
-@action("move")
+@action
 async def move(goal: GoalHandle[Pose], report: Report[Pose]) -> Pose:
     assert_type(goal.request, Pose)
     return goal.request
 
 
-@action("turn")
-async def turn(angle: float, goal: GoalHandle[float], report: Report[int]) -> str:
+@action
+async def turn(report: Report[int], goal: GoalHandle[None], angle: float) -> str:
     return str(goal.goal_id)
 
 
-@action("wait")
+@action
 async def wait(goal: GoalHandle[float]) -> None: ...
 
 
-@action("pick")
-async def pick(what: str, force: float, speed: float, report: Report[int]) -> list[float]:
+@action
+async def pick(what: str, force: float, report: Report[int]) -> list[float]:
     return []
 
 
-@action("place")
+@action
 async def place(what: str, force: float = 1.0) -> float:
     return force
 
 
-@action("press")
-def press(meters: int, report: Report[int]) -> str:
+@action
+async def go(report: Report[str], pose: Pose) -> None: ...
+
+
+@action
+def press(report: Report[int], meters: int) -> str:
     report(meters)
     return "there"
 
 
-@action("weigh")
-def weigh(what: str, goal: GoalHandle[str]) -> float:
+@action
+def weigh(goal: GoalHandle[None], what: str) -> float:
     goal.check()
     return 1.0
 
 
-@action("stop")
+@action
 def stop() -> None: ...
 
 
 class Robot:
-    @staticmethod
-    def unused() -> None: ...
+    @action
+    async def move(self, report: Report[float], x: float) -> str:
+        return "moved"
+
+    @action
+    async def grip(self, force: float = 1.0) -> bool:
+        return force > 0
+
+    @action("robot/halt")
+    def halt(self) -> int:
+        return 0
+
+    @action
+    async def drive_last(self, meters: int, report: Report[int]) -> str:
+        return "there"
 
     async def drive(self, meters: int, report: Report[int]) -> str:
         return "there"
 
 
-assert_type(drive, FunctionAction[int, int, str, Coroutine[Any, Any, str]])
-assert_type(look, FunctionAction[str, None, Pose, Coroutine[Any, Any, Pose]])
-assert_type(home, FunctionAction[None, None, None, Coroutine[Any, Any, None]])
-assert_type(wave, FunctionAction[None, float, bool, Coroutine[Any, Any, bool]])
-assert_type(move, FunctionAction[Pose, Pose, Pose, Coroutine[Any, Any, Pose]])
-assert_type(turn, FunctionAction[float, int, str, Coroutine[Any, Any, str]])
-assert_type(wait, FunctionAction[float, None, None, Coroutine[Any, Any, None]])
-assert_type(pick, FunctionAction[GoalFields, int, list[float], Coroutine[Any, Any, list[float]]])
-assert_type(place, FunctionAction[GoalFields, None, float, Coroutine[Any, Any, float]])
-assert_type(press, FunctionAction[int, int, str, str])
-assert_type(weigh, FunctionAction[str, None, float, float])
-assert_type(stop, FunctionAction[None, None, None, None])
+assert_type(look, FunctionAction[[str], None, Pose, Coroutine[Any, Any, Pose]])  # type: ignore[assert-type]  # pyright: ignore[reportAssertTypeFailure]  # the parameter has a name, too
+assert_type(home, FunctionAction[[], None, None, Coroutine[Any, Any, None]])
+assert_type(wave, FunctionAction[[], float, bool, Coroutine[Any, Any, bool]])
+assert_type(move, FunctionAction[[Pose], Pose, Pose, Coroutine[Any, Any, Pose]])
+assert_type(wait, FunctionAction[[float], None, None, Coroutine[Any, Any, None]])
+assert_type(pick, FunctionAction[[str, float], int, list[float], Coroutine[Any, Any, list[float]]])
+assert_type(stop, FunctionAction[[], None, None, None])
 of_a_method = action("drive")(Robot().drive)
-assert_type(of_a_method, FunctionAction[int, int, str, Coroutine[Any, Any, str]])
+an_action_too: Action[Any, int, str] = of_a_method
 
-assert_type(ActionServer(drive), ActionServer[int, int, str])
-assert_type(ActionServer(pick, max_goals=1), ActionServer[GoalFields, int, list[float]])
-assert_type(pick.goal_of("cup", force=1), GoalFields)
-an_action: Action[int, int, str] = drive
+assert_type(ActionServer(drive), ActionServer[Any, int, str])
+assert_type(ActionServer(pick, max_goals=1), ActionServer[Any, int, list[float]])
+assert_type(pick.goal_of("cup", 1.0), Arguments[[str, float]])
+an_action: Action[Any, int, str] = drive
+
+
+def may_go(pose: Pose) -> None: ...
+
+
+ActionServer(go, on_goal=may_go)
 
 COUNT = Action("count", goal=int, feedback=int, result=int)
+NOTHING = Action("nothing", goal=type(None), feedback=int, result=int)
 
 
 async def count(goal: GoalHandle[int]) -> AsyncIterator[int | Return[int]]:
@@ -132,16 +153,82 @@ async def count(goal: GoalHandle[int]) -> AsyncIterator[int | Return[int]]:
 assert_type(ActionServer(COUNT, count), ActionServer[int, int, int])
 
 
-async def main() -> None:
-    async with serve(drive, "inproc://a"), serve([drive, ActionServer(pick)], "inproc://b"):
-        async with connect("inproc://a", drive) as client:
-            assert_type(client, ActionClient[int, int, str])
-            assert_type(await client.call(3), str)
+async def calls() -> None:
+    assert_type(await call("inproc://a", drive, 3), str)
+    assert_type(await call("inproc://a", drive, meters=3, speed=0.5), str)
     assert_type(await call("inproc://a", drive, 3, on_feedback=print, timeout=1), str)
-    print(await call("inproc://a", drive, 3), await call("inproc://a", COUNT, 3))
+    assert_type(await call("inproc://a", drive, drive.goal_of(3, speed=2), timeout=1), str)
     assert_type(await call("inproc://a", home), None)
     assert_type(await call("inproc://a", wave, heartbeat=2.0), bool)
-    assert_type(await call("inproc://a", pick, pick.goal_of("cup")), list[float])
-    await call("inproc://a", drive, "three")  # type: ignore[misc]  # pyright: ignore[reportArgumentType, reportCallIssue]  # must be refused
+    assert_type(await call("inproc://a", turn, angle=1.5), str)
+    assert_type(await call("inproc://a", weigh, what="cup"), float)
+    assert_type(await call("inproc://a", pick, "cup", 1.0), list[float])
+    assert_type(await call("inproc://a", pick, pick.goal_of("cup", 1.0)), list[float])
+    assert_type(await call("inproc://a", go, Pose(1), timeout=3), None)
+    assert_type(await call("inproc://a", press, 3), str)
+    assert_type(await call("inproc://a", COUNT, 3, timeout=3), int)
+    assert_type(await call("inproc://a", NOTHING), int)
+    assert_type(await call("inproc://a", Robot.move, x=3.0), str)
+    assert_type(await call("inproc://a", Robot.grip), bool)
+    assert_type(await call("inproc://a", Robot.grip, force=2.0), bool)
+    assert_type(await call("inproc://a", Robot.halt, timeout=3), int)
+    assert_type(await call("inproc://a", Robot.drive_last, 3), str)
+    assert_type(await Robot().move(3.0), str)
     assert_type(await drive(3, report=print), str)
     assert_type(press(3), str)
+
+
+async def clients() -> None:
+    robot = Robot()
+    async with serve(drive, "inproc://a"), serve([drive, ActionServer(pick)], "inproc://b"):
+        async with connect("inproc://a", drive) as client:
+            assert_type(await client.call(3), str)
+            assert_type(await client.call(3, speed=0.5), str)
+            assert_type(await client.call(3, on_feedback=print), str)
+            async with client.send_goal(meters=3) as goal:
+                assert_type(await goal.result(), str)
+            async with client.send_goal(3, timeout=5) as goal:
+                assert_type(await goal.result(), str)
+    async with serve(robot, "inproc://a"), serve([robot.move, robot.grip], "inproc://b"):
+        async with connect("inproc://a", Robot.move) as mover:
+            assert_type(mover, ActionClient[Arguments[[float]], float, str])  # type: ignore[assert-type]  # pyright: ignore[reportAssertTypeFailure]  # the parameter has a name, too
+        async with connect("inproc://a", Robot.grip) as gripper:
+            assert_type(await gripper.call(), bool)
+            assert_type(await gripper.call(timeout=3), bool)
+    async with connect("inproc://a", NOTHING) as nothing, connect("inproc://a", COUNT) as counter:
+        assert_type(await nothing.call(), int)
+        assert_type(await nothing.call(timeout=3), int)
+        assert_type(await counter.call(3, on_feedback=print), int)
+
+
+def blocks() -> None:
+    with blocking.connect("tcp://127.0.0.1:7400", drive) as client:
+        assert_type(client.call(3, speed=0.5), str)
+        assert_type(client.call(3, on_feedback=print), str)
+        assert_type(client.send_goal(meters=3).result(), str)
+    assert_type(blocking.call("tcp://127.0.0.1:7400", drive, meters=3), str)
+    assert_type(blocking.call("tcp://127.0.0.1:7400", drive, 3, on_feedback=print), str)
+
+
+async def trials() -> None:
+    assert_type(await run_executor(drive, 3), Trial[int, str])
+    assert_type(await run_executor(drive, meters=3, speed=0.5), Trial[int, str])
+    assert_type(await run_executor(drive, 3, cancel_after=1), Trial[int, str])
+    assert_type(await run_executor(COUNT, count, 3), Trial[int, int])
+
+
+async def wrong() -> None:
+    """Refused, each line of it."""
+    drive.goal_of()  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
+    drive.goal_of("x", y=2)  # type: ignore[call-arg, arg-type]  # pyright: ignore[reportCallIssue]
+    pick.goal_of("cup")  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
+    Robot.move.goal_of()  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
+    Robot().move.goal_of("x")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
+    await call("inproc://a", drive)  # type: ignore[arg-type]  # pyright: ignore[reportCallIssue]
+    await call("inproc://a", drive, "three")  # type: ignore[misc]  # pyright: ignore[reportArgumentType, reportCallIssue]
+    await call("inproc://a", drive, 3, sped=2)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
+    await call("inproc://a", home, 3)  # type: ignore[arg-type]  # pyright: ignore[reportCallIssue]
+    async with connect("inproc://a", drive) as client:
+        await client.call()  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
+        await client.call("x")  # type: ignore[call-overload]  # pyright: ignore[reportArgumentType, reportCallIssue]
+        await client.call(3, on_feedback=lambda done: done.foo)  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]

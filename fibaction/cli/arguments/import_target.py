@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from fibaction.cli.arguments.action_names import nearest
 from fibaction.cli.process.exit_codes import Failure
-from fibaction.server import ActionServer, FunctionAction
+from fibaction.server import ActionServer, FunctionAction, actions_of
 
 AnyServer: TypeAlias = ActionServer[Any, Any, Any]
 
@@ -64,7 +64,7 @@ def import_servers(target: str) -> list[AnyServer]:
     value = _call(found, module, _attribute(found, module))
     several = issubclass(type(value), list | tuple)
     given: list[Any] = list(value) if several else [value]
-    servers = [_server_of(one) for one in given]
+    servers = [server for one in given for server in _servers_of_one(one)]
     wrong = [type(one).__name__ for one in servers if not isinstance(one, ActionServer)]
     if wrong or not servers:
         place = "in the list " if several else ""
@@ -135,9 +135,13 @@ def _call(target: Target, module: ModuleType, value: Any) -> Any:
         raise _broken(target, exc) from exc
 
 
-def _server_of(value: Any) -> Any:
-    """Return the server of a function that is an action; anything else as it is."""
-    return ActionServer(value) if issubclass(type(value), FunctionAction) else value
+def _servers_of_one(value: Any) -> list[Any]:
+    """Return the server of a function that is an action, or those of an object whose methods are;
+    anything else as it is.
+    """
+    if issubclass(type(value), FunctionAction):
+        return [ActionServer(value)]
+    return [ActionServer(method) for method in actions_of(value)] or [value]
 
 
 def _servers_of(module: Any) -> list[str]:

@@ -2,154 +2,196 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Coroutine
-from typing import Any, TypeAlias, TypeVar, TypeVarTuple, overload
+from typing import Any, Concatenate, TypeAlias, TypeVar, overload
 
 from fibaction.server.functions.function_action import FunctionAction
 from fibaction.server.functions.report import Report
-from fibaction.server.functions.signature import GoalFields
 from fibaction.server.goal_handle import GoalHandle
-from fibaction.types.action import FeedbackT, GoalT, ResultT
+from fibaction.types.action import FeedbackT, ResultT
+from fibaction.types.arguments import P
 
 OneT = TypeVar("OneT")
 OtherT = TypeVar("OtherT")
-MoreTs = TypeVarTuple("MoreTs")
+ThirdT = TypeVar("ThirdT")
 
 Async: TypeAlias = Coroutine[Any, Any, ResultT]
 """The value of a call of an async function."""
+HandledT = TypeVar("HandledT")
 
 
 class ActionDecorator:
-    """Makes an action of a function; `action` returns it."""
+    """Makes an action of a function: see `action`."""
 
-    def __init__(self, name: str, checkpoint: type[Any] | None, type_name: str) -> None:
+    def __init__(
+        self, name: str = "", checkpoint: type[Any] | None = None, type_name: str = ""
+    ) -> None:
         self._name = name
         self._checkpoint = checkpoint
         self._type_name = type_name
 
     # For type checkers. An order from the special to the general: a parameter of any type may be a
     # report or a handle, and what an async function returns may be the result of another one. That
-    # is the overlap which mypy would report; the first that fits is the right one.
+    # is the overlap which mypy would report; the first that fits is the right one. Python's types
+    # can leave out only the first parameters of a function, so the others keep their names behind
+    # a report that is the first, or the second one of a method; with a report at the end, they are
+    # known by their places.
 
     @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[GoalHandle[GoalT], Report[FeedbackT]], Async[ResultT]]
-    ) -> FunctionAction[GoalT, FeedbackT, ResultT, Async[ResultT]]: ...
-    @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[GoalT, GoalHandle[Any], Report[FeedbackT]], Async[ResultT]]
-    ) -> FunctionAction[GoalT, FeedbackT, ResultT, Async[ResultT]]: ...
+    def __call__(
+        self, function: str = "", *, checkpoint: type[Any] | None = None, type_name: str = ""
+    ) -> ActionDecorator: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[OneT, OtherT, *MoreTs, Report[FeedbackT]], Async[ResultT]]
-    ) -> FunctionAction[GoalFields, FeedbackT, ResultT, Async[ResultT]]: ...
+        self, function: Callable[[GoalHandle[OneT], Report[FeedbackT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[GoalHandle[OneT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT], None, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[GoalT, Report[FeedbackT]], Async[ResultT]]
-    ) -> FunctionAction[GoalT, FeedbackT, ResultT, Async[ResultT]]: ...
+        self,
+        function: Callable[Concatenate[Report[FeedbackT], GoalHandle[HandledT], P], Async[ResultT]],
+    ) -> FunctionAction[P, FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[Report[FeedbackT]], Async[ResultT]]
-    ) -> FunctionAction[None, FeedbackT, ResultT, Async[ResultT]]: ...
-    @overload
-    def __call__(
-        self, function: Callable[[GoalHandle[GoalT]], Async[ResultT]]
-    ) -> FunctionAction[GoalT, None, ResultT, Async[ResultT]]: ...
+        self, function: Callable[Concatenate[Report[FeedbackT], P], Async[ResultT]]
+    ) -> FunctionAction[P, FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[GoalT, GoalHandle[Any]], Async[ResultT]]
-    ) -> FunctionAction[GoalT, None, ResultT, Async[ResultT]]: ...
-    @overload
-    def __call__(
-        self, function: Callable[[OneT, OtherT, *MoreTs], Async[ResultT]]
-    ) -> FunctionAction[GoalFields, None, ResultT, Async[ResultT]]: ...
+        self, function: Callable[Concatenate[GoalHandle[HandledT], P], Async[ResultT]]
+    ) -> FunctionAction[P, None, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[GoalT], Async[ResultT]]
-    ) -> FunctionAction[GoalT, None, ResultT, Async[ResultT]]: ...
-    @overload
-    def __call__(
-        self, function: Callable[[], Async[ResultT]]
-    ) -> FunctionAction[None, None, ResultT, Async[ResultT]]: ...
-    @overload
-    def __call__(
-        self, function: Callable[[GoalHandle[GoalT], Report[FeedbackT]], ResultT]
-    ) -> FunctionAction[GoalT, FeedbackT, ResultT, ResultT]: ...
-    @overload
-    def __call__(
-        self, function: Callable[[GoalT, GoalHandle[Any], Report[FeedbackT]], ResultT]
-    ) -> FunctionAction[GoalT, FeedbackT, ResultT, ResultT]: ...
+        self,
+        function: Callable[
+            Concatenate[OneT, Report[FeedbackT], GoalHandle[HandledT], P], Async[ResultT]
+        ],
+    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[OneT, OtherT, *MoreTs, Report[FeedbackT]], ResultT]
-    ) -> FunctionAction[GoalFields, FeedbackT, ResultT, ResultT]: ...
+        self, function: Callable[Concatenate[OneT, Report[FeedbackT], P], Async[ResultT]]
+    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[OneT, GoalHandle[HandledT], Report[FeedbackT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[OneT, GoalHandle[HandledT], P], Async[ResultT]]
+    ) -> FunctionAction[Concatenate[OneT, P], None, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[OneT, OtherT, Report[FeedbackT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT, OtherT], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[OneT, OtherT, ThirdT, Report[FeedbackT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT, OtherT, ThirdT], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[P, Async[ResultT]]
+    ) -> FunctionAction[P, None, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(
-        self, function: Callable[[GoalT, Report[FeedbackT]], ResultT]
-    ) -> FunctionAction[GoalT, FeedbackT, ResultT, ResultT]: ...
+        self, function: Callable[[GoalHandle[OneT], Report[FeedbackT]], ResultT]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(
-        self, function: Callable[[Report[FeedbackT]], ResultT]
-    ) -> FunctionAction[None, FeedbackT, ResultT, ResultT]: ...
+        self, function: Callable[[GoalHandle[OneT]], ResultT]
+    ) -> FunctionAction[[OneT], None, ResultT, ResultT]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[Report[FeedbackT], GoalHandle[HandledT], P], ResultT]
+    ) -> FunctionAction[P, FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[Report[FeedbackT], P], ResultT]
+    ) -> FunctionAction[P, FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[GoalHandle[HandledT], P], ResultT]
+    ) -> FunctionAction[P, None, ResultT, ResultT]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self,
+        function: Callable[Concatenate[OneT, Report[FeedbackT], GoalHandle[HandledT], P], ResultT],
+    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[OneT, Report[FeedbackT], P], ResultT]
+    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(
-        self, function: Callable[[GoalHandle[GoalT]], ResultT]
-    ) -> FunctionAction[GoalT, None, ResultT, ResultT]: ...
+        self, function: Callable[[OneT, GoalHandle[HandledT], Report[FeedbackT]], ResultT]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[OneT, GoalHandle[HandledT], P], ResultT]
+    ) -> FunctionAction[Concatenate[OneT, P], None, ResultT, ResultT]: ...
     @overload
     def __call__(
-        self, function: Callable[[GoalT, GoalHandle[Any]], ResultT]
-    ) -> FunctionAction[GoalT, None, ResultT, ResultT]: ...
+        self, function: Callable[[OneT, OtherT, Report[FeedbackT]], ResultT]
+    ) -> FunctionAction[[OneT, OtherT], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(
-        self, function: Callable[[OneT, OtherT, *MoreTs], ResultT]
-    ) -> FunctionAction[GoalFields, None, ResultT, ResultT]: ...
+        self, function: Callable[[OneT, OtherT, ThirdT, Report[FeedbackT]], ResultT]
+    ) -> FunctionAction[[OneT, OtherT, ThirdT], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(
-        self, function: Callable[[GoalT], ResultT]
-    ) -> FunctionAction[GoalT, None, ResultT, ResultT]: ...
-    @overload
+        self, function: Callable[P, ResultT]
+    ) -> FunctionAction[P, None, ResultT, ResultT]: ...
     def __call__(
-        self, function: Callable[[], ResultT]
-    ) -> FunctionAction[None, None, ResultT, ResultT]: ...
-    def __call__(self, function: Callable[..., Any]) -> FunctionAction[Any, Any, Any, Any]:
-        """Make an action of the function.
+        self,
+        function: Callable[..., Any] | str = "",
+        *,
+        checkpoint: type[Any] | None = None,
+        type_name: str = "",
+    ) -> FunctionAction[Any, Any, Any, Any] | ActionDecorator:
+        """Make an action of the function, or a decorator with a name and settings that does.
 
         Raises:
             TypeError: Its signature is not that of an executor, or a type cannot be encoded; the
                 text is one sentence.
+            ValueError: The name or the type name breaks the rule for names.
         """
+        if isinstance(function, str):
+            return ActionDecorator(function, checkpoint, type_name)
         return FunctionAction(
-            self._name, function, checkpoint=self._checkpoint, type_name=self._type_name
+            self._name,
+            function,
+            checkpoint=self._checkpoint,
+            type_name=self._type_name,
+            # Types may be names of the block that the function is defined in.
+            names=sys._getframe(1).f_locals,  # pyright: ignore[reportPrivateUsage]  # as for namedtuple
         )
 
 
-def action(
-    name: str, *, checkpoint: type[Any] | None = None, type_name: str = ""
-) -> ActionDecorator:
-    """Make an action of a function, which becomes its executor.
+action = ActionDecorator()
+"""Make an action of a function, which becomes its executor.
 
-        @action("drive")
-        async def drive(report: Report[int], meters: int) -> str:
-            for done in range(meters):
-                await report(done)
-            return f"drove {meters} m"
+    @action
+    async def drive(report: Report[int], meters: int, speed: float = 1.0) -> str:
+        for done in range(meters):
+            await report(done)
+        return f"drove {meters} m"
 
-    The types of the action are those of the signature:
+The types of the action are those of the signature, and its description is the docstring:
 
-    - The goal is the one parameter of any other type than the following; several are its fields.
-      Without one there is no goal: clients send None.
-    - The feedback is that of a last parameter of type `Report`; None if there is none.
-    - The result is what the function returns.
-    - A parameter of type `GoalHandle`, before the report, gets the handle of the goal. If it is the
-      only other one, the goal is its `request`.
+- Each parameter is a field of the goal, with its name, its default, and the text of
+  `Annotated[int, "the way in meters"]`. A new parameter with a default keeps older clients working.
+  A single parameter that has fields itself, such as a struct, a dataclass or a model, is the goal.
+- The feedback is that of the parameter of type `Report`, the first one; None if there is none.
+- The result is what the function returns.
+- A parameter of type `GoalHandle` gets the handle of the goal. If there is no other one, the goal
+  is its `request`.
 
-    A plain `def` runs in a thread; there, `report` and `GoalHandle.check` raise `GoalCanceled` if
-    the goal is to stop. `name`, `checkpoint` and `type_name` are those of `Action`.
+Clients give the arguments: `await call(url, drive, 3)` or `call(url, drive, meters=3)`. A method is
+an action of each object of its class: see `FunctionAction`.
 
-    Raises:
-        TypeError: The name is missing.
-        ValueError: The name or the type name breaks the rule for names.
-    """
-    if callable(name):
-        raise TypeError('@action takes the name of the action: write `@action("drive")`')
-    return ActionDecorator(name, checkpoint, type_name)
+A plain `def` runs in a thread; there, `report` and `GoalHandle.check` raise `GoalCanceled` if the
+goal is to stop. The action has the name of the function, or another one, with the settings of
+`Action`: `@action("arm/drive", checkpoint=int, type_name="my_robot/action/Drive")`.
+"""

@@ -23,6 +23,11 @@ def executor_of(
         TypeError: It is not made of one.
     """
     if isinstance(action, FunctionAction):
+        if not action.is_bound:
+            raise TypeError(
+                f"{action!r} is a method, and runs with an object of its class: serve the action of"
+                f" one, as in `serve(Robot().{action.name}, url)`"
+            )
         return action.executor
     raise TypeError(
         f"{action!r} has no executor: write ActionServer(action, executor), or make an action of a"

@@ -3,34 +3,51 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections import OrderedDict
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from copy import copy
 from functools import partial, update_wrapper
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast, overload
 
 from anyio import CapacityLimiter, to_thread
 from anyio.lowlevel import RunVar
 
 from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.functions.report import DONE, Report
-from fibaction.server.functions.signature import FunctionSignature
+from fibaction.server.functions.signature import FunctionSignature, innermost
 from fibaction.server.goal_handle import GoalHandle
-from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.action import Action, Codec, FeedbackT, ResultT
+from fibaction.types.arguments import Arguments, P
 from fibaction.words.returned import Return
 
 CallT = TypeVar("CallT", covariant=True)
+ObjectT = TypeVar("ObjectT")
+Q = ParamSpec("Q")
 
 MOST_THREADS = 64
 """Goals of one function that run in threads at once, in one event loop; more wait."""
 
 
-class FunctionAction(Action[GoalT, FeedbackT, ResultT], Generic[GoalT, FeedbackT, ResultT, CallT]):
+class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, ResultT, CallT]):
     """An action that `action` has made of a function, which is its executor.
 
     `connect` and `call` take it as any action, and `serve` takes it without an `ActionServer`. For
     a server with settings, write `ActionServer(drive, schedule=...)`.
 
-    It can be called as the function that it was, for example by tests: `await drive(3)`.
+    It can be called as the function that it was, for example by tests: `await drive(meters=3)`.
+
+    That of a method is, as an attribute of the class, the definition for clients, and as an
+    attribute of an object the action that is served with this object:
+
+        class Robot:
+            @action
+            async def move(self, report: Report[float], meters: float) -> str: ...
+
+        async with serve(Robot().move, url):
+            await call(url, Robot.move, 3.0)
     """
+
+    goal: Codec[Arguments[P]]
 
     def __init__(
         self,
@@ -39,55 +56,114 @@ class FunctionAction(Action[GoalT, FeedbackT, ResultT], Generic[GoalT, FeedbackT
         *,
         checkpoint: type[Any] | None = None,
         type_name: str = "",
+        names: Mapping[str, Any] | None = None,
     ) -> None:
-        """Make an action of a function; see `action`.
+        """Make an action of a function; see `action`. It has the name of the function if `name` is
+        empty. `names` are those of the block that the function is defined in, for its types.
 
         Raises:
             TypeError: The signature is not that of an executor, or a type cannot be encoded.
             ValueError: The name or the type name breaks the rule for names.
         """
-        self._signature = signature = FunctionSignature(function)
+        self._signature = signature = FunctionSignature(function, names)
         super().__init__(
-            name,
-            goal=signature.goal,
+            name or signature.name,
+            goal=signature.goal.type,
             feedback=signature.feedback,
             result=signature.result,
             checkpoint=checkpoint,
             type_name=type_name,
         )
+        self.parameters = (
+            frozenset() if signature.goal.is_whole else frozenset(signature.goal.names)
+        )
+        self.description = inspect.getdoc(innermost(function)) or ""
         self._function = function
         self._call_text = f"{getattr(function, '__name__', name)}()"
         self._is_async = inspect.iscoroutinefunction(function) or inspect.iscoroutinefunction(
             type(function).__call__
         )
-        self._threads: RunVar[CapacityLimiter] = RunVar(f"threads of {name}")
+        self._threads: RunVar[CapacityLimiter] = RunVar(f"threads of {self.name}")
+        self.is_bound = not signature.is_method
+        """False for a method whose object is not known; then it cannot be served."""
         update_wrapper(self, function)
 
+    # For type checkers. The last one is for those that cannot follow the first two.
+
+    @overload
+    def __get__(
+        self: FunctionAction[Concatenate[ObjectT, Q], FeedbackT, ResultT, CallT],
+        instance: None,
+        owner: type[ObjectT],
+    ) -> FunctionAction[Q, FeedbackT, ResultT, CallT]: ...
+    @overload
+    def __get__(
+        self: FunctionAction[Concatenate[ObjectT, Q], FeedbackT, ResultT, CallT],
+        instance: ObjectT,
+        owner: type[ObjectT],
+    ) -> FunctionAction[Q, FeedbackT, ResultT, CallT]: ...
+    @overload
+    def __get__(
+        self, instance: object, owner: Any
+    ) -> FunctionAction[..., FeedbackT, ResultT, CallT]: ...
+    def __get__(self, instance: object, owner: Any) -> FunctionAction[Any, Any, Any, Any]:
+        """Return the action of a method of this object; without one, the action itself."""
+        if instance is None or self.is_bound:
+            return self
+        bound = copy(self)
+        bound._function = self._function.__get__(instance, owner)
+        bound.is_bound = True
+        return bound
+
     def __call__(self, *args: Any, **kwargs: Any) -> CallT:
-        """Call the function itself. A `report` that is not given discards the feedback, and one
-        that is not a `Report`, such as `print`, is called with it.
+        """Call the function itself, with or without its report, wherever that stands.
+
+        A `report` that is not given discards the feedback, and one that is not a `Report`, such as
+        `print`, is called with it.
         """
         name = self._signature.report
         if not name:
             return self._function(*args, **kwargs)
-        bound = inspect.signature(self._function).bind_partial(*args, **kwargs)
-        bound.arguments[name] = _as_report(bound.arguments.get(name))
+        called = inspect.signature(self._function)
+        others = [one for one in called.parameters.values() if one.name != name]
+        given = kwargs.pop(name, None)
+        try:
+            if any(isinstance(one, Report) for one in args):
+                raise TypeError("the report is given by its place")
+            found = called.replace(parameters=others).bind(*args, **kwargs).arguments
+        except TypeError as exc:
+            try:
+                found = called.bind(*args, **kwargs).arguments
+            except TypeError:
+                raise exc from None
+            given = found.pop(name)
+        bound = inspect.BoundArguments(called, OrderedDict(found, **{name: _as_report(given)}))
         return self._function(*bound.args, **bound.kwargs)
 
-    def goal_of(self, *args: Any, **kwargs: Any) -> GoalT:
+    def goal_of(self, *args: P.args, **kwargs: P.kwargs) -> Arguments[P]:
         """Return the goal with which a server calls the function with these arguments.
 
-        Clients need it for a function of several parameters, which are the fields of its goal:
+        It serves where options stand beside several arguments:
 
-            await call(url, drive, drive.goal_of(3, speed=0.5))
+            await call(url, drive, drive.goal_of(3, speed=0.5), on_feedback=print)
 
         Raises:
             TypeError: The arguments do not fit the parameters of the function.
         """
-        return cast("GoalT", self._signature.goal_of(*args, **kwargs))
+        return cast("Arguments[P]", self._signature.goal.goal_of(args, kwargs))
+
+    def goal_from(self, args: tuple[Any, ...], fields: Mapping[str, Any]) -> Arguments[P]:
+        """Return the goal that a caller gives: the function's arguments, or what `goal_of` made.
+
+        Raises:
+            TypeError: The arguments do not fit the parameters of the function.
+        """
+        if len(args) == 1 and not fields and self.goal.accepts(args[0]):
+            return args[0]
+        return cast("Arguments[P]", self._signature.goal.goal_of(args, fields))
 
     async def executor(
-        self, goal: GoalHandle[GoalT]
+        self, goal: GoalHandle[Any]
     ) -> AsyncGenerator[FeedbackT | ResultT | Return[ResultT], None]:
         """Run the function for one goal: the executor of this action.
 
@@ -96,11 +172,11 @@ class FunctionAction(Action[GoalT, FeedbackT, ResultT], Generic[GoalT, FeedbackT
         assert goal.running is not None
         yield Return(await self._returned(goal.running, goal))
 
-    async def run(self, running: RunningGoal, goal: GoalHandle[GoalT]) -> None:
+    async def run(self, running: RunningGoal, goal: GoalHandle[Any]) -> None:
         """Run the function for one goal, in a server: the `Runner` of this function."""
         running.keep_result(await self._returned(running, goal), self._call_text)
 
-    async def _returned(self, running: RunningGoal, goal: GoalHandle[GoalT]) -> ResultT:
+    async def _returned(self, running: RunningGoal, goal: GoalHandle[Any]) -> ResultT:
         report: Report[FeedbackT] = Report(running)
         try:
             args, kwargs = self._signature.arguments(goal.request, goal, report)
@@ -118,6 +194,17 @@ class FunctionAction(Action[GoalT, FeedbackT, ResultT], Generic[GoalT, FeedbackT
             limiter = CapacityLimiter(MOST_THREADS)
             self._threads.set(limiter)
             return limiter
+
+
+def actions_of(instance: object) -> list[FunctionAction[..., Any, Any, Any]]:
+    """Return the actions that are methods of an object, in the order of their definition."""
+    cls = type(instance)
+    names = dict.fromkeys(name for one in reversed(cls.__mro__) for name in vars(one))
+    return [
+        getattr(instance, name)
+        for name in names
+        if issubclass(type(getattr(cls, name, None)), FunctionAction)
+    ]
 
 
 def _as_report(given: Any) -> Any:

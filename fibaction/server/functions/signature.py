@@ -3,49 +3,49 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
+from functools import partial
 from inspect import Parameter
-from typing import Any, NoReturn, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, cast, get_args, get_origin, get_type_hints
 
-import msgspec
-
+from fibaction.server.functions.goal_parameters import GoalParameters
 from fibaction.server.functions.report import Report
 from fibaction.server.goal_handle import GoalHandle
 
 NO_FIELDS = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
 
 
-class GoalFields(msgspec.Struct, kw_only=True):
-    """The goal of a function of several parameters, each of which is a field.
-
-    `FunctionAction.goal_of` makes one.
-    """
-
-
 class FunctionSignature:
     """The parameters of a function, and the types of the goal, the feedback and the result."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Read the signature.
+    def __init__(
+        self, function: Callable[..., Any], names: Mapping[str, Any] | None = None
+    ) -> None:
+        """Read the signature; `names` are those of the block that the function is defined in.
 
         Raises:
             TypeError: It is not that of an executor; the text is one sentence.
         """
-        self._name: str = getattr(function, "__name__", type(function).__name__)
+        self.name = name_of(function)
+        """The name of the function."""
         self._check_kind(function)
-        parameters = inspect.signature(function).parameters
-        hints = self._hints_of(function)
-        self.report = ""
-        """The name of the parameter that is the report; empty if there is none."""
-        self._handle = ""
-        self.feedback: Any = type(None)
-        """The type of the feedback; that of None without a `Report`."""
+        parameters = _parameters_of(function)
+        self.is_method = _is_method(function, parameters)
+        """True if the first parameter is the object that the function is a method of."""
+        if self.is_method:
+            del parameters[next(iter(parameters))]
+        hints = self._hints_of(function, names)
         if "return" not in hints:
             self._fail("has no type for what it returns: write `-> str`, or `-> None`")
         self.result: Any = hints["return"]
         """The type of the result."""
-        self._fields: dict[str, Parameter] = {}
+        self.report = ""
+        """The name of the parameter that is the report; empty if there is none."""
+        self.feedback: Any = type(None)
+        """The type of the feedback; that of None without a `Report`."""
+        self._handle = ""
         request: Any = None
+        fields: list[Parameter] = []
         for name, parameter in parameters.items():
             hint = self._hint_of(name, parameter, hints)
             origin = get_origin(hint) or hint
@@ -59,42 +59,30 @@ class FunctionSignature:
                 self._take_once(name, self._handle, "a GoalHandle")
                 self._handle, request = name, (get_args(hint) or (None,))[0]
             else:
-                self._fields[name] = parameter.replace(annotation=hint)
-        self.goal: Any = self._goal_of(request)
-        """The type of the goal."""
+                self._check_is_field(name, hint)
+                fields.append(parameter.replace(annotation=hint))
+        self.goal = self._goal_of(fields, request)
+        """The parameters that are the goal."""
+        self._takes_goal = bool(fields)
         self._positional = [
             name for name, one in parameters.items() if one.kind is Parameter.POSITIONAL_ONLY
         ]
-        self._bound = inspect.Signature(list(self._fields.values()))
 
     def arguments(
         self, request: Any, handle: GoalHandle[Any], report: Report[Any]
     ) -> tuple[list[Any], dict[str, Any]]:
         """Return the arguments with which the function is called for a goal."""
-        names = self._fields
-        if len(names) == 1:
-            given = dict.fromkeys(names, request)
-        else:
-            given = {name: getattr(request, name) for name in names}
+        given = self.goal.arguments(request) if self._takes_goal else {}
         if self.report:
             given[self.report] = report
         if self._handle:
             given[self._handle] = handle
         return [given.pop(name) for name in self._positional], given
 
-    def goal_of(self, *args: Any, **kwargs: Any) -> Any:
-        """Return the goal that calls the function with these arguments.
-
-        Raises:
-            TypeError: They do not fit the parameters.
-        """
-        bound = self._bound.bind(*args, **kwargs)
-        if len(self._fields) > 1:
-            return self.goal(**bound.arguments)
-        bound.apply_defaults()
-        return next(iter(bound.arguments.values()), None)
-
     def _check_kind(self, function: Callable[..., Any]) -> None:
+        if isinstance(function, staticmethod | classmethod):
+            kind = type(cast("object", function)).__name__
+            self._fail(f"is a {kind}: write @action below @{kind}, next to the function")
         called: Any = getattr(function, "__call__", None)  # noqa: B004  # of an object with the method
         for one in (function, called):
             if inspect.isasyncgenfunction(one) or inspect.isgeneratorfunction(one):
@@ -103,12 +91,16 @@ class FunctionSignature:
                     " give a generator to ActionServer(action, executor)"
                 )
 
-    def _hints_of(self, function: Callable[..., Any]) -> dict[str, Any]:
-        read: Any = function if hasattr(function, "__annotations__") else type(function).__call__
+    def _hints_of(
+        self, function: Callable[..., Any], names: Mapping[str, Any] | None
+    ) -> dict[str, Any]:
+        read: Any = innermost(function)
+        if not hasattr(read, "__annotations__"):
+            read = type(read).__call__
         try:
-            return get_type_hints(read, include_extras=True)
+            return get_type_hints(read, localns=dict(names or {}), include_extras=True)
         except NameError as exc:
-            self._fail(f"has a type that its module does not define: {exc}", exc)
+            self._fail(f"has a type that is not defined here: {exc}", exc)
 
     def _hint_of(self, name: str, parameter: Parameter, hints: dict[str, Any]) -> Any:
         if parameter.kind in NO_FIELDS:
@@ -119,31 +111,67 @@ class FunctionSignature:
             self._fail("has no type for `report`: write `report: Report[int]`")
         self._fail(f"has no type for its parameter {name!r}: write `{name}: int`")
 
+    def _check_is_field(self, name: str, hint: Any) -> None:
+        if any((get_origin(part) or part) is Report for part in get_args(hint)):
+            self._fail(f"may be called without {name!r}: a server always gives it a `Report[int]`")
+        if (get_origin(hint) or hint) is Callable:
+            self._fail(
+                f"takes a function as {name!r}, and a goal is data: write `{name}: Report[int]` for"
+                f" what sends feedback"
+            )
+
     def _take_once(self, name: str, before: str, what: str) -> None:
         if before:
             self._fail(f"has {what} twice, {before!r} and {name!r}")
 
-    def _goal_of(self, request: Any) -> Any:
-        if not self._fields:
-            if self._handle and request is None:
+    def _goal_of(self, fields: list[Parameter], request: Any) -> GoalParameters:
+        is_whole = not fields and bool(self._handle)
+        if is_whole:
+            if request is None:
                 self._fail(f"has no type for its goal: write `{self._handle}: GoalHandle[int]`")
-            return type(None) if request is None else request
-        if len(self._fields) == 1:
-            return next(iter(self._fields.values())).annotation
-        name = "".join(part.title() for part in self._name.split("_")) + "Goal"
+            default = None if request is type(None) else Parameter.empty
+            fields = [
+                Parameter("goal", Parameter.POSITIONAL_ONLY, annotation=request, default=default)
+            ]
         try:
-            return msgspec.defstruct(
-                name, list(self._struct_fields()), bases=(GoalFields,), kw_only=True
-            )
+            return GoalParameters(self.name, fields, is_whole=is_whole)
         except TypeError as exc:
             self._fail(f"cannot have its parameters as fields of a goal: {exc}", exc)
 
-    def _struct_fields(self) -> Iterator[tuple[str, Any] | tuple[str, Any, Any]]:
-        for name, field in self._fields.items():
-            if field.default is Parameter.empty:
-                yield name, field.annotation
-            else:
-                yield name, field.annotation, field.default
-
     def _fail(self, what: str, cause: Exception | None = None) -> NoReturn:
-        raise TypeError(f"{self._name}() {what}") from cause
+        raise TypeError(f"{self.name}() {what}") from cause
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """Return the name of a function, or of the class of an object that can be called."""
+    read = innermost(function)
+    name: str = getattr(read, "__name__", type(read).__name__)
+    return name
+
+
+def innermost(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function that a `functools.partial` is made of; any other as it is."""
+    while isinstance(function, partial):
+        function = function.func
+    return function
+
+
+def _parameters_of(function: Callable[..., Any]) -> dict[str, Parameter]:
+    """Return the parameters that a caller of a function gives."""
+    parameters = dict(inspect.signature(function).parameters)
+    while isinstance(function, partial):
+        for name in function.keywords:  # these are given already, and could be given again
+            parameters.pop(name, None)
+        function = function.func
+    return parameters
+
+
+def _is_method(function: Callable[..., Any], parameters: Mapping[str, Parameter]) -> bool:
+    """Return whether a function is one of the methods of a class that is being defined."""
+    if not inspect.isfunction(function) or not parameters:
+        return False
+    place = function.__qualname__.rpartition(".")[0]
+    if not place or place.endswith("<locals>"):
+        return False
+    first = next(iter(parameters.values()))
+    return first.name == "self" or first.annotation is Parameter.empty

@@ -1,0 +1,127 @@
+"""`GoalParameters`: the goal of a function, made of its parameters."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, make_dataclass
+from inspect import Parameter, Signature
+from typing import Annotated, Any, cast, get_args, get_origin
+
+import msgspec
+
+from fibaction.types.action import Codec
+from fibaction.types.encodings import has_pydantic
+
+
+class GoalParameters:
+    """The parameters of a function that are the goal: each a field of it, or one that is all of it.
+
+    A single parameter whose type has fields itself, such as a struct, a dataclass or a model, is
+    the goal itself.
+    """
+
+    def __init__(self, function: str, parameters: Sequence[Parameter], *, is_whole: bool) -> None:
+        """Make the goal's type; `is_whole` says that the one parameter is the goal in any case.
+
+        Raises:
+            TypeError: The parameters cannot be fields of a goal.
+        """
+        self._function = function
+        self._signature = Signature(parameters)
+        self.is_whole = is_whole or (len(parameters) == 1 and _has_fields(parameters[0].annotation))
+        """True if the one parameter is the goal itself."""
+        self._can_be_called = not self.is_whole and all(
+            one.kind is Parameter.POSITIONAL_OR_KEYWORD for one in parameters
+        )
+        self.names = [one.name for one in parameters]
+        """The names of the parameters."""
+        self.type: Any = parameters[0].annotation if self.is_whole else self._made(parameters)
+        """The type of the goal."""
+
+    def goal_of(self, args: tuple[Any, ...], fields: Mapping[str, Any]) -> Any:
+        """Return the goal that calls the function with these arguments.
+
+        Raises:
+            TypeError: They do not fit the parameters.
+        """
+        if self._can_be_called:  # which is fast; the signature tells what is wrong
+            try:
+                return self.type(*args, **fields)
+            except TypeError:
+                pass
+        try:
+            bound = self._signature.bind(*args, **fields)
+        except TypeError as exc:
+            raise TypeError(f"{self._function}{self._signature}: {exc}") from None
+        if not self.is_whole:
+            return self.type(**bound.arguments)
+        bound.apply_defaults()
+        return bound.arguments[self.names[0]]
+
+    def arguments(self, goal: Any) -> dict[str, Any]:
+        """Return the arguments with which a goal calls the function."""
+        if self.is_whole:
+            return {self.names[0]: goal}
+        return {name: getattr(goal, name) for name in self.names}
+
+    def _made(self, parameters: Sequence[Parameter]) -> Any:
+        name = "".join(part.title() for part in self._function.split("_")) + "Goal"
+        if "pydantic" in sys.modules and any(has_pydantic(one.annotation) for one in parameters):
+            return make_dataclass(name, _dataclass_fields(parameters), kw_only=True)
+        is_ordered = all(one.kind is not Parameter.KEYWORD_ONLY for one in parameters)
+        fields = list(_struct_fields(parameters))
+        return msgspec.defstruct(name, fields, kw_only=not is_ordered)
+
+
+def _has_fields(kind: Any) -> bool:
+    """Return whether each value of a type is a map of fields with names."""
+    try:
+        schema = Codec(kind).schema()
+    except TypeError:
+        return False  # the check of the whole goal tells what is wrong
+    definitions: dict[str, dict[str, Any]] = schema.get("$defs", {})
+
+    def has_fields(part: dict[str, Any]) -> bool:
+        if "$ref" in part:
+            part = definitions[part["$ref"].rpartition("/")[2]]
+        several: list[dict[str, Any]] = part.get("anyOf") or part.get("oneOf") or []
+        return "properties" in part or (bool(several) and all(map(has_fields, several)))
+
+    return has_fields(schema)
+
+
+def _struct_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
+    for one in parameters:
+        kind = _described(one.annotation, msgspec.Meta)
+        if one.default is Parameter.empty:
+            yield one.name, kind
+        else:
+            yield one.name, kind, one.default
+
+
+def _dataclass_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
+    from pydantic import Field
+
+    for one in parameters:
+        kind = _described(one.annotation, Field)
+        if one.default is Parameter.empty:
+            yield one.name, kind
+        else:
+            yield one.name, kind, field(default=one.default)
+
+
+def _described(annotation: Any, mark_of: Any) -> Any:
+    """Return a type whose descriptions, texts in `Annotated`, are marks that its encoding reads.
+
+    PEP 727 has such a text in an object.
+    """
+    if get_origin(annotation) is not Annotated:
+        return annotation
+    kind, *marks = get_args(annotation)
+    texts = [getattr(mark, "documentation", mark) for mark in marks]
+    made = [
+        mark_of(description=text) if isinstance(text, str) else mark
+        for mark, text in zip(marks, texts, strict=True)
+    ]
+    return cast("Any", Annotated)[(kind, *made)]
