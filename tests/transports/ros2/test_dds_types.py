@@ -53,8 +53,11 @@ def test_a_file_beside_the_program_needs_no_folder(
 ) -> None:
     write(tmp_path, f"program/{place}", "Part part\n---\n---\n")
     write(tmp_path, "program/near_msgs/msg/Part.msg", "int32 x 3\n")
-    monkeypatch.syspath_prepend(tmp_path / "program")
-    assert types.find("near_msgs/action/Go").types[0]().part.x == 3
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(tmp_path / "program")
+        assert types.find("near_msgs/action/Go").types[0]().part.x == 3
+    monkeypatch.chdir(tmp_path / "program")
+    assert FileTypes().find("near_msgs/action/Go").types[0]().part.x == 3
 
 
 def test_a_module_that_was_written_from_a_file_needs_no_folder(

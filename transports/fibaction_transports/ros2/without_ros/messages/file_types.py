@@ -116,8 +116,8 @@ class InterfaceFiles:
 
 
 def _program_folders() -> list[Path]:
-    """Return the folder of the program, from which Python imports its modules first."""
-    return [*map(Path, sys.path[:1])]
+    """Return the folder of the program, from which Python imports first, and the current one."""
+    return list(dict.fromkeys(map(Path, [*sys.path[:1], ""])))
 
 
 MOST_LEARNED: Final = 1_000
