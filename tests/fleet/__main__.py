@@ -71,6 +71,7 @@ def main(*words: str) -> int:
     parser.add_argument("scenario", choices=[*SCENARIOS, "all"])
     parser.add_argument("--goals", type=count, default=1000, help="default: %(default)d")
     parser.add_argument("--times", type=count, default=1, help="default: %(default)d")
+    parser.add_argument("--canceled", type=float, default=0.05, help="a share of the goals")
     parser.add_argument("--recovery", choices=RECOVERY, default="both")
     parser.add_argument("--lease", type=seconds, help="seconds; default: that of fibaction")
     parser.add_argument("--seed", type=int, default=random.randrange(2**32))
@@ -83,7 +84,7 @@ def main(*words: str) -> int:
         for name, recovery in product(names, RECOVERY[arguments.recovery]):
             settings = Run(
                 recovery,
-                Load(arguments.goals, **LOADS[name]),
+                Load(arguments.goals, canceled=arguments.canceled, **LOADS[name]),
                 lease=arguments.lease,
                 seed=arguments.seed + number,
                 stream="workers" if number % 2 else "goals",

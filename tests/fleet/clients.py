@@ -11,7 +11,7 @@ from typing import TypeAlias
 import anyio
 import msgspec
 
-from fibaction import ActionClient, ClientGoal, connect
+from fibaction import ActionClient, CancelCode, ClientGoal, connect
 from tests.kills.ledger import Ledger
 from tests.kills.victim import WORK, Done, Work
 
@@ -35,6 +35,8 @@ class Load(msgspec.Struct, frozen=True):
     """The number of keys that the goals have."""
     spread: float = 3.0
     """Seconds over which they are sent, both before and after the fault."""
+    canceled: float = 0.05
+    """The share of the goals that are canceled, at some time until they would end."""
 
 
 class Crowd:
@@ -93,12 +95,16 @@ class Crowd:
 
     async def _follow(self, goal: ClientGoal[int, Done], other: Client, kind: float) -> None:
         told = self._ledger.goals[goal.goal_id]
-        if kind < 0.05:  # some are canceled
-            await anyio.sleep(self._load.pause * kind * 100)
+        canceled = self._load.canceled
+        if kind < canceled:
+            await anyio.sleep(self._load.pause * told.work.steps * kind / canceled)
             told.asked_to_cancel = True
-            if (await goal.cancel()).accepted:
+            answer = await goal.cancel()
+            if answer.accepted:
                 told.canceled_at = time.monotonic_ns()
-        elif kind < 0.15:  # another client waits for some
+            elif answer.return_code is not CancelCode.GOAL_TERMINATED:
+                self._fault_of(goal, f"is kept, and its cancel was answered {answer}")
+        elif kind < canceled + 0.1:  # another client waits for some
             told.outcomes.append(await (await other.attach(goal.goal_id)).outcome())
         again, seen = 0, 0
         async for steps in goal.feedback:

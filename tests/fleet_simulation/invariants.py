@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from fibaction import GoalID, GoalStatus, Outcome
+from fibaction import CancelAnswer, CancelCode, GoalID, GoalStatus, Outcome
 from fibaction_transports.nats.records import GoalEntry
 
 LATE = 0.2
@@ -34,7 +34,10 @@ class Told:
 
     goal_id: GoalID
     is_accepted: bool = False
-    cancel_accepted: bool = False
+    cancel: CancelAnswer | None = None
+    """The answer to its cancel."""
+    cancel_at: float = math.inf
+    """Time of that answer."""
     outcome: Outcome[str] | None = None
     error: str = ""
 
@@ -81,6 +84,7 @@ def violations(seen: Seen) -> Iterator[str]:
     yield from _of_keys(seen.stretches, seen.most_of_key)
     for told in seen.told:
         yield from _of_clients(told, entries.get(told.goal_id, []))
+        yield from _of_cancels(told, by_goal.get(told.goal_id, []))
     for cut in seen.cuts:
         yield from _of_a_cut(cut, seen)
 
@@ -145,10 +149,22 @@ def _of_clients(told: Told, history: list[GoalEntry]) -> Iterator[str]:
             f"{goal_id}: {outcome.status.name} {outcome.reason!r} was told, and"
             f" {last.status.name} {last.reason!r} is recorded"
         )
-    if told.cancel_accepted and last.status is GoalStatus.ABORTED:
+    if told.cancel is not None and told.cancel.accepted and last.status is GoalStatus.ABORTED:
         yield f"{goal_id}: a cancel was accepted, and it is ABORTED: {last.reason}"
     if told.is_accepted and told.outcome is None and not told.error:
         yield f"{goal_id}: its client was told neither the end nor an error"
+
+
+def _of_cancels(told: Told, stretches: Iterable[Stretch]) -> Iterator[str]:
+    """A cancel is not answered as that of an unknown or ended goal that lives."""
+    if told.cancel is None or told.cancel.accepted:
+        return
+    code = told.cancel.return_code
+    if code is CancelCode.UNKNOWN_GOAL_ID:
+        yield f"{told.goal_id}: its cancel was answered {code.name}, and all records are kept"
+    for stretch in stretches:
+        if stretch.began > told.cancel_at:
+            yield f"{told.goal_id}: its cancel was answered {code.name}, and it was run again"
 
 
 def _of_a_cut(cut: Cut, seen: Seen) -> Iterator[str]:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from fibaction.border.goal_store import StoredGoal, Then
+from fibaction_transports.nats.client import endpoint
 from fibaction_transports.nats.worker import fleet_limits
 from fibaction_transports.nats.worker.journal import FleetJournal
 from fibaction_transports.nats.worker.key_entry import next_entry
@@ -117,18 +118,23 @@ def leaves_places_to_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleet_limits, "next_entry", next_one)
 
 
+def believes_a_worker_that_does_not_know_a_goal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endpoint, "_NOT_THERE", ())
+
+
 @pytest.mark.timeout(180)  # many seeds, on a busy machine
 @pytest.mark.parametrize(
     ("mistake", "known"),
     [
         (stores_whatever_comes, 1002),
-        (never_fences_itself, 1006),
-        (joins_again_at_once, 1088),
-        (says_too_early_that_a_checkpoint_is_kept, 1010),
+        (never_fences_itself, 1000),
+        (joins_again_at_once, 1120),
+        (says_too_early_that_a_checkpoint_is_kept, 1001),
         (takes_goals_of_workers_that_live, 1003),
-        (leaves_the_goals_of_the_lost, 1001),
-        (gives_a_place_too_many, 1002),
+        (leaves_the_goals_of_the_lost, 1000),
+        (gives_a_place_too_many, 1001),
         (leaves_places_to_the_lost, 1001),
+        (believes_a_worker_that_does_not_know_a_goal, 1028),
     ],
 )
 def test_a_mistake_is_found(mistake: Any, known: int, monkeypatch: pytest.MonkeyPatch) -> None:

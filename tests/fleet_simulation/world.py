@@ -47,6 +47,8 @@ LENGTH = 25.0
 QUIET = 120.0
 """Seconds after that, in which everything has to come to its end."""
 MAX_ATTEMPTS = 5
+CANCELED = 0.4
+"""The part of the goals that are canceled."""
 CLEAN_UP = 0.8
 """Seconds that executors take for their clean-up, at most: less than the margin of a lease."""
 
@@ -255,9 +257,10 @@ class World:
             goal = await client.send_goal(chance.randint(0, 8), goal_id=told.goal_id)
             told.is_accepted = True
             self.seen.told.append(told)
-            if chance.random() < 0.2:
+            if chance.random() < CANCELED:
                 await anyio.sleep(chance.uniform(0, 3))
-                told.cancel_accepted = (await goal.cancel()).accepted
+                told.cancel = await goal.cancel()
+                told.cancel_at = current_time()
             told.outcome = await goal.outcome()
         except (ConnectionLost, GoalRejected, ServerNotFound) as exc:
             told.error = str(exc)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -31,6 +32,7 @@ from tests.transports.nats.fake_fleet import (
     ENDED,
     GOAL_ID,
     MINUS_THREE,
+    NAMES,
     THREE,
     FakeFleet,
     FakeWorker,
@@ -57,6 +59,19 @@ class _Mute(ForwardingEndpoint):
     async def offer_goal(self, request: GoalRequest) -> Any:
         self.asked.set()
         await anyio.sleep_forever()
+
+
+class _Answering(ForwardingEndpoint):
+    """An endpoint that answers each cancel with a code."""
+
+    def __init__(self, inner: Endpoint, code: CancelCode) -> None:
+        super().__init__(inner)
+        self._code = code
+
+    async def cancel_goals(
+        self, _goal_id: GoalID | None = None, _stamp: int | None = None
+    ) -> CancelAnswer:
+        return CancelAnswer(self._code)
 
 
 # To send a goal
@@ -371,3 +386,86 @@ async def test_a_goal_that_has_ended_is_told_by_its_record_when_its_owner_is_gon
             assert not asking.is_done
             a.end_lease()
             assert (await asking.answer()).status is GoalStatus.SUCCEEDED
+
+
+# Goals that move between the look at their records and the question
+
+
+def _cancel(endpoint: Endpoint) -> Awaitable[Any]:
+    return endpoint.cancel_goals(GOAL_ID)
+
+
+def _attach(endpoint: Endpoint) -> Awaitable[Any]:
+    return endpoint.feedback(GOAL_ID, after=0)
+
+
+def _result(endpoint: Endpoint) -> Awaitable[Any]:
+    return endpoint.get_result(GOAL_ID)
+
+
+@pytest.mark.parametrize("ask", [_cancel, _attach, _result])
+async def test_a_goal_that_moves_after_its_record_was_read_is_asked_about_again(
+    fleet: FakeFleet, ask: Callable[[Endpoint], Awaitable[Any]]
+) -> None:
+    subject = NAMES.goal("count", GOAL_ID)
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.worker("b").serve(server()) as b,
+        fleet.connect() as connection,
+    ):
+        endpoint = connection.endpoint(COUNT)
+        a.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE))
+        before = fleet.broker.shared.newest(subject)
+        assert before is not None
+        b.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE))
+        fleet.broker.old[subject] = [before]  # the first look; the goal has moved when `a` is asked
+        async with Running(lambda: ask(endpoint)) as asking:
+            await anyio.sleep(3)  # `b` has written its name, and does not serve the goal yet
+            assert not asking.is_done
+            b.take_over("count", GOAL_ID)
+            if ask is _result:
+                assert (await client_of(connection).cancel_goals(GOAL_ID)).accepted
+            answer = await asking.answer()
+        if ask is _cancel:
+            assert [info.goal_id for info in answer.goals_canceling] == [GOAL_ID]
+        if ask is _result:
+            assert answer.status is GoalStatus.CANCELED
+
+
+async def test_a_cancel_during_the_release_of_a_goal_goes_to_its_next_worker(
+    fleet: FakeFleet,
+) -> None:
+    async with (
+        fleet.worker("a").serve(_Answering(server(), CancelCode.GOAL_TERMINATED)) as a,
+        fleet.worker("b").serve(server()) as b,
+        fleet.connect() as connection,
+    ):
+        a.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE))
+        async with Running(lambda: connection.endpoint(COUNT).cancel_goals(GOAL_ID)) as canceling:
+            await anyio.sleep(1)
+            assert not canceling.is_done, "its end is not in the record"
+            b.take_over("count", GOAL_ID)
+            assert (await canceling.answer()).accepted
+
+
+async def test_a_cancel_of_a_goal_whose_worker_does_not_come_to_know_it_is_an_error(
+    fleet: FakeFleet,
+) -> None:
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.connect(reconnect_timeout=8) as connection,
+    ):
+        a.own(GOAL_ID)
+        began = anyio.current_time()
+        with pytest.raises(ConnectionLost, match="'a', which has it by its record, has not begun"):
+            await connection.endpoint(COUNT).cancel_goals(GOAL_ID)
+        assert anyio.current_time() - began == pytest.approx(8)
+
+
+async def test_a_cancel_of_a_goal_that_has_ended_is_told_so_when_its_owner_has_forgotten_it(
+    fleet: FakeFleet,
+) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID, **ENDED)
+        answer = await connection.endpoint(COUNT).cancel_goals(GOAL_ID)
+        assert answer.return_code is CancelCode.GOAL_TERMINATED

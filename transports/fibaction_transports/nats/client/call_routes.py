@@ -258,3 +258,12 @@ def gone(found: FoundGoal) -> ConnectionLost:
         f"goal {goal.goal_id} has no worker: {former}, and no other one has taken it over; start a"
         f" worker that has room, and whose version can read the goal"
     )
+
+
+def moving(found: FoundGoal) -> ConnectionLost:
+    """Return the error for a goal that its owner does not know."""
+    goal = found.goal
+    return ConnectionLost(
+        f"goal {goal.goal_id} is active, and worker {excerpt(goal.worker)!r}, which has it by its"
+        f" record, has not begun to serve it yet; ask again"
+    )

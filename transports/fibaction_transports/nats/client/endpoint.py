@@ -26,6 +26,10 @@ feedback that has arrived.
 the statuses of all goals are followed in their records (`AllStatuses`). Gateways are workers whose
 goals have no records. So a goal without a record may be at any of them, and does not move.
 
+*A goal that moves* between the look at its record and the question is not known to the worker that
+is asked, or is said to have ended there. So these answers are believed only if the record says that
+the goal has ended; otherwise the record is read again, and its owner asked (`_at_owner`).
+
 *Requests about many goals*, or about one without a record, go to all workers, and their answers are
 merged. Each call tries for `reconnect_timeout` seconds from its first failure (`RetryTime`).
 """
@@ -62,6 +66,7 @@ from fibaction_transports.nats.client.call_routes import (
     RetryTime,
     ended_goal,
     gone,
+    moving,
 )
 from fibaction_transports.nats.client.free_workers import Place, Placement, RoomFinder
 from fibaction_transports.nats.client.statuses import AllStatuses
@@ -74,6 +79,8 @@ _Request: TypeAlias = Callable[[int, int], Follow]
 
 RECORD_OVERHEAD = 4096
 """Bytes of a record in addition to the goal, at most."""
+_NOT_THERE = (CancelCode.UNKNOWN_GOAL_ID, CancelCode.GOAL_TERMINATED)
+"""The answers of a worker that has lost or released a goal, or is about to; it may live on."""
 
 
 @dataclass(frozen=True)
@@ -231,10 +238,14 @@ class FleetEndpoint(Endpoint):
 
     async def _cancel_one(self, goal_id: GoalID) -> CancelAnswer:
         async def cancel(found: FoundGoal) -> CancelAnswer:
-            return await self._cancel_at(found.goal.worker, goal_id, None)
+            answer = await self._cancel_at(found.goal.worker, goal_id, None)
+            if answer.return_code in _NOT_THERE:
+                raise UnknownGoal(goal_id)  # it moves, or has ended: the record tells
+            return answer
 
-        def ended(found: FoundGoal, _error: ActionError) -> CancelAnswer | None:
-            return None if found.is_alive else CancelAnswer(CancelCode.GOAL_TERMINATED)
+        def ended(found: FoundGoal, error: ActionError) -> CancelAnswer | None:
+            is_unanswered = found.is_alive and not isinstance(error, UnknownGoal)
+            return None if is_unanswered else CancelAnswer(CancelCode.GOAL_TERMINATED)
 
         answer = await self._at_owner(goal_id, cancel, ended)
         return answer or await self._cancel_at_all(goal_id, None)
@@ -316,7 +327,7 @@ class FleetEndpoint(Endpoint):
                     error = exc
             if found.goal.ended_at and (answer := ended(found, error)) is not None:
                 return answer
-            await patience.wait(error)
+            await patience.wait(moving(found) if isinstance(error, UnknownGoal) else error)
         return None
 
     async def _follow(self, worker: str, goal_id: GoalID, request: _Request) -> RemoteGoal:
