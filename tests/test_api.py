@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -390,13 +390,13 @@ async def test_a_server_that_is_wrapped_is_started_served_and_stopped() -> None:
     assert not server.is_running
 
 
-@action("drive")
-async def drive(meters: int, report: Report[int]) -> str:
+@action
+async def drive(report: Report[int], meters: int) -> str:
     await report(meters)
     return f"drove {meters} m"
 
 
-@action("home")
+@action
 async def home() -> str:
     return "at home"
 
@@ -411,3 +411,105 @@ async def test_functions_that_are_actions_are_served_and_called() -> None:
     assert found == [3]
     async with serve(drive, "inproc://functions"):
         assert await call("inproc://functions", drive, 1, timeout=5) == "drove 1 m"
+
+
+class Rover:
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    @action
+    async def move(self, report: Report[float], x: float, speed: float = 1.0) -> str:
+        await report(x)
+        return f"{self.name} moved {x:g} m at {speed:g} m/s"
+
+    @action("arm/grip")
+    async def grip(self) -> str:
+        return f"{self.name} grips"
+
+
+async def test_an_object_is_served_with_the_actions_that_are_its_methods() -> None:
+    rover = Rover("rover")
+    for served in (rover, [rover], [rover.move, rover.grip]):
+        async with serve(served, "inproc://rover"):
+            assert await call("inproc://rover", Rover.move, 2) == "rover moved 2 m at 1 m/s"
+            assert await call("inproc://rover", rover.grip) == "rover grips"
+    with pytest.raises(TypeError, match=r": serve an object of it, as in serve\(Rover\(\), "):
+        async with serve(Rover, "inproc://rover"):
+            raise AssertionError("the block must not run")
+
+
+async def test_arguments_are_given_by_place_by_name_or_as_a_goal_beside_options() -> None:
+    found: list[float] = []
+    move = Rover.move
+    async with serve(Rover("rover"), "tcp://127.0.0.1:0") as (url,), connect(url, move) as client:
+        for answer in (
+            await call(url, move, 2, 3),
+            await call(url, move, x=2, speed=3),
+            await call(url, move, move.goal_of(2, speed=3), on_feedback=found.append),
+            await client.call(2, speed=3),
+            await client.call(move.goal_of(2, 3), timeout=5),
+            await (await client.send_goal(x=2, speed=3)).result(),
+        ):
+            assert answer == "rover moved 2 m at 3 m/s"
+        assert await client.call(2, on_feedback=found.append) == "rover moved 2 m at 1 m/s"
+    assert found == [2, 2]
+
+
+@action("cook")
+async def cook(minutes: int, timeout: float = 1.0) -> float:
+    return minutes + timeout
+
+
+PLAIN: Any = Action("plain", goal=int, feedback=int, result=str)
+ANY_COOK, ANY_DRIVE, ANY_HOME = (cast("Any", one) for one in (cook, drive, home))
+
+
+@pytest.mark.parametrize(
+    ("action", "args", "given", "text"),
+    [
+        (ANY_COOK, (1,), {"timeout": 2.0}, "make the goal with `cook.goal_of(timeout=...)`, and"),
+        (ANY_DRIVE, (), {}, "drive(meters: int): missing a required argument: 'meters'"),
+        (ANY_DRIVE, (1, 2), {}, "drive(meters: int): too many positional arguments"),
+        (ANY_DRIVE, (1,), {"sped": 2}, "; the parameters of 'drive' are meters"),
+        (ANY_HOME, (1,), {}, "home(): too many positional arguments"),
+        (PLAIN, (), {"a": 2}, "; the goal of 'plain' is one value, given as one argument"),
+        (PLAIN, (1, 2), {}, "is one value, and is given as one argument: there are several"),
+    ],
+)
+async def test_arguments_that_do_not_fit_are_told_in_one_sentence(
+    action: Any, args: tuple[Any, ...], given: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(TypeError) as caught:
+        await call("tcp://127.0.0.1:9", action, *args, reconnect=False, **given)
+    assert text in str(caught.value)
+
+
+async def test_a_parameter_with_the_name_of_an_option_is_given_in_a_goal() -> None:
+    async with serve(cook, "inproc://cook"), connect("inproc://cook", cook) as client:
+        assert await client.call(cook.goal_of(1, timeout=2.0), timeout=5) == 3.0
+        assert await client.call(1, timeout=None) == 2.0
+        with pytest.raises(TypeError, match="'timeout' is an option of the call, and a parameter"):
+            await client.send_goal(cast("Any", 1), timeout=2.0)
+
+
+async def old_drive(meters: int) -> str:
+    return f"drove {meters} m"
+
+
+async def new_drive(meters: int, speed: float = 1.0) -> str:
+    return f"drove {meters} m at {speed:g} m/s"
+
+
+async def test_a_new_parameter_with_a_default_keeps_older_programs_working_both_ways() -> None:
+    old, new = action("drive")(old_drive), action("drive")(new_drive)
+    first, second = action("home")(home._function), action("home")(new_home)
+    async with serve([new, second], "tcp://127.0.0.1:0") as (url,):
+        assert await call(url, old, 3) == "drove 3 m at 1 m/s"
+        assert await call(url, first) == "at home in 0 s"
+    async with serve([old, first], "tcp://127.0.0.1:0") as (url,):
+        assert await call(url, new, 3, speed=2.0) == "drove 3 m"
+        assert await call(url, second, within=1.0) == "at home"
+
+
+async def new_home(within: float = 0.0) -> str:
+    return f"at home in {within:g} s"

@@ -1,7 +1,7 @@
 """`serve`, `connect` and `call`: servers and clients at an address."""
 
 from fibaction._api.connections import ClientConnection, Connecting, check_is_action, connect
-from fibaction._api.one_call import call, connect_for_call
+from fibaction._api.one_call import call, goal_and_connection
 from fibaction._api.servers import Served, Serving, serve
 
 __all__ = [
@@ -12,6 +12,6 @@ __all__ = [
     "call",
     "check_is_action",
     "connect",
-    "connect_for_call",
+    "goal_and_connection",
     "serve",
 ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 from fibaction._api.connections import check_is_action, connect
 from fibaction.border.abc import Transport
-from fibaction.client.options import CALL_OPTIONS
+from fibaction.client.options import CALL_OPTIONS, goal_of
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.types.arguments import CalledAction, P, TakesNone, TakesOne
 
@@ -84,26 +84,30 @@ async def call(where: str | Transport, action: Any, *args: Any, **given: Any) ->
         ActionError, TypeError, ValueError: As for `connect`, and for `ActionClient.call`.
     """
     check_is_action(action, "call")
-    async with connect_for_call(connect, where, action, given) as client:
-        return await client.call(*args, **given)
+    goal, opening = goal_and_connection(connect, where, action, args, given)
+    async with opening as client:
+        return await client.call(goal, **given)
 
 
-def connect_for_call(
+def goal_and_connection(
     connecting: Callable[..., Any],
     where: str | Transport,
     action: Action[Any, Any, Any],
+    args: tuple[Any, ...],
     given: dict[str, Any],
-) -> Any:
-    """Connect with the settings among what `call` was given, which keeps the rest.
+) -> tuple[Any, Any]:
+    """Return the goal that `call` was given, and a connection; `given` keeps the options.
 
     Raises:
-        TypeError: Something is neither a setting, nor an option or an argument of the call.
+        TypeError: Something is neither an argument, nor an option, nor a setting.
     """
-    settings = {name: given.pop(name) for name in given.keys() - CALL_OPTIONS - action.parameters}
+    others = {name: given.pop(name) for name in given.keys() - CALL_OPTIONS}
+    fields = {name: others.pop(name) for name in others.keys() & action.parameters}
+    goal = goal_of(action, args, fields, **given)
     try:
-        return connecting(where, action, **settings)
+        return goal, connecting(where, action, **others)
     except TypeError as exc:
-        if not any(f"{name!r}" in str(exc) for name in settings):
+        if not any(f"{name!r}" in str(exc) for name in others):
             raise
         takes = f"the goal of {action.name!r} is one value, given as one argument"
         if action.parameters:

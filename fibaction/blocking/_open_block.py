@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, overload
 
 import fibaction._api
-from fibaction._api import ClientConnection, check_is_action, connect_for_call
+from fibaction._api import ClientConnection, check_is_action, goal_and_connection
 from fibaction.blocking._blocking_client import (
     BlockingClient,
     BlockingConnection,
@@ -177,5 +177,6 @@ def call(where: str | Transport, action: Any, *args: Any, **given: Any) -> Any:
             `BlockingClient.call`.
     """
     check_is_action(action, "call")
-    with connect_for_call(connect, where, action, given) as client:
-        return client.call(*args, **given)
+    goal, opening = goal_and_connection(connect, where, action, args, given)
+    with opening as client:
+        return client.call(goal, **given)

@@ -72,6 +72,8 @@ def goal_of(
         TypeError: The arguments do not fit the action, or a name is that of an option and that of
             a parameter.
     """
+    if len(args) == 1 and not fields and action.goal.accepts(args[0]):
+        return args[0]
     for name in action.parameters & options.keys():
         if options[name] is not None:
             raise TypeError(

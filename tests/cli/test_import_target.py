@@ -77,7 +77,16 @@ def test_a_function_that_is_an_action_is_a_server(folder: Path, invoke: Invoke) 
         "async def drive(meters: int) -> str:\n"
         "    return 'there'\n"
         "both = [drive, drive]\n"
+        "class Robot:\n"
+        "    @action\n"
+        "    async def move(self, x: float) -> None: ...\n"
+        "    @action('grip')\n"
+        "    async def close(self) -> None: ...\n"
+        "robot = Robot()\n"
     )
+    for target in ("functions:robot", "functions:Robot"):  # the class is called
+        servers = import_target.import_servers(target)
+        assert [server.action.name for server in servers] == ["move", "grip"]
     for target, number in (("functions:drive", 1), ("functions:both", 2)):
         servers = import_target.import_servers(target)
         assert [server.action.name for server in servers] == ["arm/drive"] * number

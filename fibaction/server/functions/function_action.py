@@ -152,15 +152,13 @@ class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, Resu
         """
         return cast("Arguments[P]", self._signature.goal.goal_of(args, kwargs))
 
-    def goal_from(self, args: tuple[Any, ...], fields: Mapping[str, Any]) -> Arguments[P]:
-        """Return the goal that a caller gives: the function's arguments, or what `goal_of` made.
+    def goal_from(self, args: tuple[Any, ...], fields: Mapping[str, Any]) -> Any:
+        """Return the goal that a caller gives, as the arguments of the function.
 
         Raises:
             TypeError: The arguments do not fit the parameters of the function.
         """
-        if len(args) == 1 and not fields and self.goal.accepts(args[0]):
-            return args[0]
-        return cast("Arguments[P]", self._signature.goal.goal_of(args, fields))
+        return self._signature.goal.goal_of(args, fields)
 
     async def executor(
         self, goal: GoalHandle[Any]
