@@ -10,20 +10,26 @@ import signal
 import socket
 import subprocess
 import weakref
-from contextlib import suppress
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
 from signal import SIGINT, SIGTERM
+from typing import Any
 
+import anyio
+import anyio.lowlevel
 import pytest
 
-from fibaction import ActionServer, SqliteStore, connect
+from fibaction import ActionServer, GoalRejected, SqliteStore, connect
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import serve
+from fibaction.testing import ScriptedServer
 from fibaction_transports.inprocess import InProcessTransport
 from tests.cli.conftest import Invoke, Open, Run, Start, detached
 from tests.cli.robot_module import MODULE
-from tests.support.fibonacci import FIBONACCI, fibonacci
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.processes import ended, lines_until
 
 # serve, as a process
@@ -124,7 +130,8 @@ def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPat
     kept = ("--store", os.path.abspath("goals.db"), "--sync", "full")
     past = (*command, "--store", "goals.db", "--history", "0.5")
     assert invoke(*past, url="tcp://b").exit_code == 0
-    more = ("--log-json", "--metrics", ":0", "--record", os.path.abspath("a.jsonl"))
+    more: tuple[str, ...] = ("--drain", "9.0", "--log-json", "--metrics", ":0")
+    more += ("--record", os.path.abspath("a.jsonl"))
     assert invoke(*command, *more, url="tcp://b").exit_code == 0
     with_past = (*kept, "--history", "0.5")
     assert asked == [(*common, options) for options in ((), kept, with_past, more)]
@@ -281,3 +288,39 @@ def test_garbage_is_collected_less_often_while_goals_run_and_as_before_afterward
         assert gone() is None  # what has been made since then is collected
     assert gc.get_threshold() == before
     assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.asyncio
+async def test_goals_that_run_may_end_before_a_server_that_drains_stops(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    signaled, may_end = anyio.Event(), anyio.Event()
+
+    @asynccontextmanager
+    async def stop_signals(_same: float | None) -> AsyncGenerator[anyio.Event, None]:
+        yield signaled
+
+    monkeypatch.setattr(serve, "stop_signals", stop_signals)
+    server = ScriptedServer(FIBONACCI, [may_end, Result([0])])
+    transport = InProcessTransport()
+    monkeypatch.setattr(serve, "transport_for", lambda _url: transport)
+    ended: list[str] = []
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(partial(served_with_drain, server, ended))
+        with anyio.fail_after(30):
+            while "serving" not in capsys.readouterr().out:
+                await anyio.lowlevel.checkpoint()
+            async with connect(transport, FIBONACCI) as client, client.send_goal(Goal(1)) as goal:
+                signaled.set()
+                with pytest.raises(GoalRejected, match="busy: the server drains"):
+                    while True:
+                        await client.send_goal(Goal(1))
+                        await anyio.lowlevel.checkpoint()
+                assert ended == []
+                may_end.set()
+                assert await goal.result() == Result([0])
+    assert ended == ["end"]
+
+
+async def served_with_drain(server: Any, ended: list[str]) -> None:
+    await serve.serve_servers([server], ["x"], drain=30, at_end=lambda: ended.append("end"))

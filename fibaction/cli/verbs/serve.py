@@ -68,6 +68,13 @@ Examples:
     type=click.FloatRange(min=0, min_open=True),
     help="With --store: keep goals that have ended for so many days, for lists of the past.",
 )
+@click.option(
+    "--drain",
+    metavar="SECONDS",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    help="When it is to stop, take no new goals, and let those that run end, for so long.",
+)
 @click.option("--log-json", is_flag=True, help="Log JSON objects, one on a line, with goal IDs.")
 @click.option("--metrics", metavar="[HOST]:PORT", help="Serve /metrics and /healthz here, by HTTP.")
 @click.option("--record", metavar="FILE", help="Record everything that happens to goals.")
@@ -81,6 +88,7 @@ def serve_command(
     store: str | None,
     sync: Literal["full", "normal"] | None,
     history: float | None,
+    drain: float,
     log_json: bool,
     metrics: str | None,
     record: str | None,
@@ -94,6 +102,7 @@ def serve_command(
     The module is looked for in the current folder first.
 
     Ctrl-C or SIGTERM ends all goals, tells their clients and stops. A second one ends at once.
+    With --drain, goals that run have some time to end by themselves before that.
 
     With --store, servers that have no store of their own keep their goals in that file: their
     `recovery` and `at_stop` say what becomes of active ones.
@@ -120,6 +129,7 @@ def serve_command(
         if reload:
             options: tuple[str, ...] = () if store is None else ("--store", store, "--sync", sync)
             options += () if history is None else ("--history", str(history))
+            options += ("--drain", str(drain)) if drain else ()
             options += ("--log-json",) if log_json else ()
             options += () if metrics is None else ("--metrics", metrics)
             options += () if record is None else ("--record", record)
@@ -137,6 +147,7 @@ def serve_command(
                         where,
                         metrics=metrics,
                         record=record,
+                        drain=drain,
                         same=same,
                         at_end=last.begin,
                         uvloop=True,
@@ -165,13 +176,15 @@ async def serve_servers(
     *,
     metrics: str | None = None,
     record: str | None = None,
+    drain: float = 0,
     same: float | None = None,
     at_end: Callable[[], None],
 ) -> int:
     """Serve until a signal comes, then let the goals end and tell their clients.
 
     With `metrics`, an address, metrics are served there, and with `record` everything is recorded
-    in that file. A signal within `same` seconds of the first one is ignored: see `stop_signals`.
+    in that file. With `drain`, goals have so many seconds to end by themselves. A signal within
+    `same` seconds of the first one is ignored: see `stop_signals`.
     `at_end` is called when all servers have stopped.
     """
     async with AsyncExitStack() as stack:
@@ -186,6 +199,11 @@ async def serve_servers(
         say(f"serving {names_of(servers)} at {', '.join(there)}, Ctrl-C stops it")
         with rare_collections():
             await stop.wait()
+        if drain:
+            logger.info("new goals are rejected, and those that run have %g s to end", drain)
+            async with anyio.create_task_group() as tasks:
+                for server in servers:
+                    tasks.start_soon(server.drain, drain)
     at_end()
     return ExitCode.SUCCEEDED
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from typing import Any
 
 import anyio
@@ -143,3 +144,54 @@ async def test_another_application_goes_on_when_its_client_does_not_read() -> No
     with anyio.fail_after(20):
         await asked.be_asked(deaf, {"type": "http.request"})
     assert asked.received[-1] == {"type": "http.disconnect"}
+
+
+def asked(**headers: str) -> Exchange:
+    raw = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    return Exchange(SCOPE | {"headers": raw}, receive, deaf)
+
+
+@pytest.mark.parametrize(
+    ("prefer", "seconds"),
+    [
+        ("wait=10", 10),
+        ("respond-async, wait=10", 10),
+        ('Wait="7" ; x=1, respond-async', 7),
+        ("wait=9999", 60),
+        ("respond-async", None),
+        ("wait=soon", None),
+        ("await=3", None),
+    ],
+)
+async def test_a_client_may_prefer_to_wait(prefer: str, seconds: float | None) -> None:
+    exchange = asked(prefer=prefer)
+    assert exchange.wait_wanted(60) == seconds
+    told = [] if seconds is None else [("Preference-Applied", f"wait={seconds}")]
+    assert exchange.more_headers == told
+    exchange.query = {"wait": ["2"]}
+    assert exchange.wait_wanted(60) == 2
+
+
+@pytest.mark.parametrize(
+    ("accept", "is_packed"),
+    [("gzip", True), ("br, GZIP;q=0.5", True), ("gzip;q=0", False), ("x-gzip", False), ("", False)],
+)
+@pytest.mark.parametrize("size", [2000, 200_000])
+async def test_an_answer_is_compressed_for_a_client_that_takes_it(
+    accept: str, is_packed: bool, size: int
+) -> None:
+    told: dict[bytes, bytes] = {}
+    pieces: list[bytes] = []
+
+    async def send(message: Any) -> None:
+        told.update(message.get("headers", ()))
+        pieces.append(message.get("body", b""))
+
+    exchange = Exchange(SCOPE | {"headers": [(b"accept-encoding", accept.encode())]}, receive, send)
+    await exchange.answer_unless_known(bytes(size), '"a"')
+    body = b"".join(pieces)
+    assert int(told[b"content-length"]) == len(body)
+    assert told[b"vary"] == b"Accept-Encoding"
+    assert (told.get(b"content-encoding") == b"gzip") is is_packed
+    assert told[b"etag"] == (b'W/"a"' if is_packed else b'"a"')
+    assert (gzip.decompress(body) if is_packed else body) == bytes(size)

@@ -178,7 +178,8 @@ def test_the_parameters_are_those_that_the_server_takes() -> None:
 def test_parameters_allow_what_the_server_accepts() -> None:
     paths = described(FETCH.info)["paths"]
     goals, events = paths["/actions/fetch/goals"], paths["/actions/fetch/goals/{goal_id}/events"]
-    wait, label = goals["post"]["parameters"]
+    wait, label, key = goals["post"]["parameters"]
+    assert (key["name"], key["in"]) == ("Idempotency-Key", "header")
     assert wait["schema"]["maximum"] == 3600
     assert (label["name"], label["schema"]["maxItems"]) == ("label", 8)
     *_, before = goals["delete"]["parameters"]

@@ -32,7 +32,7 @@ async def test_metrics_are_at_the_address_of_the_server() -> None:
         accept = "application/openmetrics-text;version=1.0.0;q=0.5,*/*;q=0.1"
         answer = await fetch(url, "GET", "/metrics", accept=accept)
         assert answer.headers["content-type"] == OPENMETRICS_CONTENT_TYPE
-        assert answer.headers["vary"] == "Accept"
+        assert answer.headers["vary"] == "Accept, Accept-Encoding"
         assert ended in answer.body
         assert answer.body.endswith(b"# EOF\n")
 

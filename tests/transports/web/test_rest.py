@@ -804,3 +804,35 @@ async def test_one_cause_has_one_type_of_problem() -> None:
     assert types == {"urn:fibaction:UnknownGoal"}
     unreadable = GoalRejected("goal.order is missing", code=RejectionCode.UNREADABLE)
     assert problem_of(unreadable) == problem_of(PayloadError("goal.order is missing"))
+
+
+async def test_a_goal_that_is_posted_again_with_its_key_runs_once() -> None:
+    held = Held()
+    key = {"idempotency-key": '"order-17"'}
+    async with served(held.server) as url:
+        first, again = [await fetch(url, "POST", GOALS, {"order": 3}, **key) for _ in range(2)]
+        assert (first.status, again.status) == (201, 200)
+        assert first.json["goal_id"] == again.json["goal_id"]
+        other = await fetch(url, "POST", GOALS, {"order": 4}, **key)
+        assert (other.status, other.json["code"]) == (409, "DUPLICATE")
+        assert (await fetch(url, "POST", GOALS, {"order": 3})).json != first.json
+
+
+async def test_a_preference_to_wait_is_that_of_the_parameter() -> None:
+    async with served(new_server()) as url:
+        answer = await fetch(url, "POST", GOALS, {"order": 1}, prefer="respond-async, wait=20")
+        assert answer.json["result"] == {"sequence": [0, 1]}
+        assert answer.headers["preference-applied"] == "wait=20"
+        again = await fetch(url, "GET", f"{GOALS}/{answer.json['goal_id']}", prefer="wait=20")
+        assert again.json["status"] == "SUCCEEDED"
+
+
+async def test_a_description_that_is_known_is_not_sent_again() -> None:
+    async with served(new_server()) as url:
+        first = await fetch(url, "GET", "/openapi.json", accept_encoding="gzip")
+        tag = first.headers["etag"]
+        known = await fetch(url, "GET", "/openapi.json", if_none_match=tag)
+        assert (known.status, known.body) == (304, b"")
+        assert known.headers["etag"] == tag.removeprefix("W/")
+        assert first.headers["content-encoding"] == "gzip"
+        assert len(first.body) < 5000

@@ -43,10 +43,11 @@ class HttpApplication(ABC):
     """Answers the requests of all clients of one server."""
 
     page_headers: ClassVar[str] = (
-        "authorization, content-type, last-event-id, traceparent, tracestate, baggage"
+        "authorization, content-type, last-event-id, traceparent, tracestate, baggage, prefer,"
+        " idempotency-key, if-none-match"
     )
     """The headers of a request that a page of `origins` may set."""
-    shown_headers: ClassVar[str] = "location, link"
+    shown_headers: ClassVar[str] = "location, link, etag, preference-applied"
     """The headers of an answer that such a page may read."""
 
     def __init__(self, rules: HttpRules, limits: Limits, memory: FrameMemory) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from collections.abc import (
     AsyncGenerator,
@@ -12,6 +13,8 @@ from collections.abc import (
     MutableMapping,
 )
 from contextlib import asynccontextmanager, contextmanager, suppress
+from functools import partial
+from hashlib import blake2b
 from typing import Any, TypeAlias
 from urllib.parse import parse_qs
 
@@ -45,7 +48,20 @@ COMMON_HEADERS = (
 )
 """Headers of every answer that does not have its own."""
 
+_PREFERS_WAIT = re.compile(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;|,|$)", re.IGNORECASE)
+_TAKES_GZIP = re.compile(r"(?:^|,)\s*gzip\s*(?:;(?!\s*q=0(?:\.0*)?\s*(?:,|$))|,|$)", re.IGNORECASE)
+SMALLEST_PACKED = 1024
+"""Bytes of an answer that is compressed for clients that take it."""
+PACKING = 5
+"""The level of the compression."""
+LARGE = 2**16
+"""Bytes of an answer that is compressed in a thread."""
 _NUMBER = re.compile(r"-?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+def tag_of(body: bytes) -> str:
+    """Return the `ETag` of a body: another one for each content."""
+    return f'"{blake2b(body, digest_size=12).hexdigest()}"'
 
 
 def peer_of(scope: Scope) -> str:
@@ -115,6 +131,20 @@ class Exchange:
         if _NUMBER.fullmatch(text) and 0 <= (seconds := float(text)) <= most:
             return seconds
         raise Refused(400, f"{name} is a number of seconds between 0 and {most:g}")
+
+    def wait_wanted(self, most: float) -> float | None:
+        """Return the seconds that the answer may wait: the parameter `wait`, or that preference
+        (RFC 7240), which the answer then tells; None if neither is there.
+
+        Raises:
+            Refused: The parameter is wrong.
+        """
+        seconds = self.seconds("wait", most)
+        found = _PREFERS_WAIT.search(self.headers.get("prefer", ""))
+        if seconds is None and found:
+            seconds = min(float(found[1]), most)
+            self.more_headers.append(("Preference-Applied", f"wait={seconds:g}"))
+        return seconds
 
     @property
     def wants_events(self) -> bool:
@@ -233,6 +263,8 @@ class Exchange:
         """Answer with a body of that media type; if it is empty, without one."""
         if body:
             headers = (*headers, ("Content-Type", kind))
+        if len(body) >= SMALLEST_PACKED:
+            body, headers = await self._packed(body, headers)
         self._begin(status, [*headers, ("Content-Length", str(len(body)))])
         if self.method == "HEAD":  # whose answer has no body, whatever its length says
             body = b""
@@ -240,6 +272,30 @@ class Exchange:
             for start in range(0, len(body) or 1, CHUNK):
                 piece, has_more = body[start : start + CHUNK], start + CHUNK < len(body)
                 await self._write(piece, has_more=has_more)
+
+    async def answer_unless_known(
+        self, body: bytes, tag: str, *headers: tuple[str, str], kind: str = JSON
+    ) -> None:
+        """Answer with a body that has that `ETag`, or say that the client's copy is up to date."""
+        known = self.headers.get("if-none-match", "").replace("W/", "")
+        headers = (("ETag", tag), ("Cache-Control", "no-cache"), *headers)
+        if tag in (one.strip() for one in known.split(",")):
+            await self.answer(304, b"", *headers)
+        else:
+            await self.answer(200, body, *headers, kind=kind)
+
+    async def _packed(
+        self, body: bytes, headers: tuple[tuple[str, str], ...]
+    ) -> tuple[bytes, tuple[tuple[str, str], ...]]:
+        """Return the body, compressed if the client takes that, and its headers."""
+        headers = (*headers, ("Vary", "Accept-Encoding"))
+        if not _TAKES_GZIP.search(self.headers.get("accept-encoding", "")):
+            return body, headers
+        pack = partial(gzip.compress, body, PACKING, mtime=0)
+        body = pack() if len(body) < LARGE else await anyio.to_thread.run_sync(pack)
+        # It has other bytes now, which a strong tag does not have (RFC 9110, 8.8.1).
+        weak = [(name, f"W/{value}" if name == "ETag" else value) for name, value in headers]
+        return body, (*weak, ("Content-Encoding", "gzip"))
 
     @contextmanager
     def _counted(self, size: int) -> Generator[None, None, None]:

@@ -16,10 +16,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import cache
-from hashlib import blake2b
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import PurePosixPath
+
+from fibaction_transports._http.exchange import tag_of
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:;"
@@ -50,22 +51,15 @@ class Asset:
 
     @property
     def tag(self) -> str:
-        """The `ETag`: another one for each content."""
-        return f'"{blake2b(self.body, digest_size=12).hexdigest()}"'
+        """The `ETag`."""
+        return tag_of(self.body)
 
     @property
     def headers(self) -> tuple[tuple[str, str], ...]:
         """The headers of the answer, in addition to those of every answer."""
-        headers: tuple[tuple[str, str], ...] = (
-            ("ETag", self.tag),
-            ("Cache-Control", "no-cache"),  # a browser asks whether its copy is up to date
-        )
-        if self.media_type == MEDIA_TYPES[".html"]:
-            headers += (
-                ("Content-Security-Policy", PAGE_POLICY),
-                ("Referrer-Policy", "no-referrer"),
-            )
-        return headers
+        if self.media_type != MEDIA_TYPES[".html"]:
+            return ()
+        return ("Content-Security-Policy", PAGE_POLICY), ("Referrer-Policy", "no-referrer")
 
 
 @cache

@@ -117,9 +117,4 @@ async def _answer_alive(exchange: Exchange) -> None:
 
 
 async def _answer_with(asset: Asset, exchange: Exchange) -> None:
-    """Answer with a file, or say that the client's copy of it is up to date."""
-    known = exchange.headers.get("if-none-match", "").replace("W/", "")
-    if asset.tag in (tag.strip() for tag in known.split(",")):
-        await exchange.answer(304, b"", *asset.headers)
-    else:
-        await exchange.answer(200, asset.body, *asset.headers, kind=asset.media_type)
+    await exchange.answer_unless_known(asset.body, asset.tag, *asset.headers, kind=asset.media_type)

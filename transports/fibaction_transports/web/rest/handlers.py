@@ -40,7 +40,7 @@ from fibaction.words.errors import (
 from fibaction.words.goal_query import cancel_stamp_of
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.words.meta import trace_meta, with_labels
-from fibaction_transports._http.exchange import Exchange
+from fibaction_transports._http.exchange import Exchange, tag_of
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
 from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of
 from fibaction_transports.web.rest.goal_list import (
@@ -63,6 +63,8 @@ from fibaction_transports.web.rest.routes import (
     route_of,
 )
 
+KEY_HEADER = "idempotency-key"
+"""The header with which a goal that is posted again is the same goal."""
 CANCEL_TIMEOUT = 5.0
 """Seconds for the cancel of a goal whose client has gone."""
 
@@ -152,7 +154,8 @@ class RestInterface:
     async def _describe(self, exchange: Exchange, _client: SessionClient, _route: Route) -> None:
         infos = [endpoint.info for endpoint in self._endpoints.values()]
         described = describe(infos, exchange.root, asks_for_tokens=self._has_tokens)
-        await exchange.answer(200, msgspec.json.encode(described))
+        body = msgspec.json.encode(described)
+        await exchange.answer_unless_known(body, tag_of(body))
 
     async def _list_actions(
         self, exchange: Exchange, _client: SessionClient, _route: Route
@@ -177,10 +180,12 @@ class RestInterface:
         await exchange.answer(200, body, *([next_page] if cursor else ()))
 
     async def _send_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        key = exchange.headers.get(KEY_HEADER, "")
         if exchange.method == "POST":
-            route = Route(Resource.GOAL, route.action, GoalID.random())
+            goal_id = _goal_id_of(exchange, route.action, key) if key else GoalID.random()
+            route = Route(Resource.GOAL, route.action, goal_id)
         endpoint = await self._endpoint(client, route, Permission.SEND)
-        wait = exchange.seconds("wait", LONGEST_WAIT)
+        wait = exchange.wait_wanted(LONGEST_WAIT)
         streams = exchange.wants_events
         is_detached = wait is None and not streams
         labels = dict(labels_in(exchange.query))
@@ -216,8 +221,8 @@ class RestInterface:
         A gateway is one client for all of its clients, so its server cannot tell them apart. A
         client that is not permitted everything, and gives an ID of its own, is one of them.
         """
-        is_known = exchange.method == "POST" or client.is_trusted
-        return is_known or client.is_owner(route.action, route.goal_id)
+        is_new = exchange.method == "POST" and KEY_HEADER not in exchange.headers
+        return is_new or client.is_trusted or client.is_owner(route.action, route.goal_id)
 
     def _goal_codec(self, info: ActionInfo) -> GoalCodec:
         known, codec = self._codecs.get(info.name, (None, None))
@@ -257,7 +262,7 @@ class RestInterface:
         await exchange.answer(status, msgspec.json.encode(members), *headers)
 
     async def _get_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
-        wait = exchange.seconds("wait", LONGEST_WAIT)
+        wait = exchange.wait_wanted(LONGEST_WAIT)
         endpoint = await self._own_or_observed(client, route)
         with await endpoint.feedback(route.goal_id) as stream:
             await self._answer_goal(exchange, endpoint, stream, wait, 200)
@@ -332,6 +337,12 @@ async def _cancel_each(
 def _events_of(endpoint: Endpoint) -> GoalEvents:
     info = endpoint.info
     return GoalEvents(JsonCodec({}, "feedback"), JsonCodec({}, f"result of {info.name!r}"))
+
+
+def _goal_id_of(exchange: Exchange, action: str, key: str) -> GoalID:
+    """Return the ID of the goal that is posted with a key: the same for the same client."""
+    parts = (bearer_in(exchange.headers), action, key)
+    return GoalID(blake2b("\n".join(parts).encode(), digest_size=16).digest())
 
 
 def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:

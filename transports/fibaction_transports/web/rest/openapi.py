@@ -280,13 +280,16 @@ class _Described:
     def _goals(self) -> Json:
         goals = _answer("Goals.", {"type": "array", "items": _ref("Goal")}) | {"headers": _NEXT}
         # Not the events as well: a generator would make them another type of each answer.
-        sent = {"201": _answer("The goal was accepted.", _ref(self._status))}
+        sent = {
+            "200": _answer("The goal was known by its key.", _ref(self._status)),
+            "201": _answer("The goal was accepted.", _ref(self._status)),
+        }
         return {
             "get": self._operation(
                 *("list", "List the goals.", {"200": goals}),
                 *(*_GOAL_FILTERS, _PAST, _LIMIT, _AFTER_PAGE),
             ),
-            "post": self._sending("send", "Send a goal.", sent, *_SENDING),
+            "post": self._sending("send", "Send a goal.", sent, *_SENDING, _KEY),
             "delete": self._operation(
                 *("cancel_all", "Cancel goals.", _CANCELED), *(*_GOAL_FILTERS, _BEFORE)
             ),
@@ -340,6 +343,12 @@ def _answer(description: str, schema: Json) -> Json:
 _SENDING_VERBS = ("send", "put")
 _CANCELED = {"202": _answer("The cancel was accepted.", _ref("Cancel"))}
 _SENDING = (_WAIT, _NEW_LABELS)
+_KEY = {
+    "name": "Idempotency-Key",
+    "in": "header",
+    "description": "A text of your own: the same goal with the same key runs once.",
+    "schema": {"type": "string"},
+}
 _PUT = (_GOAL_ID, *_SENDING)
 _STREAM: Json = {"text/event-stream": {}}
 _NO_MORE = {"description": "There is nothing after the event with the ID `end`."}
