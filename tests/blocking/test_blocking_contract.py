@@ -17,7 +17,8 @@ from fibaction import (
     GoalTimeout,
     blocking,
 )
-from tests.contract.conftest import WAYS, Reach, skip_if_unable
+from fibaction.testing.contract.reach import Reach
+from tests.contract.conftest import WAYS, skip_if_unable
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 

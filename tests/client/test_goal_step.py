@@ -19,8 +19,8 @@ from fibaction import (
     Outcome,
 )
 from fibaction.border.abc import ForwardingEndpoint, GoalStream
+from fibaction.testing.contract.test_children import MISSION, Held, Mission, Steps
 from fibaction.words.goal_steps import GoalStep, GoalSteps
-from tests.contract.test_children import MISSION, Held, Mission, Steps
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.matching import End
 from tests.support.memory_store import MemoryStore

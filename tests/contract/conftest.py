@@ -19,33 +19,19 @@ import socket
 import tempfile
 import zlib
 from collections import Counter
-from collections.abc import AsyncGenerator, Callable, Generator
-from contextlib import (
-    AbstractAsyncContextManager,
-    AsyncExitStack,
-    asynccontextmanager,
-    contextmanager,
-)
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any
 
 import anyio
 import pytest
 import uvicorn
 
-from fibaction import (
-    ActionClient,
-    ActionServer,
-    ClientConnection,
-    Endpoint,
-    SqliteStore,
-    Transport,
-    connect,
-    serve,
-)
+from fibaction import ActionServer, SqliteStore, Transport, serve
 from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import GoalStore
-from fibaction.types.action import FeedbackT, GoalT, ResultT
+from fibaction.testing.contract.reach import Reach, Servers, directly, through_a_gateway
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.web import WebTransport
 from tests.support.certificates import pems
@@ -53,100 +39,6 @@ from tests.support.forms import FORMS, Form
 from tests.support.memory_store import MemoryStore
 from tests.support.nats_server import IS_LEFT_OUT, NatsServer, nats_server
 from tests.support.ports import free_port
-
-Servers: TypeAlias = tuple[Endpoint, ...]
-
-
-class Way(Protocol):
-    """A way to serve at an address, which gives the URL for clients."""
-
-    def __call__(
-        self, servers: Servers, address: str | Transport, **settings: Any
-    ) -> AbstractAsyncContextManager[str]: ...
-
-
-PATIENCE = 30.0
-"""Seconds after which a test that hangs fails."""
-
-
-class Reach:
-    """Brings a server and its client together on one of the ways."""
-
-    def __init__(self, way: Way, address: Callable[[], str | Transport]) -> None:
-        self._way = way
-        self.address = address
-        """A new address without a server."""
-
-    @asynccontextmanager
-    async def __call__(
-        self, server: ActionServer[GoalT, FeedbackT, ResultT]
-    ) -> AsyncGenerator[ActionClient[GoalT, FeedbackT, ResultT], None]:
-        """Serve, and give a client. At the end, nothing may be left running."""
-        async with self.connection(server) as connection:
-            yield connection.client(server.action)
-
-    @asynccontextmanager
-    async def connection(self, *servers: Endpoint) -> AsyncGenerator[ClientConnection, None]:
-        """Serve, and give a connection."""
-        async with self.url(*servers) as url, connect(url) as connection:
-            yield connection
-
-    @asynccontextmanager
-    async def two_clients(
-        self, server: ActionServer[GoalT, FeedbackT, ResultT]
-    ) -> AsyncGenerator[tuple[ActionClient[GoalT, FeedbackT, ResultT], ...], None]:
-        """Serve, and give two clients, each with a connection of its own."""
-        action = server.action
-        async with (
-            self.url(server) as url,
-            connect(url, action) as one,
-            connect(url, action) as other,
-        ):
-            yield one, other
-
-    @asynccontextmanager
-    async def named_clients(
-        self, server: ActionServer[GoalT, FeedbackT, ResultT], *names: str
-    ) -> AsyncGenerator[list[ActionClient[GoalT, FeedbackT, ResultT]], None]:
-        """Serve with a token for each name, and give a client with each of the tokens."""
-        tokens = {f"token of {name}": name for name in names}
-        async with self.url(server, tokens=tokens) as url, AsyncExitStack() as stack:
-            opening = [connect(url, server.action, token=token) for token in tokens]
-            yield [await stack.enter_async_context(client) for client in opening]
-
-    @asynccontextmanager
-    async def url(self, *servers: Endpoint, **settings: Any) -> AsyncGenerator[str, None]:
-        """Serve, and give the URL. At the end, nothing may be left running."""
-        before = running()
-        with anyio.fail_after(PATIENCE):
-            async with self._way(servers, self.address(), **settings) as url:
-                yield url
-        assert running() <= before, "tasks are left behind"
-
-
-def running() -> set[int]:
-    return {task.id for task in anyio.get_running_tasks()}
-
-
-@asynccontextmanager
-async def directly(
-    servers: Servers, address: str | Transport, **settings: Any
-) -> AsyncGenerator[str, None]:
-    async with serve(servers, address, **settings) as (url,):
-        yield url
-
-
-@asynccontextmanager
-async def through_a_gateway(
-    servers: Servers, address: str | Transport, **settings: Any
-) -> AsyncGenerator[str, None]:
-    """Somebody between, who knows no types, serves what he reaches."""
-    async with AsyncExitStack() as stack:
-        (url,) = await stack.enter_async_context(serve(servers, InProcessTransport()))
-        behind = await stack.enter_async_context(connect(url))
-        endpoints = [behind.endpoint(info) for info in await behind.actions()]
-        (url,) = await stack.enter_async_context(serve(endpoints, address, **settings))
-        yield url
 
 
 @asynccontextmanager

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from fibaction import Action, ActionServer, GoalHandle
-from tests.contract.conftest import Reach
+from fibaction.testing.contract.reach import Reach
 from tests.support.fibonacci import FIBONACCI
 from tests.support.ros_classes import Point, ros_class
 

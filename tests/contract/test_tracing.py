@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalStatus, connect
-from tests.contract.conftest import Reach
+from fibaction.testing.contract.reach import Reach
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.spans import Spans
 

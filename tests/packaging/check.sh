@@ -18,6 +18,6 @@ tests/tools/venv.sh build/wheel dist/*.whl --group test
 cd build
 FIBACTION_ELSEWHERE=1 wheel/bin/python -m pytest -q -n auto --dist worksteal \
     -c ../pyproject.toml --rootdir .. -o pythonpath= -o cache_dir=build/.pytest_cache \
-    ../tests/contract/test_accepting.py ../tests/contract/test_scheduling.py \
+    ../tests/contract/test_transports.py \
     ../tests/test_examples.py ../tests/test_init.py ../tests/test_main.py ../tests/test_stories.py \
     ../tests/transports/web/test_assets.py

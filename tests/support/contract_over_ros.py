@@ -17,7 +17,15 @@ from tests.support.ros_contract import EXCLUSIONS, MODULES
 
 pytest.register_assert_rewrite(*MODULES)
 
-from tests.contract import conftest as contract  # noqa: E402  # rewritten first
+from fibaction.testing.contract.reach import (  # noqa: E402  # rewritten first
+    Reach,
+    directly,
+    through_a_gateway,
+)
+from tests.contract.conftest import anyio_backend  # noqa: E402
+
+PATIENCE = 45.0
+"""Seconds for a thousand goals, which take some 6 s, and several times that on a busy machine."""
 
 
 def contract_over(scheme: str) -> dict[str, Any]:
@@ -28,12 +36,12 @@ def contract_over(scheme: str) -> dict[str, Any]:
         return f"{scheme}://?namespace=/t{uuid.uuid4().hex}"
 
     ways = {
-        scheme: contract.Reach(contract.directly, address),
-        f"gateway to {scheme}": contract.Reach(contract.through_a_gateway, address),
+        scheme: Reach(directly, address, patience=PATIENCE),
+        f"gateway to {scheme}": Reach(through_a_gateway, address, patience=PATIENCE),
     }
 
     @pytest.fixture(params=list(ways))
-    def reach(request: pytest.FixtureRequest) -> contract.Reach:
+    def reach(request: pytest.FixtureRequest) -> Reach:
         return ways[request.param]
 
     tests = {
@@ -44,9 +52,8 @@ def contract_over(scheme: str) -> dict[str, Any]:
     }
     return {
         "pytestmark": pytest.mark.anyio,
-        "anyio_backend": contract.anyio_backend,
+        "anyio_backend": anyio_backend,
         "form": form,
-        "patient": patient,
         "reach": reach,
         **tests,
     }
@@ -56,9 +63,3 @@ def contract_over(scheme: str) -> dict[str, Any]:
 def form() -> Form:
     """Return the form of the executors: no way can tell it behind the server."""
     return as_generator
-
-
-@pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Allow for a thousand goals, which take some 6 s, and several times that on a busy machine."""
-    monkeypatch.setattr(contract, "PATIENCE", 45.0)

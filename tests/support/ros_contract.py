@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 MODULES = [
-    "tests.contract.test_accepting",
-    "tests.contract.test_canceling",
-    "tests.contract.test_children",
-    "tests.contract.test_deadlines",
-    "tests.contract.test_ending",
-    "tests.contract.test_errors",
-    "tests.contract.test_executing",
-    "tests.contract.test_feedback",
-    "tests.contract.test_leaving",
-    "tests.contract.test_meta",
+    "fibaction.testing.contract.test_accepting",
+    "fibaction.testing.contract.test_canceling",
+    "fibaction.testing.contract.test_children",
+    "fibaction.testing.contract.test_deadlines",
+    "fibaction.testing.contract.test_ending",
+    "fibaction.testing.contract.test_errors",
+    "fibaction.testing.contract.test_executing",
+    "fibaction.testing.contract.test_feedback",
+    "fibaction.testing.contract.test_leaving",
+    "fibaction.testing.contract.test_meta",
     "tests.contract.test_ros_messages",
-    "tests.contract.test_scheduling",
-    "tests.contract.test_places",
-    "tests.contract.test_senders",
+    "fibaction.testing.contract.test_scheduling",
+    "fibaction.testing.contract.test_places",
+    "fibaction.testing.contract.test_senders",
     "tests.contract.test_tracing",
 ]
 

@@ -20,12 +20,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
+TESTS = ROOT / "tests"
 PAGE = ROOT / "docs" / "guarantees.md"
 PAGE_OF_TESTS = ROOT / "docs" / "guarantee_tests.md"
 LISTS = ROOT / "build" / "guarantee_tests"
 """Folder of the lists that the page of tests includes: one file for each group of promises."""
 
-CONTRACT = "tests/contract/"
+CONTRACT = ("fibaction/testing/contract/", "tests/contract/")
+"""Folders of the contract: its public part, and what needs more than pytest."""
 ROS = "tests/ros2/"
 LINES = ("tests/transports/", "tests/wire/")
 """Folders of tests for parts that ROS 2 does not use."""
@@ -116,7 +118,7 @@ def _names_in(decorator: ast.expr) -> list[str]:
 def all_proofs() -> list[Proof]:
     """Return all tests of the contract, and all others that name a promise."""
     proofs: list[Proof] = []
-    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+    for path in sorted([*(ROOT / CONTRACT[0]).glob("test_*.py"), *TESTS.rglob("test_*.py")]):
         file = path.relative_to(ROOT).as_posix()
         source = path.read_text(encoding="utf-8")
         if file.startswith(CONTRACT) or f"@{_MARK}" in source:

@@ -14,6 +14,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TypeAlias
 
+from tests.tools.units import CONTRACT
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 SOURCES = ("fibaction", "transports/fibaction_transports")
 
@@ -57,6 +59,7 @@ def product(root: Path = ROOT) -> list[Source]:
         Source.of(path.relative_to(root).as_posix(), path.read_text(encoding="utf-8"))
         for source in SOURCES
         for path in sorted((root / source).rglob("*.py"))
+        if not path.is_relative_to(root / CONTRACT)
     ]
 
 

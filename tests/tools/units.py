@@ -11,6 +11,8 @@ ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ro
 NOT_ELSEWHERE = [
     f"{ELSEWHERE}/{one}" for one in ("on_dds", "without_ros", "dds_transport.py")
 ]  # needs none
+CONTRACT = "fibaction/testing/contract"
+"""The folder of tests that are installed with the product, for others to run."""
 SHARED = ("tests/contract", "tests/simulation", "tests/fleet_simulation")
 """The tests of whole servers and clients, which cover every module."""
 ALSO = {
@@ -45,7 +47,7 @@ def tests_of(root: Path, module: Path) -> list[Path]:
     """Return the test files and folders of a module's unit.
 
     The tests of a package are in a folder of its name, `tests/wire` for `fibaction/wire`, and those
-    of a module in a file, `tests/test_testing.py` for `fibaction/testing.py`.
+    of a module in a file, `tests/test_main.py` for `fibaction/__main__.py`.
     """
     source, tests = next(pair for pair in SOURCES.items() if module.is_relative_to(root / pair[0]))
     first, *inner = module.relative_to(root / source).parts
@@ -69,7 +71,8 @@ def modules(root: Path) -> Iterator[tuple[Path, list[Path]]]:
         for module in sorted((root / source).rglob("*.py")):
             is_elsewhere = module.is_relative_to(root / ELSEWHERE)
             is_here = any(module.is_relative_to(root / one) for one in NOT_ELSEWHERE)
-            if has_code(module) and (is_here or not is_elsewhere):
+            is_test = module.is_relative_to(root / CONTRACT)
+            if not is_test and has_code(module) and (is_here or not is_elsewhere):
                 yield module, tests_of(root, module)
 
 

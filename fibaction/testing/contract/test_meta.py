@@ -6,8 +6,8 @@ import pytest
 
 from fibaction import ActionServer, GoalID, InvalidMessage, Sender, Watcher
 from fibaction.border.abc import Meta
-from tests.contract.conftest import Reach
-from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
+from fibaction.testing.contract.fibonacci import FIBONACCI, Goal, fibonacci
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 

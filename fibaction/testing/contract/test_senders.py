@@ -8,8 +8,8 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalRejected, Sender
-from tests.contract.conftest import Reach
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 

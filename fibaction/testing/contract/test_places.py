@@ -10,8 +10,8 @@ import anyio
 import pytest
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalStatus, Schedule
-from tests.contract.conftest import Reach
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 
@@ -32,7 +32,7 @@ class OneByOne:
 
 
 async def places(client: ActionClient[Goal, Feedback, Result]) -> list[tuple[int, int]]:
-    """The places of the active goals, in the order of their acceptance."""
+    """Return the places of the active goals, in the order of their acceptance."""
     active = [info for info in await client.goals() if info.status.is_active]
     active.sort(key=lambda info: info.stamp)
     for info in active:

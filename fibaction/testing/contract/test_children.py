@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator
+from pathlib import Path
 from typing import TypeAlias
 
 import anyio
@@ -18,14 +19,14 @@ from fibaction import (
     GoalStatus,
     Parent,
     Sender,
+    SqliteStore,
     Watcher,
 )
 from fibaction.border.abc import Meta
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.matching import End
+from fibaction.testing.contract.reach import Reach
 from fibaction.words.goals import child_id
-from tests.contract.conftest import Reach
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.support.matching import End
-from tests.support.memory_store import MemoryStore
 
 pytestmark = pytest.mark.anyio
 
@@ -110,8 +111,10 @@ async def test_a_cancel_of_a_parent_reaches_its_child_and_waits_for_its_end(reac
 
 
 @pytest.mark.promise("CHILD-1", "CHILD-3")
-async def test_a_planned_stop_leaves_a_child_and_the_next_attempt_follows_it(reach: Reach) -> None:
-    child, store = Held(), MemoryStore()
+async def test_a_planned_stop_leaves_a_child_and_the_next_attempt_follows_it(
+    reach: Reach, tmp_path: Path
+) -> None:
+    child, store = Held(), SqliteStore(tmp_path / "goals.db", sync="normal")
     async with reach(ActionServer(FIBONACCI, child)) as arm:
         mission = Mission(arm)
         async with ActionServer(MISSION, mission, store=store, at_stop="keep") as server:
@@ -129,8 +132,10 @@ async def test_a_planned_stop_leaves_a_child_and_the_next_attempt_follows_it(rea
 
 
 @pytest.mark.promise("CHILD-1")
-async def test_a_child_that_ended_before_the_next_attempt_is_not_sent_again(reach: Reach) -> None:
-    child, store = Held(), MemoryStore()
+async def test_a_child_that_ended_before_the_next_attempt_is_not_sent_again(
+    reach: Reach, tmp_path: Path
+) -> None:
+    child, store = Held(), SqliteStore(tmp_path / "goals.db", sync="normal")
     child.go.set()
     between = anyio.Event()
 

@@ -14,9 +14,9 @@ from fibaction import (
     GoalCanceled,
     GoalStatus,
 )
-from tests.contract.conftest import Reach
-from tests.support.executors import Steps
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.executors import Steps
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 

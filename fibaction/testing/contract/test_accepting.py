@@ -23,10 +23,10 @@ from fibaction import (
     connect,
     serve,
 )
-from tests.contract.conftest import Reach
-from tests.support.executors import Steps
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.support.matching import End
+from fibaction.testing.contract.executors import Steps
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.testing.contract.matching import End
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 

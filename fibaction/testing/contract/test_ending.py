@@ -25,10 +25,10 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import StatusStream
-from tests.contract.conftest import PATIENCE, Reach, running
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.support.forms import Form
-from tests.support.matching import End
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.testing.contract.forms import Form
+from fibaction.testing.contract.matching import End
+from fibaction.testing.contract.reach import Reach, running
 
 pytestmark = pytest.mark.anyio
 
@@ -268,22 +268,21 @@ async def test_stopping_ends_every_goal_as_aborted_and_answers_every_client(reac
             assert feedback == [Feedback([1])]
             outcomes.append(await goal.outcome())
 
-    with anyio.fail_after(PATIENCE):
+    with anyio.fail_after(reach.patience):
         server = ActionServer(FIBONACCI, partial, on_goal=on_goal)
-        async with anyio.create_task_group() as tasks:
-            async with reach(server) as client:
-                await client.cancel_goals()  # some clients connect with their first request
-                before = running()
-                for order in (1, 2, 99):
-                    tasks.start_soon(wait, client, order)
-                await all_under_way.wait()
-                tasks_of_this_test = running() - before
-                await server.stop()
-                with anyio.fail_after(30):
-                    while running() & tasks_of_this_test:
-                        await anyio.lowlevel.checkpoint()
-                with pytest.raises(TransportError):
-                    await client.send_goal(Goal(3))
+        async with anyio.create_task_group() as tasks, reach(server) as client:
+            await client.cancel_goals()  # some clients connect with their first request
+            before = running()
+            for order in (1, 2, 99):
+                tasks.start_soon(wait, client, order)
+            await all_under_way.wait()
+            tasks_of_this_test = running() - before
+            await server.stop()
+            with anyio.fail_after(30):
+                while running() & tasks_of_this_test:
+                    await anyio.lowlevel.checkpoint()
+            with pytest.raises(TransportError):
+                await client.send_goal(Goal(3))
     assert outcomes == [End(GoalStatus.ABORTED, Result([1]), "server stopped")] * 2
     assert rejected == ["the server is stopping"]
 
@@ -480,7 +479,7 @@ async def test_a_goal_that_is_canceling_when_the_server_stops_is_canceled(
 @pytest.mark.promise("REACH-2")
 async def test_a_client_can_come_before_its_server_and_wait_for_it(reach: Reach) -> None:
     address = reach.address()
-    with anyio.fail_after(PATIENCE):
+    with anyio.fail_after(reach.patience):
         async with connect(address, FIBONACCI) as client, anyio.create_task_group() as tasks:
             results: list[Result] = []
 

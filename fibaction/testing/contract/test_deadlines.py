@@ -32,9 +32,9 @@ from fibaction import (
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
-from tests.contract.conftest import Reach
-from tests.support.executors import Steps
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.executors import Steps
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 

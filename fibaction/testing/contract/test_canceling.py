@@ -22,12 +22,11 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import StatusStream
-from tests.contract import conftest
-from tests.contract.conftest import Reach
-from tests.support.executors import Items, Steps
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.support.forms import Form
-from tests.support.matching import End
+from fibaction.testing.contract.executors import Items, Steps
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.forms import Form
+from fibaction.testing.contract.matching import End
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 
@@ -251,7 +250,7 @@ async def test_a_cooperative_executor_is_not_interrupted_but_asked(
 
 @pytest.mark.promise("CANCEL-1", "RESULT-2")
 async def test_a_goal_can_be_canceled_by_a_client_that_did_not_send_it(reach: Reach) -> None:
-    with anyio.fail_after(conftest.PATIENCE):
+    with anyio.fail_after(reach.patience):
         async with (
             serve(ActionServer(FIBONACCI, Steps()), reach.address()) as (url,),
             connect(url, FIBONACCI) as sender,

@@ -22,8 +22,8 @@ from fibaction import (
     GoalStatus,
     Schedule,
 )
-from tests.contract.conftest import Reach
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 

@@ -25,10 +25,10 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.border.abc import GoalRequest, GoalStream, StatusStream
+from fibaction.testing.contract.fibonacci import FIBONACCI
+from fibaction.testing.contract.reach import Reach
 from fibaction.types.action import ActionInfo
 from fibaction.wire.errors import NUMBERS
-from tests.contract.conftest import Reach
-from tests.support.fibonacci import FIBONACCI
 
 pytestmark = pytest.mark.anyio
 

@@ -10,10 +10,10 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, GoalFeedback, GoalHandle, GoalInfo, GoalStatus
-from tests.contract.conftest import Reach
-from tests.support.executors import Steps
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.support.forms import Form
+from fibaction.testing.contract.executors import Steps
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.forms import Form
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 
@@ -313,14 +313,13 @@ async def test_a_goal_whose_feedback_is_not_read_delays_no_other_goal(reach: Rea
         return executors[1 if goal.request.order == 500 else 2](goal)
 
     server = ActionServer(FIBONACCI, choose, feedback_window=4, stall_timeout=math.inf)
-    async with reach(server) as client:
-        async with client.send_goal(Goal(500)) as unread:
-            await anyio.wait_all_tasks_blocked()
-            async with client.send_goal(Goal(50)) as read:
-                seen = numbers([item async for item in read.feedback])
-                assert await read.result() == Result([50])
-            assert stuck.yielded < 500
-            answer = await unread.cancel()
-            assert answer.accepted
-            assert (await unread.outcome()).status is GoalStatus.CANCELED
+    async with reach(server) as client, client.send_goal(Goal(500)) as unread:
+        await anyio.wait_all_tasks_blocked()
+        async with client.send_goal(Goal(50)) as read:
+            seen = numbers([item async for item in read.feedback])
+            assert await read.result() == Result([50])
+        assert stuck.yielded < 500
+        answer = await unread.cancel()
+        assert answer.accepted
+        assert (await unread.outcome()).status is GoalStatus.CANCELED
     assert seen == list(range(1, 51))

@@ -9,11 +9,11 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus
-from tests.contract.conftest import Reach
-from tests.support.executors import ABORTED, Items, raises_after_feedback
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.support.forms import OF_GENERATORS, Form, as_function
-from tests.support.matching import End
+from fibaction.testing.contract.executors import ABORTED, Items, raises_after_feedback
+from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.testing.contract.forms import OF_GENERATORS, Form, as_function
+from fibaction.testing.contract.matching import End
+from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 

@@ -1,0 +1,220 @@
+"""An executor that tests let go, and executors that fail, with the expected ends of their goals."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import AsyncGenerator, Callable
+from typing import cast
+
+import anyio
+
+from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
+from fibaction.testing.contract.fibonacci import Feedback, Goal, Result
+
+Items = AsyncGenerator[Feedback | Result, None]
+
+
+class Steps:
+    """An executor that yields feedback up to its order, and then waits until it is let go."""
+
+    def __init__(self, *, go: bool = False) -> None:
+        self.runs: Counter[GoalID] = Counter()
+        self.deadlines: list[float] = []
+        self.yielded = 0
+        self.ended_as: list[GoalStatus] = []
+        self.began, self.canceled, self.go = anyio.Event(), anyio.Event(), anyio.Event()
+        if go:
+            self.go.set()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.runs[goal.goal_id] += 1
+        self.deadlines.append(goal.deadline - anyio.current_time())
+        self.began.set()
+        try:
+            for self.yielded in range(1, goal.request.order + 1):
+                yield Feedback([self.yielded])
+            await self.go.wait()
+        except anyio.get_cancelled_exc_class():
+            self.canceled.set()
+            raise
+        finally:
+            self.ended_as.append(goal.status)
+        yield Result([goal.request.order])
+
+
+async def ends_without_a_result(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+
+
+async def yields_after_the_result(goal: GoalHandle[Goal]) -> Items:
+    yield Result([1])
+    yield Feedback([2])
+
+
+async def yields_two_results(goal: GoalHandle[Goal]) -> Items:
+    yield Result([1])
+    yield Result([2])
+
+
+async def yields_a_wrong_type(goal: GoalHandle[Goal]) -> Items:
+    yield cast("Feedback", {"partial_sequence": [1]})
+
+
+async def yields_what_cannot_be_encoded(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([cast("int", object())])
+
+
+async def raises_before_the_first_yield(goal: GoalHandle[Goal]) -> Items:
+    raise ValueError("no such arm")
+    yield Result([])
+
+
+async def raises_after_feedback(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    raise ValueError("the arm is stuck")
+
+
+async def raises_after_the_result(goal: GoalHandle[Goal]) -> Items:
+    yield Result([1])
+    raise ValueError("the gripper does not open")
+
+
+async def raises_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
+    async with anyio.create_task_group():
+        raise ValueError("inside")
+    yield Result([])
+
+
+async def raises_twice_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
+    raise ExceptionGroup("two things", [ValueError("a"), KeyError("b")])
+    yield Result([])
+
+
+class Mute(Exception):
+    """An error whose `str()` fails."""
+
+    def __str__(self) -> str:
+        raise LookupError("no words")
+
+
+async def raises_what_cannot_say_what_it_is(goal: GoalHandle[Goal]) -> Items:
+    raise Mute
+    yield Result([])
+
+
+async def aborts_with_an_error_as_its_reason(goal: GoalHandle[Goal]) -> Items:
+    raise GoalAborted(cast("str", ValueError("too heavy")), result=Result([1]))
+    yield Result([])
+
+
+async def raises_while_it_is_closed(goal: GoalHandle[Goal]) -> Items:
+    try:
+        yield cast("Feedback", None)
+    finally:
+        raise ValueError("in finally")
+
+
+async def ignores_that_it_is_closed(goal: GoalHandle[Goal]) -> Items:
+    try:
+        yield cast("Feedback", None)
+    finally:
+        yield Feedback([1])
+
+
+async def aborts_with_a_part(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    raise GoalAborted("the object is too heavy", result=Result([1]))
+
+
+async def aborts_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
+    async with anyio.create_task_group():
+        raise GoalAborted("the object is too heavy", result=Result([1]))
+    yield Result([])
+
+
+async def aborts_with_a_wrong_part(goal: GoalHandle[Goal]) -> Items:
+    raise GoalAborted("the object is too heavy", result=[1])
+    yield Result([])
+
+
+async def aborts_with_what_cannot_be_encoded(goal: GoalHandle[Goal]) -> Items:
+    raise GoalAborted("the object is too heavy", result=Result([2**70]))
+    yield Result([])
+
+
+async def says_canceled_though_nobody_asked(goal: GoalHandle[Goal]) -> Items:
+    raise GoalCanceled(result=Result([1]))
+    yield Result([])
+
+
+async def says_canceled_with_a_reason(goal: GoalHandle[Goal]) -> Items:
+    raise GoalCanceled("no light")
+    yield Result([])
+
+
+async def raises_what_only_python_does(goal: GoalHandle[Goal]) -> Items:
+    raise GeneratorExit("by hand")
+    yield Result([])
+
+
+def is_no_generator(goal: GoalHandle[Goal]) -> Items:
+    async def forgot_to_yield() -> Result:
+        return Result([])
+
+    return cast("Items", forgot_to_yield())
+
+
+def returns_its_feedback(goal: GoalHandle[Goal]) -> Items:
+    return cast("Items", [Feedback([goal.request.order])])
+
+
+def raises_instead_of_making_one(goal: GoalHandle[Goal]) -> Items:
+    raise ValueError("at once")
+
+
+WRONG = "the executor is wrong: "
+UNENCODABLE = "Encoding objects of type object is unsupported"
+
+ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]] = [
+    (ends_without_a_result, WRONG + "it ended without yielding a result", None),
+    (yields_after_the_result, WRONG + "it yielded a Feedback after its result", [1]),
+    (yields_two_results, WRONG + "it yielded a Result after its result", [1]),
+    (
+        yields_a_wrong_type,
+        WRONG + "it yielded a dict, which is neither feedback (Feedback) nor a result (Result)",
+        None,
+    ),
+    (yields_what_cannot_be_encoded, f"TypeError: {UNENCODABLE}", None),
+    (raises_before_the_first_yield, "ValueError: no such arm", None),
+    (raises_after_feedback, "ValueError: the arm is stuck", None),
+    (raises_what_cannot_say_what_it_is, "Mute", None),
+    (aborts_with_an_error_as_its_reason, "too heavy", [1]),
+    (raises_after_the_result, "ValueError: the gripper does not open", [1]),
+    (raises_in_a_task_group, "ValueError: inside", None),
+    (raises_twice_in_a_task_group, "ExceptionGroup: two things (2 sub-exceptions)", None),
+    (raises_while_it_is_closed, "ValueError: in finally", None),
+    (ignores_that_it_is_closed, "RuntimeError: async generator ignored GeneratorExit", None),
+    (aborts_with_a_part, "the object is too heavy", [1]),
+    (aborts_in_a_task_group, "the object is too heavy", [1]),
+    (
+        aborts_with_a_wrong_part,
+        "the object is too heavy (its result is left out: a list is not Result)",
+        None,
+    ),
+    (
+        aborts_with_what_cannot_be_encoded,
+        "OverflowError: can't serialize ints < -2**63 or > 2**64 - 1",
+        None,
+    ),
+    (
+        says_canceled_though_nobody_asked,
+        "the executor ended as canceled, but no cancel was requested",
+        [1],
+    ),
+    (says_canceled_with_a_reason, "no light", None),
+    (raises_what_only_python_does, "GeneratorExit: by hand", None),
+    (is_no_generator, WRONG + "it is not an async generator: it returned a coroutine", None),
+    (returns_its_feedback, WRONG + "it is not an async generator: it returned a list", None),
+    (raises_instead_of_making_one, "ValueError: at once", None),
+]
+"""(executor, reason, partial result)"""
