@@ -203,7 +203,10 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     ),
     (
         aborts_with_what_cannot_be_encoded,
-        "OverflowError: can't serialize ints < -2**63 or > 2**64 - 1",
+        (
+            "OverflowError: a whole number of more than 64 bits cannot be sent: send it as text"
+            " - at `$.sequence[0]`"
+        ),
         None,
     ),
     (
