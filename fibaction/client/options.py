@@ -72,10 +72,10 @@ def goal_of(
         TypeError: The arguments do not fit the action, or a name is that of an option and that of
             a parameter.
     """
-    if len(args) == 1 and not fields and action.goal.accepts(args[0]):
+    if len(args) == 1 and not fields and action.goal.holds(args[0]):
         return args[0]
-    for name in action.parameters & options.keys():
-        if options[name] is not None:
+    for name, value in options.items():
+        if value is not None and name in action.parameters:
             raise TypeError(
                 f"{name!r} is an option of the call, and a parameter of {action.name!r}: make the"
                 f" goal with `{action.name}.goal_of({name}=...)`, and give options beside it"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from inspect import Parameter
 from typing import Any, NoReturn, cast, get_args, get_origin, get_type_hints
@@ -70,13 +70,15 @@ class FunctionSignature:
 
     def arguments(
         self, request: Any, handle: GoalHandle[Any], report: Report[Any]
-    ) -> tuple[list[Any], dict[str, Any]]:
+    ) -> tuple[Sequence[Any], dict[str, Any]]:
         """Return the arguments with which the function is called for a goal."""
         given = self.goal.arguments(request) if self._takes_goal else {}
         if self.report:
             given[self.report] = report
         if self._handle:
             given[self._handle] = handle
+        if not self._positional:
+            return (), given
         return [given.pop(name) for name in self._positional], given
 
     def _check_kind(self, function: Callable[..., Any]) -> None:
