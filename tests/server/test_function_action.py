@@ -6,7 +6,7 @@ import dataclasses
 import threading
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
 from functools import partial
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, TypedDict, cast
 
 import anyio
 import attrs
@@ -249,6 +249,7 @@ class Yields:
             "has a type that is not defined here: name 'Metres' is not defined",
         ),
         (staticmethod(of_many), "is a staticmethod: write @action below @staticmethod"),
+        (classmethod(cast("Any", of_many)), "is a classmethod: an action is a method of an object"),
         (of_a_changeable_default, "cannot have its parameters as fields of a goal: "),
         (yields, "is a generator function, and @action is for functions that report and return"),
         (yields_without_async, "is a generator function, and @action is for functions"),

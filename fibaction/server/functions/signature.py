@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from inspect import Parameter
-from typing import Any, NoReturn, cast, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 from fibaction.server.functions.goal_parameters import GoalParameters
 from fibaction.server.functions.report import Report
@@ -82,9 +82,10 @@ class FunctionSignature:
         return [given.pop(name) for name in self._positional], given
 
     def _check_kind(self, function: Callable[..., Any]) -> None:
-        if isinstance(function, staticmethod | classmethod):
-            kind = type(cast("object", function)).__name__
-            self._fail(f"is a {kind}: write @action below @{kind}, next to the function")
+        if isinstance(function, staticmethod):
+            self._fail("is a staticmethod: write @action below @staticmethod, next to the function")
+        if isinstance(function, classmethod):
+            self._fail("is a classmethod: an action is a method of an object, or a function")
         called: Any = getattr(function, "__call__", None)  # noqa: B004  # of an object with the method
         for one in (function, called):
             if inspect.isasyncgenfunction(one) or inspect.isgeneratorfunction(one):
