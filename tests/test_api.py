@@ -187,7 +187,7 @@ async def test_a_connection_that_cannot_have_the_action_is_closed(*, is_block: b
 
 
 async def test_settings_go_to_the_transport() -> None:
-    with pytest.raises(TransportError, match="reconnect_timeout is between 0 and inf"):
+    with pytest.raises(TransportError, match="reconnect_timeout must be between 0 and inf"):
         async with connect("inproc://connection", FIBONACCI, reconnect_timeout=-1):
             raise AssertionError("the block must not run")
 

@@ -136,4 +136,4 @@ def check_range(name: str, value: float, least: float, most: float) -> None:
     """
     check_is_number(name, value)
     if not least <= value <= most:
-        raise ValueError(f"{name} is between {least} and {most}, not {value}")
+        raise ValueError(f"{name} must be between {least} and {most}, not {value}")

@@ -84,7 +84,9 @@ def check_timeout(timeout: float | None) -> None:
         return
     check_is_number("timeout", timeout)
     if not timeout > 0:
-        raise ValueError(f"timeout is more than 0 seconds, or None for no limit, not {timeout}")
+        raise ValueError(
+            f"timeout must be more than 0 seconds, or None for no limit, not {timeout}"
+        )
 
 
 class Attempts:
@@ -116,7 +118,7 @@ class Attempts:
         """
         check_timeout(timeout)
         if not isinstance(cast("object", retry), Retry | None):
-            raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")
+            raise TypeError(f"retry must be a Retry, such as Retry(attempts=3), not {retry!r}")
         self._endpoint = endpoint
         self._goal_id = goal_id
         self._timeout = math.inf if timeout is None else timeout

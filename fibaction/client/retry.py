@@ -65,16 +65,17 @@ class Retry(SettingsStruct, frozen=True, kw_only=True):
         """
         attempts = cast("object", self.attempts)
         if not isinstance(attempts, int):
-            raise TypeError(f"attempts is a whole number, not {attempts!r}")
+            raise TypeError(f"attempts must be a whole number, not {attempts!r}")
         if attempts < 1:
-            raise ValueError(f"attempts is 1 or more, not {attempts}")
+            raise ValueError(f"attempts must be 1 or more, not {attempts}")
         for name, seconds in (("delay", self.delay), ("max_delay", self.max_delay)):
             check_is_number(name, seconds)
             if not 0 <= seconds < float("inf"):
-                raise ValueError(f"{name} is a number of seconds, 0 or more, not {seconds}")
+                raise ValueError(f"{name} must be a number of seconds, 0 or more, not {seconds}")
         if self.max_delay < self.delay:
             raise ValueError(
-                f"max_delay is at least the delay of {self.delay:g} s, not {self.max_delay:g} s"
+                f"max_delay must be at least the delay of {self.delay:g} s,"
+                f" not {self.max_delay:g} s"
             )
         _check_are_safe(self.on)
 
@@ -96,7 +97,7 @@ def _check_are_safe(classes: object) -> None:
     """Raise an error if a goal could run twice after one of these classes of errors."""
     if not isinstance(classes, tuple):
         raise TypeError(
-            f"on is a tuple of error classes, such as (ServerNotFound,), not {classes!r}"
+            f"on must be a tuple of error classes, such as (ServerNotFound,), not {classes!r}"
         )
     names = ", ".join(kind.__name__ for kind in _SAFE)
     for kind in cast("tuple[type[object], ...]", classes):

@@ -152,16 +152,18 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
         """
         for name, one, other in WORDS:
             if (word := getattr(self, name)) not in (one, other):
-                raise ValueError(f"{name} is {one!r} or {other!r}, not {word!r}")
+                raise ValueError(f"{name} must be {one!r} or {other!r}, not {word!r}")
         for least, names in ((1, AT_LEAST_ONE), (0, NOT_NEGATIVE)):
             for name in names:
                 value = getattr(self, name)
                 check_is_number(name, value)
                 if not value >= least:
                     bound = "0 or more" if not least else "at least 1"
-                    raise ValueError(f"{name} is {bound}, not {value}")
+                    raise ValueError(f"{name} must be {bound}, not {value}")
         if not (self.recovery in ("abort", "rerun") or callable(self.recovery)):
-            raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {self.recovery!r}")
+            raise ValueError(
+                f"recovery must be 'abort', 'rerun' or a function, not {self.recovery!r}"
+            )
         if self.schedule is not None:
             _check_is_schedule(self.schedule)
         if self.store is not None:
@@ -170,10 +172,10 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
 
 def _check_is_schedule(schedule: object) -> None:
     if not isinstance(schedule, Schedule):
-        raise TypeError(f"schedule is a Schedule, not {schedule!r}")
+        raise TypeError(f"schedule must be a Schedule, not {schedule!r}")
 
 
 def check_is_store(store: object) -> None:
     """Raise TypeError for what is not a store."""
     if not isinstance(store, GoalStore):
-        raise TypeError(f"store is a GoalStore, such as SqliteStore(path), not {store!r}")
+        raise TypeError(f"store must be a GoalStore, such as SqliteStore(path), not {store!r}")

@@ -60,7 +60,7 @@ class SqliteStore(GoalStore):
         """
         check_is_history(history)
         if sync not in ("full", "normal"):
-            raise ValueError(f"sync is 'full' or 'normal', not {sync!r}")
+            raise ValueError(f"sync must be 'full' or 'normal', not {sync!r}")
         name: str = os.fsdecode(path)
         if name == ":memory:":
             raise ValueError("a store is a file: leave `store` out to keep goals in memory")

@@ -353,7 +353,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
             ValueError: The name breaks the rule for names, or `classes` is neither of the two.
         """
         if classes not in ("structs", "ros"):
-            raise ValueError(f"classes is 'structs' or 'ros', not {classes!r}")
+            raise ValueError(f"classes must be 'structs' or 'ros', not {classes!r}")
         made = load("ros2" if classes == "structs" else "ros2_classes", type_name)
         goal, feedback, result = made(type_name)
         return cls(name, goal=goal, feedback=feedback, result=result, type_name=type_name)

@@ -84,9 +84,9 @@ class Limits(SettingsStruct, frozen=True):
                 continue
             check_is_number(f"the limit of {name}", value)
             if not 0 < value < math.inf:
-                raise ValueError(f"the limit of {name} is finite and more than 0, not {value}")
+                raise ValueError(f"the limit of {name} must be finite and more than 0, not {value}")
             if name not in _SECONDS and not isinstance(value, int):
-                raise TypeError(f"the limit of {name} is a whole number, not {value!r}")
+                raise TypeError(f"the limit of {name} must be a whole number, not {value!r}")
         check_range("the limit of frame", self.frame, LEAST_FRAME, 2**32 - 1)
 
 
@@ -96,7 +96,7 @@ DEFAULT_LIMITS = Limits()
 
 def _check_are_limits(given: object) -> None:
     if not isinstance(given, Limits):
-        raise TypeError(f"limits are like Limits(connections=100), not {given!r}")
+        raise TypeError(f"limits must be given as Limits(connections=100), not {given!r}")
 
 
 class LineSettings(TransportSettings, frozen=True, kw_only=True):
@@ -183,7 +183,7 @@ class WireSettings(ClientSettings, frozen=True, kw_only=True):
         super().__post_init__()
         check_range("grace", self.grace, 0, math.inf)
         if self.orphans not in ("keep", "cancel"):
-            raise ValueError(f"orphans is 'keep' or 'cancel', not {self.orphans!r}")
+            raise ValueError(f"orphans must be 'keep' or 'cancel', not {self.orphans!r}")
         _ = self.access  # which checks the tokens
 
     @cached_property

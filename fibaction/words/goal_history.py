@@ -35,12 +35,12 @@ class GoalHistory(SettingsStruct, frozen=True, kw_only=True):
         """
         check_is_number("seconds", self.seconds)
         if not self.seconds > 0:
-            raise ValueError(f"seconds is more than 0, not {self.seconds}")
+            raise ValueError(f"seconds must be more than 0, not {self.seconds}")
         goals = cast("object", self.goals)
         if not isinstance(goals, int):
-            raise TypeError(f"goals is a whole number, not {goals!r}")
+            raise TypeError(f"goals must be a whole number, not {goals!r}")
         if goals < 1:
-            raise ValueError(f"goals is 1 or more, not {goals}")
+            raise ValueError(f"goals must be 1 or more, not {goals}")
 
     def earliest_end(self, now: int) -> int:
         """Return the time at or before which an end is too long ago at `now`, both in nanoseconds
@@ -52,4 +52,4 @@ class GoalHistory(SettingsStruct, frozen=True, kw_only=True):
 def check_is_history(value: object) -> None:
     """Raise TypeError for what is neither a history nor None."""
     if not (value is None or isinstance(value, GoalHistory)):
-        raise TypeError(f"history is a GoalHistory, not {value!r}")
+        raise TypeError(f"history must be a GoalHistory, not {value!r}")

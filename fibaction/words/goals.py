@@ -88,7 +88,7 @@ class GoalID(bytes):
             return given
         if isinstance(given, str):
             return cls.parse(given)
-        raise TypeError(f"goal_id is a GoalID, or the text of one, not {given!r}")
+        raise TypeError(f"goal_id must be a GoalID, or the text of one, not {given!r}")
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, _handler: Any) -> Any:

@@ -37,7 +37,7 @@ def is_number(value: object) -> TypeGuard[int | float]:
 def check_is_number(name: str, value: object) -> None:
     """Raise TypeError for an argument that is not a number, such as the text of one."""
     if not isinstance(value, SupportsFloat):
-        raise TypeError(f"{name} is a number, not {value!r}")
+        raise TypeError(f"{name} must be a number, not {value!r}")
 
 
 def quoted(value: Any) -> str:

@@ -168,11 +168,11 @@ async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
 async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
     broken = Broken(BrokenStream())
     client = client_of(broken)
-    with pytest.raises(TypeError, match="goal_id is a GoalID"):
+    with pytest.raises(TypeError, match="goal_id must be a GoalID"):
         client.send_goal(Goal(1), goal_id=wrong)
-    with pytest.raises(TypeError, match="goal_id is a GoalID"):
+    with pytest.raises(TypeError, match="goal_id must be a GoalID"):
         await client.attach(wrong)
-    with pytest.raises(TypeError, match="goal_id is a GoalID"):
+    with pytest.raises(TypeError, match="goal_id must be a GoalID"):
         await client.cancel_goals(wrong)
     assert (broken.follows, broken.cancels) == ([], [])
 
@@ -224,17 +224,17 @@ async def test_a_goal_that_an_action_needs_is_not_left_out() -> None:
 async def test_a_timeout_that_is_text_is_told_in_one_sentence() -> None:
     text: Any = "5"
     client = client_of(Broken(BrokenStream()))
-    with pytest.raises(TypeError, match="timeout is a number, not '5'"):
+    with pytest.raises(TypeError, match="timeout must be a number, not '5'"):
         client.send_goal(Goal(1), timeout=text)
-    with pytest.raises(TypeError, match="timeout is a number, not '5'"):
+    with pytest.raises(TypeError, match="timeout must be a number, not '5'"):
         await client.wait_for_server(text)
-    with pytest.raises(TypeError, match="delay is a number, not '5'"):
+    with pytest.raises(TypeError, match="delay must be a number, not '5'"):
         Retry(delay=text)
 
 
 @pytest.mark.parametrize("wrong", [0, -1.5, math.nan])
 async def test_a_timeout_that_is_no_time_goes_nowhere(wrong: float) -> None:
-    text = f"^timeout is more than 0 seconds, or None for no limit, not {wrong}$"
+    text = f"^timeout must be more than 0 seconds, or None for no limit, not {wrong}$"
     async with ScriptedServer(FIBONACCI, [Result([])]) as server:
         client = client_of(server)
         with pytest.raises(ValueError, match=text):
@@ -242,7 +242,7 @@ async def test_a_timeout_that_is_no_time_goes_nowhere(wrong: float) -> None:
         with pytest.raises(ValueError, match=text):
             await client.call(Goal(1), timeout=wrong)
         with pytest.raises(
-            TypeError, match=r"^retry is a Retry, such as Retry\(attempts=3\), not 3$"
+            TypeError, match=r"^retry must be a Retry, such as Retry\(attempts=3\), not 3$"
         ):
             await client.call(Goal(1), retry=cast("Retry", 3))
     assert server.received == []

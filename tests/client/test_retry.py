@@ -35,11 +35,11 @@ def test_a_rule_has_values_that_suit_most() -> None:
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"attempts": 0}, "attempts is 1 or more, not 0"),
-        ({"delay": -1}, "delay is a number of seconds, 0 or more, not -1"),
-        ({"delay": math.nan}, "delay is a number of seconds, 0 or more, not nan"),
-        ({"max_delay": math.inf}, "max_delay is a number of seconds, 0 or more, not inf"),
-        ({"delay": 20.0}, "max_delay is at least the delay of 20 s, not 10 s"),
+        ({"attempts": 0}, "attempts must be 1 or more, not 0"),
+        ({"delay": -1}, "delay must be a number of seconds, 0 or more, not -1"),
+        ({"delay": math.nan}, "delay must be a number of seconds, 0 or more, not nan"),
+        ({"max_delay": math.inf}, "max_delay must be a number of seconds, 0 or more, not inf"),
+        ({"delay": 20.0}, "max_delay must be at least the delay of 20 s, not 10 s"),
         *(
             ({"on": (kind,)}, f"on does not take {kind.__name__}: {AFTER_A_RUN}; on takes {ALL}")
             for kind in (GoalAborted, GoalCanceled, GoalTimeout, UnknownGoal)
@@ -60,10 +60,13 @@ def test_a_value_that_is_wrong_is_one_sentence(values: dict[str, Any], text: str
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"attempts": 1.5}, "attempts is a whole number, not 1.5"),
+        ({"attempts": 1.5}, "attempts must be a whole number, not 1.5"),
         (
             {"on": ServerNotFound},
-            f"on is a tuple of error classes, such as (ServerNotFound,), not {ServerNotFound!r}",
+            (
+                "on must be a tuple of error classes, such as (ServerNotFound,), not"
+                f" {ServerNotFound!r}"
+            ),
         ),
     ],
 )

@@ -50,11 +50,14 @@ def named(name: str, type_name: str = FIBONACCI.type_name) -> Any:
     ("url", "text"),
     [
         ("ros2://robot/arm", "it has a path; a URL of ROS is, for example, ros2://node_name"),
-        ("ros2://?feedback_depth=0", "feedback_depth is between 1 and 100000, not 0"),
-        ("ros2://?discovery_timeout=nan", "discovery_timeout is between 0 and inf, not nan"),
-        ("ros2://?reconnect_timeout=-1", "reconnect_timeout is between 0 and inf, not -1.0"),
+        ("ros2://?feedback_depth=0", "feedback_depth must be between 1 and 100000, not 0"),
+        ("ros2://?discovery_timeout=nan", "discovery_timeout must be between 0 and inf, not nan"),
+        ("ros2://?reconnect_timeout=-1", "reconnect_timeout must be between 0 and inf, not -1.0"),
         ("ros2://?reconnect=yes", "ros2://: the setting 'reconnect' cannot be 'yes'"),
-        ("ros2://?introspection=all", "introspection is one of off, metadata, contents, not 'all'"),
+        (
+            "ros2://?introspection=all",
+            "introspection must be one of off, metadata, contents, not 'all'",
+        ),
         (
             "ros2://?feedback_qos=best-effort",
             "invalid feedback_qos: 'best-effort' is not one of reliable, best_effort, volatile,",

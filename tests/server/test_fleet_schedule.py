@@ -182,7 +182,7 @@ def test_a_limit_that_cannot_hold_in_a_fleet_is_an_error(
 
 
 def test_the_name_of_a_limit_is_a_text() -> None:
-    with pytest.raises(TypeError, match="fleet_limit is a text, not 5"):
+    with pytest.raises(TypeError, match="fleet_limit must be a text, not 5"):
         Schedule(**ONE | {"fleet_limit": 5})
 
 

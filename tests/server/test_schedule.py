@@ -11,7 +11,7 @@ import pytest
 from fibaction import ActionServer, Schedule
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
-WORDS = "when_full is 'reject', 'preempt' or 'replace', not "
+WORDS = "when_full must be 'reject', 'preempt' or 'replace', not "
 
 
 async def waits(goal: Goal) -> int:
@@ -21,10 +21,10 @@ async def waits(goal: Goal) -> int:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"concurrency": 0}, "concurrency is 1 or more, not 0"),
-        ({"concurrency": -1}, "concurrency is 1 or more, not -1"),
-        ({"total": 0}, "total is 1 or more, not 0"),
-        ({"concurrency": 1, "queue": -1}, "queue is 0 or more, not -1"),
+        ({"concurrency": 0}, "concurrency must be 1 or more, not 0"),
+        ({"concurrency": -1}, "concurrency must be 1 or more, not -1"),
+        ({"total": 0}, "total must be 1 or more, not 0"),
+        ({"concurrency": 1, "queue": -1}, "queue must be 0 or more, not -1"),
         ({"queue": 1}, "queue=1 needs a limit: set concurrency or total, too"),
         (
             {"when_full": "preempt"},
@@ -52,11 +52,11 @@ async def waits(goal: Goal) -> int:
             {"skip_expired": True},
             "skip_expired=True needs a limit: set concurrency or total, too",
         ),
-        ({"queue_timeout": 0}, "queue_timeout is more than 0, not 0"),
-        ({"queue_timeout": math.nan}, "queue_timeout is more than 0, not nan"),
-        ({"run_timeout": -0.5}, "run_timeout is more than 0, not -0.5"),
-        ({"handover": -1}, "handover is 0 or more, not -1"),
-        ({"handover": math.nan}, "handover is 0 or more, not nan"),
+        ({"queue_timeout": 0}, "queue_timeout must be more than 0, not 0"),
+        ({"queue_timeout": math.nan}, "queue_timeout must be more than 0, not nan"),
+        ({"run_timeout": -0.5}, "run_timeout must be more than 0, not -0.5"),
+        ({"handover": -1}, "handover must be 0 or more, not -1"),
+        ({"handover": math.nan}, "handover must be 0 or more, not nan"),
         ({"concurrency": 1, "handover": 2.5}, "handover=2.5 needs when_full='preempt'"),
         (
             {"concurrency": 1, "queue": 1, "when_full": "replace", "handover": math.inf},
@@ -72,18 +72,18 @@ def test_a_value_out_of_range_is_rejected_with_what_to_do(settings: Any, text: s
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"concurrency": 1.0}, "concurrency is a whole number, not 1.0"),
-        ({"concurrency": True}, "concurrency is a whole number, not True"),
-        ({"total": "2"}, "total is a whole number, not '2'"),
-        ({"concurrency": 1, "queue": None}, "queue is a whole number, not None"),
-        ({"concurrency": 1, "queue": math.inf}, "queue is a whole number, not inf"),
+        ({"concurrency": 1.0}, "concurrency must be a whole number, not 1.0"),
+        ({"concurrency": True}, "concurrency must be a whole number, not True"),
+        ({"total": "2"}, "total must be a whole number, not '2'"),
+        ({"concurrency": 1, "queue": None}, "queue must be a whole number, not None"),
+        ({"concurrency": 1, "queue": math.inf}, "queue must be a whole number, not inf"),
         ({"key": "arm"}, "key is a function of a goal, or of a goal and its sender, not 'arm'"),
-        ({"run_timeout": "60"}, "run_timeout is a number of seconds, not '60'"),
-        ({"queue_timeout": None}, "queue_timeout is a number of seconds, not None"),
-        ({"concurrency": 1, "skip_expired": 1}, "skip_expired is True or False, not 1"),
-        ({"handover": "1"}, "handover is a number of seconds, not '1'"),
-        ({"key": waits}, "key is a function that does not wait, without `async`"),
-        ({"priority": waits}, "priority is a function that does not wait, without `async`"),
+        ({"run_timeout": "60"}, "run_timeout must be a number of seconds, not '60'"),
+        ({"queue_timeout": None}, "queue_timeout must be a number of seconds, not None"),
+        ({"concurrency": 1, "skip_expired": 1}, "skip_expired must be True or False, not 1"),
+        ({"handover": "1"}, "handover must be a number of seconds, not '1'"),
+        ({"key": waits}, "key must be a function without `async`, which does not wait"),
+        ({"priority": waits}, "priority must be a function without `async`, which does not wait"),
         ({"priority": 3}, "priority is a function of a goal, or of a goal and its sender, not 3"),
     ],
 )
@@ -94,5 +94,5 @@ def test_a_value_of_another_type_is_rejected_with_what_to_do(settings: Any, text
 
 def test_a_server_takes_no_other_object_for_a_schedule() -> None:
     rules: Any = {"concurrency": 1}
-    with pytest.raises(TypeError, match=re.escape(f"schedule is a Schedule, not {rules}")):
+    with pytest.raises(TypeError, match=re.escape(f"schedule must be a Schedule, not {rules}")):
         ActionServer(FIBONACCI, fibonacci, schedule=rules)

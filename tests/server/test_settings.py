@@ -26,17 +26,17 @@ pytestmark = pytest.mark.anyio
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"feedback": "some"}, "feedback is 'every' or 'latest', not 'some'"),
-        ({"feedback_window": 0}, "feedback_window is at least 1, not 0"),
-        ({"stall_timeout": -1}, "stall_timeout is 0 or more, not -1"),
-        ({"result_timeout": -0.1}, "result_timeout is 0 or more, not -0.1"),
-        ({"result_timeout": math.nan}, "result_timeout is 0 or more, not nan"),
-        ({"max_results": -1}, "max_results is 0 or more, not -1"),
-        ({"max_goals": -1}, "max_goals is 0 or more, not -1"),
-        ({"max_bytes": -1}, "max_bytes is 0 or more, not -1"),
-        ({"shutdown_timeout": -1}, "shutdown_timeout is 0 or more, not -1"),
-        ({"watchdog": -1}, "watchdog is 0 or more, not -1"),
-        ({"watchdog": math.nan}, "watchdog is 0 or more, not nan"),
+        ({"feedback": "some"}, "feedback must be 'every' or 'latest', not 'some'"),
+        ({"feedback_window": 0}, "feedback_window must be at least 1, not 0"),
+        ({"stall_timeout": -1}, "stall_timeout must be 0 or more, not -1"),
+        ({"result_timeout": -0.1}, "result_timeout must be 0 or more, not -0.1"),
+        ({"result_timeout": math.nan}, "result_timeout must be 0 or more, not nan"),
+        ({"max_results": -1}, "max_results must be 0 or more, not -1"),
+        ({"max_goals": -1}, "max_goals must be 0 or more, not -1"),
+        ({"max_bytes": -1}, "max_bytes must be 0 or more, not -1"),
+        ({"shutdown_timeout": -1}, "shutdown_timeout must be 0 or more, not -1"),
+        ({"watchdog": -1}, "watchdog must be 0 or more, not -1"),
+        ({"watchdog": math.nan}, "watchdog must be 0 or more, not nan"),
     ],
 )
 def test_an_option_out_of_range_is_rejected_at_once(options: Any, text: str) -> None:
@@ -119,7 +119,7 @@ def test_arguments_in_the_wrong_order_are_told_in_one_sentence(first: Any, hint:
 
 def test_a_setting_that_is_text_is_told_in_one_sentence() -> None:
     text: Any = "5"
-    with pytest.raises(TypeError, match="shutdown_timeout is a number, not '5'"):
+    with pytest.raises(TypeError, match="shutdown_timeout must be a number, not '5'"):
         ActionServer(FIBONACCI, fibonacci, shutdown_timeout=text)
 
 

@@ -238,7 +238,7 @@ async def test_a_file_that_cannot_be_opened_is_an_error_for_each_action(tmp_path
 
 
 async def test_what_sync_can_be_is_checked(path: Path) -> None:
-    with pytest.raises(ValueError, match="sync is 'full' or 'normal', not 'off'"):
+    with pytest.raises(ValueError, match="sync must be 'full' or 'normal', not 'off'"):
         SqliteStore(path, sync="off")  # type: ignore[arg-type]  # that is the point
     assert repr(SqliteStore(path, "normal")) == f"SqliteStore({str(path)!r}, sync='normal')"
 
@@ -251,7 +251,7 @@ async def test_a_store_keeps_goals_that_have_ended_for_a_history(path: Path) -> 
         await kept(kept.journal.accept, a_goal(1))
         await kept(kept.journal.end, after_end(a_goal(1), ended_at=time.time_ns()))
         assert [info.stamp for info in await kept.journal.past_goals(PastPage())] == [1]
-    with pytest.raises(TypeError, match="history is a GoalHistory, not 5"):
+    with pytest.raises(TypeError, match="history must be a GoalHistory, not 5"):
         SqliteStore(path, history=5)  # type: ignore[arg-type]  # that is the point
 
 

@@ -679,7 +679,7 @@ def test_classes_of_ros_are_asked_for_by_name(install: Install) -> None:
     install(f"{__name__}:make_three", "ros2_classes")
     action = Action.from_ros("arduinobot_msgs/action/Fibonacci", name="fibonacci", classes="ros")
     assert action.goal.type is Goal
-    with pytest.raises(ValueError, match=r"^classes is 'structs' or 'ros', not 'rclpy'$"):
+    with pytest.raises(ValueError, match=r"^classes must be 'structs' or 'ros', not 'rclpy'$"):
         Action.from_ros("a_msgs/action/A", name="a", classes=cast("Any", "rclpy"))
 
 

@@ -30,7 +30,7 @@ def test_maps_and_lists_are_told_apart_from_other_values(
 def test_an_argument_that_is_not_a_number_is_told_by_its_name() -> None:
     for number in (1, 1.5, Fraction(1, 3)):
         check_is_number("timeout", number)
-    with pytest.raises(TypeError, match="timeout is a number, not '5'"):
+    with pytest.raises(TypeError, match="timeout must be a number, not '5'"):
         check_is_number("timeout", "5")
 
 

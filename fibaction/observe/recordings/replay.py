@@ -212,7 +212,7 @@ def replayed(path: str | Path, *, speed: float = 1.0) -> list[ActionServer[Any, 
         ValueError: The speed is not a positive number.
     """
     if not speed > 0:
-        raise ValueError(f"speed is a positive number, not {speed}")
+        raise ValueError(f"speed must be a positive number, not {speed}")
     path = Path(path)
     actions: dict[str, _Recorded] = {}
     with open(path, "rb") as file:

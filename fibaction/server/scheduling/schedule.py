@@ -78,14 +78,16 @@ class Schedule(SettingsStruct, frozen=True, kw_only=True):
             _check_is_limit(name, getattr(self, name), least)
         if self.when_full not in WORDS:
             raise ValueError(
-                f"when_full is 'reject', 'preempt' or 'replace', not {self.when_full!r}"
+                f"when_full must be 'reject', 'preempt' or 'replace', not {self.when_full!r}"
             )
         for name in ("key", "priority"):
             function = getattr(self, name)
             if function is not None:
                 with_sender(name, function)
                 if iscoroutinefunction(function):
-                    raise TypeError(f"{name} is a function that does not wait, without `async`")
+                    raise TypeError(
+                        f"{name} must be a function without `async`, which does not wait"
+                    )
         for name in ("queue_timeout", "run_timeout", "handover"):
             _check_is_time(name, getattr(self, name))
         _check_is("skip_expired", self.skip_expired, bool, "True or False")
@@ -133,21 +135,21 @@ def _check_is_limit(name: str, limit: object, least: int) -> None:
     if limit is None and least:
         return
     if not isinstance(limit, int) or isinstance(limit, bool):
-        raise TypeError(f"{name} is a whole number, not {limit!r}")
+        raise TypeError(f"{name} must be a whole number, not {limit!r}")
     if limit < least:
-        raise ValueError(f"{name} is {least} or more, not {limit}")
+        raise ValueError(f"{name} must be {least} or more, not {limit}")
 
 
 def _check_is(name: str, value: object, kind: type, what: str) -> None:
     if not isinstance(value, kind):
-        raise TypeError(f"{name} is {what}, not {value!r}")
+        raise TypeError(f"{name} must be {what}, not {value!r}")
 
 
 def _check_is_time(name: str, seconds: object) -> None:
     if not isinstance(seconds, int | float):
-        raise TypeError(f"{name} is a number of seconds, not {seconds!r}")
+        raise TypeError(f"{name} must be a number of seconds, not {seconds!r}")
     if name == "handover" and seconds == 0:
         return
     if not seconds > 0:
         least = "0 or more" if name == "handover" else "more than 0"
-        raise ValueError(f"{name} is {least}, not {seconds}")
+        raise ValueError(f"{name} must be {least}, not {seconds}")

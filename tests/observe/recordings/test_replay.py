@@ -196,5 +196,5 @@ async def test_a_file_without_servers_and_a_wrong_speed_are_errors(tmp_path: Pat
     with pytest.raises(RecordingError, match="has no servers: is it a recording of fibaction"):
         replayed(path)
     for speed in (0, -1, float("nan")):
-        with pytest.raises(ValueError, match=r"^speed is a positive number, not "):
+        with pytest.raises(ValueError, match=r"^speed must be a positive number, not "):
             replayed(path, speed=speed)

@@ -40,7 +40,7 @@ def test_patterns_may_come_from_a_generator() -> None:
 
 @pytest.mark.parametrize("patience", [0, -1, math.inf, math.nan])
 def test_the_patience_is_a_number_of_seconds(patience: float) -> None:
-    with pytest.raises(ValueError, match="patience is finite"):
+    with pytest.raises(ValueError, match="patience must be finite"):
         AgentPolicy(patience=patience)
 
 

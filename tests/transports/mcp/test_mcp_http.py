@@ -223,7 +223,7 @@ async def test_the_settings_in_a_url_are_those_of_the_constructor() -> None:
 @pytest.mark.parametrize(
     ("url", "text"),
     [
-        ("mcp+http://h:1?patience=0", "patience is finite"),
+        ("mcp+http://h:1?patience=0", "patience must be finite"),
         ("mcp+http://h:1?allow=", "'allow' cannot be ''"),
         ("mcp+http://h:1?read_only=yes", "'read_only' cannot be 'yes'"),
         ("mcp+http://h:1?tokens=a", "given in code"),
@@ -241,7 +241,7 @@ async def test_a_url_that_cannot_be_used_is_an_error(url: str, text: str) -> Non
 async def test_its_address_is_this_machine_unless_it_is_said() -> None:
     assert transport_for("mcp+https://?cert=a").url == "mcp+https://127.0.0.1:8090"  # type: ignore[attr-defined]
     assert McpHttpTransport("::1", 5).url == "mcp+http://[::1]:5"
-    with pytest.raises(ValueError, match="port is between"):
+    with pytest.raises(ValueError, match="port must be between"):
         McpHttpTransport(port=65536)
     with pytest.raises(TypeError, match="no setting 'unask'"):
         transport_for("mcp+http://", unask=["a"])

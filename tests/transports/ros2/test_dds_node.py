@@ -391,9 +391,9 @@ async def test_the_domain_and_the_range_may_be_settings(monkeypatch: pytest.Monk
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
-        ({"discovery": "EVERYWHERE"}, "discovery is one of OFF, LOCALHOST, SUBNET"),
-        ({"fragment_size": 100}, "fragment_size is between 256 and 63000"),
-        ({"ip_versions": (6, 4)}, "ip_versions is one of 4, 6 and 4,6, not 6,4"),
+        ({"discovery": "EVERYWHERE"}, "discovery must be one of OFF, LOCALHOST, SUBNET"),
+        ({"fragment_size": 100}, "fragment_size must be between 256 and 63000"),
+        ({"ip_versions": (6, 4)}, "ip_versions must be one of 4, 6 and 4,6, not 6,4"),
     ],
 )
 def test_a_setting_that_is_out_of_range_is_an_error(settings: dict[str, Any], problem: str) -> None:

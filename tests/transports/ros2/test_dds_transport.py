@@ -41,10 +41,10 @@ PATIENCE = 30.0
         ("dds://?introspection=contents", "introspection needs rclpy"),
         ("dds://?domain_id=x", "dds://: the setting 'domain_id' cannot be 'x'"),
         ("dds://?domain_id=1&domain_id=2", "dds://: setting given twice"),
-        ("dds://?domain_id=233", "domain_id is between 0 and 232, not 233"),
-        ("dds://?lease=0", "lease is between 0.1 and 3600, not 0.0"),
-        ("dds://?discovery=FAR", "discovery is one of OFF, LOCALHOST, SUBNET, not 'FAR'"),
-        ("dds://?fragment_size=1", "fragment_size is between 256 and 63000, not 1"),
+        ("dds://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
+        ("dds://?lease=0", "lease must be between 0.1 and 3600, not 0.0"),
+        ("dds://?discovery=FAR", "discovery must be one of OFF, LOCALHOST, SUBNET, not 'FAR'"),
+        ("dds://?fragment_size=1", "fragment_size must be between 256 and 63000, not 1"),
     ],
 )
 def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:

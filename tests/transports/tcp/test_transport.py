@@ -93,16 +93,16 @@ async def test_a_url_says_where_the_server_is(
 
 
 async def test_numbers_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"heartbeat is between 0\.001 and 3600, not 0"):
+    with pytest.raises(ValueError, match=r"heartbeat must be between 0\.001 and 3600, not 0"):
         TcpTransport(heartbeat=0)
-    with pytest.raises(ValueError, match="window is between 1 and 2147483647, not 0"):
+    with pytest.raises(ValueError, match="window must be between 1 and 2147483647, not 0"):
         UnixTransport("/run/x", window=0)
-    with pytest.raises(ValueError, match="grace is between 0 and inf, not nan"):
+    with pytest.raises(ValueError, match="grace must be between 0 and inf, not nan"):
         TcpTransport(grace=float("nan"))
     for port in (-1, 65536):
-        with pytest.raises(ValueError, match=f"port is between 0 and 65535, not {port}"):
+        with pytest.raises(ValueError, match=f"port must be between 0 and 65535, not {port}"):
             TcpTransport(port=port)
-    with pytest.raises(TransportError, match="orphans is 'keep' or 'cancel', not 'eat'"):
+    with pytest.raises(TransportError, match="orphans must be 'keep' or 'cancel', not 'eat'"):
         TcpTransport.from_url("tcp://robot?orphans=eat")
 
 

@@ -52,7 +52,7 @@ def test_a_url_has_a_host_a_port_and_a_path(url: str, shown: str, line: str) -> 
         ("rosbridge://robot?limits=x", "cannot have the setting 'limits'"),
         ("rosbridge://robot?accepted_after=soon", "'accepted_after' cannot be 'soon'"),
         ("rosbridge://robot?accepted_after=-1", "accepted_after is at least 0 seconds"),
-        ("rosbridge://robot?heartbeat=0", "heartbeat is between"),
+        ("rosbridge://robot?heartbeat=0", "heartbeat must be between"),
     ],
 )
 def test_what_is_wrong_in_a_url_is_told(url: str, problem: str) -> None:

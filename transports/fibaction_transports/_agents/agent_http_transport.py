@@ -100,7 +100,7 @@ class AgentHttpTransport(AgentTransport):
         super().__init__(made)
         port = self.default_port if port is None else port
         if not 0 <= port <= MAX_PORT:
-            raise ValueError(f"port is between 0 and {MAX_PORT}, not {port}")
+            raise ValueError(f"port must be between 0 and {MAX_PORT}, not {port}")
         tokens = dict(made.tokens or {})
         if made.token:
             tokens[made.token] = "agent"

@@ -47,7 +47,9 @@ class AgentPolicy(TransportSettings, frozen=True, kw_only=True):
         for name in ("allow", "unasked"):  # an iterator would be used up by the check
             msgspec.structs.force_setattr(self, name, tuple(getattr(self, name)))
         if not 0 < self.patience < math.inf:
-            raise ValueError(f"patience is finite and more than 0 seconds, not {self.patience}")
+            raise ValueError(
+                f"patience must be finite and more than 0 seconds, not {self.patience}"
+            )
         if not all((*self.allow, *self.unasked)):
             raise ValueError("a pattern is the name of an action, and cannot be empty")
 

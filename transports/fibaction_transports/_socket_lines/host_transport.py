@@ -52,7 +52,7 @@ class HostTransport(StreamTransport):
     def __init__(self, host: str, port: int, settings: HostSettings) -> None:
         super().__init__(settings)
         if not 0 <= port <= MAX_PORT:
-            raise ValueError(f"port is between 0 and {MAX_PORT}, not {port}")
+            raise ValueError(f"port must be between 0 and {MAX_PORT}, not {port}")
         self._host = host
         self._port = port
         self._tls = settings.tls

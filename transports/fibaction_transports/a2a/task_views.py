@@ -206,7 +206,7 @@ def page_of(tasks: list[Task], request: ListTasksRequest) -> ListTasksResponse:
     """
     size = request.page_size if request.HasField("page_size") else DEFAULT_PAGE
     if not 0 < size <= LARGEST_PAGE:
-        raise InvalidParamsError(f"pageSize is between 1 and {LARGEST_PAGE}, not {size}")
+        raise InvalidParamsError(f"pageSize must be between 1 and {LARGEST_PAGE}, not {size}")
     wanted = [task for task in tasks if _is_wanted(task, request)]
     wanted.sort(key=_key, reverse=True)
     rest = wanted

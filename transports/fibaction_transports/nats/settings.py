@@ -73,15 +73,15 @@ class NatsSettings(WireSettings, frozen=True, kw_only=True):
         """
         super().__post_init__()
         if self.history_days is not None and not self.history_days > 0:
-            raise ValueError(f"history_days is more than 0, not {self.history_days:g}")
+            raise ValueError(f"history_days must be more than 0, not {self.history_days:g}")
         if self.history_goals is not None and self.history_goals < 1:
-            raise ValueError(f"history_goals is 1 or more, not {self.history_goals}")
+            raise ValueError(f"history_goals must be 1 or more, not {self.history_goals}")
         if self.lease and not LEAST_LEASE <= self.lease <= LONGEST_LEASE:
             raise ValueError(
-                f"lease is between {LEAST_LEASE:g} and {LONGEST_LEASE:g} s, not {self.lease:g}"
+                f"lease must be between {LEAST_LEASE:g} and {LONGEST_LEASE:g} s, not {self.lease:g}"
             )
         if self.replicas not in (0, 1, 3, 5):
-            raise ValueError(f"replicas is 1, 3 or 5, not {self.replicas}")
+            raise ValueError(f"replicas must be 1, 3 or 5, not {self.replicas}")
 
     @property
     def history(self) -> GoalHistory | None:

@@ -102,7 +102,8 @@ class RosSettings(TransportSettings, frozen=True, kw_only=True):
                 raise ValueError(f"invalid {name}: {exc}") from exc
         if self.introspection not in INTROSPECTIONS:
             raise ValueError(
-                f"introspection is one of {', '.join(INTROSPECTIONS)}, not {self.introspection!r}"
+                f"introspection must be one of {', '.join(INTROSPECTIONS)},"
+                f" not {self.introspection!r}"
             )
 
     @property

@@ -64,10 +64,10 @@ class DdsSettings(RosSettings, frozen=True, kw_only=True):
             raise ValueError("introspection needs rclpy: leave it out with dds://")
         if self.discovery and self.discovery not in DiscoveryRange.__members__:
             known = ", ".join(DiscoveryRange.__members__)
-            raise ValueError(f"discovery is one of {known}, not {self.discovery!r}")
+            raise ValueError(f"discovery must be one of {known}, not {self.discovery!r}")
         if self.ip_versions and tuple(self.ip_versions) not in IP_VERSIONS:
             given = ",".join(map(str, self.ip_versions))
-            raise ValueError(f"ip_versions is one of 4, 6 and 4,6, not {given}")
+            raise ValueError(f"ip_versions must be one of 4, 6 and 4,6, not {given}")
 
 
 class DdsAdapter(RosAdapter):
