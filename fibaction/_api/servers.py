@@ -19,6 +19,7 @@ from fibaction.types.action import Action
 from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
+    from fibaction.server import ActionServer
     from fibaction.server.functions.function_action import FunctionAction
     from fibaction_transports.keywords import ServeKeywords
 
@@ -107,18 +108,30 @@ async def _served(
             raise TypeError(f"only an ActionServer can have watchers, and {one!r} is not one")
         one.watch_by(watchers)
     started: list[Startable] = []
+    held = _new_servers(chosen)
     async with AsyncExitStack() as stack:
         for transport in transports:
             store = await stack.enter_async_context(transport.goal_store())
             if store is not None:
                 _keep_in(store, chosen)
+        for server in held:
+            server.hold_executors()
         for one in chosen:
             if isinstance(one, Startable) and not one.is_running:
                 await stack.enter_async_context(one)
                 started.append(one)
         urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
         stack.push_async_callback(_stop, started)
+        for server in held:
+            server.start_executors()
         yield tuple(urls)
+
+
+def _new_servers(endpoints: Iterable[Endpoint]) -> list[ActionServer[Any, Any, Any]]:
+    from fibaction.server import ActionServer  # as above
+
+    found: list[Any] = [one for one in endpoints if isinstance(one, ActionServer)]
+    return [one for one in found if one.is_new]
 
 
 def _keep_in(store: GoalStore, endpoints: Iterable[Endpoint]) -> None:

@@ -116,8 +116,9 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         )
         self.capacity = Capacity(registry, keeper, dispatcher)
 
-    async def open(self, stack: AsyncExitStack) -> None:
-        """Open the store, and start the tasks. The stack ends both.
+    async def open(self, stack: AsyncExitStack, *, held: bool) -> None:
+        """Open the store, and start the tasks. The stack ends both. If `held`, no executor runs
+        before `runs.start`.
 
         Raises:
             StoreError: The store cannot be used, or has goals that cannot be read.
@@ -140,7 +141,9 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         await self.recovery.check()
         keeper = self.keeper
         await self.dispatcher.open(tasks, self.runs, keeper.look_at_capacity, keeper.key_places)
-        self.runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail from here on
+        self.runs.open(
+            tasks, held=held
+        )  # its tasks wait for `stop`, so nothing may fail from here on
         self.keeper.start(tasks, self.recovery.open, self.capacity.watch)
 
     async def recover(self) -> None:
@@ -200,6 +203,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             for goal_id in self.runs.active():
                 self.runs.interrupt(goal_id, SERVER_STOPPED)
                 await slices.pause()
+            self.runs.start()  # those that are held back end, too
             with move_on_after(timeout, shield=True):
                 while self.runs.are_left:
                     await self.logs.ended.wait()

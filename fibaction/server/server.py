@@ -110,6 +110,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._started = Notifier()
         self._stack: AsyncExitStack
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
+        self._is_held = False
         self.store: GoalStore | None = self._settings.store
         """The store that keeps the goals of this server; None if none does."""
 
@@ -150,6 +151,16 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             raise RuntimeError(f"{self!r} was started before; give the watchers to another one")
         self._watchers = Watchers(self.action.name, (*self._watchers.members, *members))
 
+    def hold_executors(self) -> None:
+        """Run no executor before `start_executors` is called: an executor of a goal that the store
+        has may need a client of this very server. To be called before the server is entered.
+        """
+        self._is_held = True
+
+    def start_executors(self) -> None:
+        """Run the executors that were held back: clients can reach the server now."""
+        self._parts.runs.start()
+
     async def __aenter__(self) -> Self:
         """Start the server. With a store, take over its goals before anything else.
 
@@ -176,7 +187,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         async with AsyncExitStack() as stack:
             stack.callback(self._watchers.closed, self.info)
             self._watchers.opened(self.info)
-            await parts.open(stack)
+            await parts.open(stack, held=self._is_held)
             stack.push_async_callback(self._stop_early)
             await parts.recover()
             stack.enter_context(keeper.block)

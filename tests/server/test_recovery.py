@@ -30,6 +30,7 @@ from fibaction import (
     Schedule,
     SqliteStore,
     StoreError,
+    TransportError,
     connect,
     serve,
 )
@@ -550,6 +551,39 @@ async def test_an_executor_that_yields_its_result_while_a_server_stops_has_succe
             goal = await client.send_goal(4)
             await runs.wait()
         assert await goal.result() == "just done"
+
+
+@pytest.mark.promise("KEEP-6")
+async def test_an_executor_that_runs_again_can_be_a_client_of_its_own_server(
+    machine: Machine,
+) -> None:
+    async def paint(goal: GoalHandle[int]) -> Painting:
+        if goal.request == 1:
+            yield "painted 1"
+            return
+        async with connect(machine.url, PAINT, **machine.settings) as own:
+            yield await own.call(1)
+
+    goal_id = await begun(machine, Painter(stop_at=2))
+    async with machine.life(paint, recovery="rerun") as client:
+        assert await outcome_of(client, goal_id) == End(GoalStatus.SUCCEEDED, "painted 1")
+
+
+@pytest.mark.promise("KEEP-6")
+async def test_no_executor_runs_at_a_server_whose_address_is_in_use(machine: Machine) -> None:
+    goal_id = await begun(machine, painter := Painter(stop_at=2))
+    store = MemoryStore()
+    store.goals = machine.store.goals
+    server = ActionServer(PAINT, painter, store=store, recovery="rerun", at_stop="keep")
+    with anyio.fail_after(5):
+        async with serve(ActionServer(PAINT, painter), machine.url):
+            with pytest.raises(TransportError, match=r"in use|already served"):
+                async with serve(server, machine.url):
+                    pass
+    assert painter.runs == [Run(1, None)]
+    machine.store.goals = store.goals
+    async with machine.life(Painter(), recovery="rerun", max_attempts=2) as client:
+        assert (await outcome_of(client, goal_id)).result == "painted 4"
 
 
 # Clients

@@ -23,7 +23,7 @@ from fibaction import Action, ActionClient, ActionServer, GoalHandle
 Items = AsyncGenerator[int | str, None]
 
 SHUTDOWN_TIMEOUT = 0.05
-thread_may_end = Event()
+thread_may_end, thread_began = Event(), anyio.Event()
 
 
 async def sleeps_again(goal: GoalHandle[int]) -> Items:
@@ -91,7 +91,12 @@ async def has_a_task_group(goal: GoalHandle[int]) -> Items:
 
 async def waits_for_a_thread(goal: GoalHandle[int]) -> Items:
     yield 1
-    await anyio.to_thread.run_sync(thread_may_end.wait)
+    await anyio.to_thread.run_sync(wait_in_a_thread)
+
+
+def wait_in_a_thread() -> None:
+    anyio.from_thread.run_sync(thread_began.set)
+    thread_may_end.wait()
 
 
 REFUSING = (
@@ -113,6 +118,7 @@ async def leave(server: ActionServer[int, int, str]) -> None:
         goal = await ActionClient(server, server.action).send_goal(1)
         async for _ in goal.feedback:
             break
+        await thread_began.wait()  # else that executor could be canceled before it refuses
 
 
 async def main() -> None:

@@ -117,14 +117,20 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._step = keeper.life.step
         keeper.life.carry_out(self._acts())
 
-    def open(self, tasks: TaskGroup) -> None:
-        """Use these tasks for executors; the store is open."""
+    def open(self, tasks: TaskGroup, *, held: bool) -> None:
+        """Use these tasks for executors; the store is open. If `held`, none runs before `start`."""
         self._pool = TaskPool(tasks, f"goal of {self._action.name}")
+        if held:
+            self._pool.hold()
         tasks.start_soon(self.lost.run, name=f"lost goals of {self._action.name}")
         if self._keeper.has_lease:
             self._fence = self.lost.fence
 
     # Start
+
+    def start(self) -> None:
+        """Run the executors that were held back."""
+        self._pool.start()
 
     def add(
         self,

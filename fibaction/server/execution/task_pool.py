@@ -68,6 +68,7 @@ class TaskPool:
         self._idle: list[Notifier] = []
         self._working: set[CancelOnce] = set()
         self._is_coming = True  # a task was woken or started for the next job, or will be
+        self._is_held = self._is_open = False
         self._slice_end = 0.0
         self._on_wait = self._call  # one bound method for all scopes
         self._turns = Turns()
@@ -82,18 +83,33 @@ class TaskPool:
         self._jobs.append(job, key)
         self._call()
 
+    def hold(self) -> None:
+        """Run no job before `start` is called. To be called before the event loop's next turn."""
+        self._is_held = True
+
+    def start(self) -> None:
+        """Run the jobs that were held back, and hold back none from now on."""
+        if self._is_held:
+            self._is_held = False
+            self._begin()
+
     def close(self) -> None:
         """End the idle tasks, after the last job was added."""
         self._closed = True
+        self.start()
         idle, self._idle = self._idle, []
         for news in idle:
             news.notify()
         self._group.close()
 
     def _open(self, tasks: TaskGroup) -> None:
-        self._tasks = tasks
-        self._is_coming = False
-        self._call()
+        self._tasks, self._is_open = tasks, True
+        self._begin()
+
+    def _begin(self) -> None:
+        if self._is_open and not self._is_held:
+            self._is_coming = False
+            self._call()
 
     def _abandon(self) -> None:
         for scopes in tuple(self._working):
