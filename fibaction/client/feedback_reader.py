@@ -71,6 +71,7 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
         self._dropped = 0  # before this stream
         self._reader: int | None = None
         self._holding = True
+        self._waits = False
 
     def __aiter__(self) -> FeedbackReader[FeedbackT]:
         self._reader = _caller()
@@ -81,6 +82,7 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
 
         Raises:
             StopAsyncIteration: The goal has ended, and all its feedback has been read.
+            RuntimeError: Another task waits for the next feedback, and would get a part of it.
             GoalTimeout: As for `ClientGoal.outcome`.
             ConnectionLost: The connection ended before the goal did.
             TransportError: As for `ClientGoal.outcome`.
@@ -88,6 +90,11 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
         """
         if self._thread.ident != get_ident():  # else without a call: each message is here
             self._thread.check()
+        if self._waits:
+            raise RuntimeError(
+                f"another task or thread waits for the feedback of goal {self.stream.goal_id}, and"
+                f" each message has one reader: get another one by `client.attach(goal_id)`"
+            )
         if not self._holding:
             self._holding = True
             self.stream.hold(True)
@@ -97,7 +104,11 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
         while stream.reads:  # as in `GoalStream.receive`
             updates = stream.take()
             if not updates:
-                await stream.news.wait()
+                self._waits = True
+                try:
+                    await stream.news.wait()
+                finally:
+                    self._waits = False
             elif isinstance(updates[0], FeedbackItem):
                 return self._codec.decode(updates[0].payload)
             elif isinstance(updates[0], Outcome):
@@ -105,7 +116,11 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
         raise StopAsyncIteration
 
     async def _next_in_time(self, attempts: Attempts) -> FeedbackT:
-        item = await self._wait(attempts, GoalStream.receive)
+        self._waits = True
+        try:
+            item = await self._wait(attempts, GoalStream.receive)
+        finally:
+            self._waits = False
         if item is None:
             raise StopAsyncIteration
         feedback = self._codec.decode(item.payload)

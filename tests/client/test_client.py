@@ -35,6 +35,7 @@ from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpda
 from fibaction.border.endpoints import ForwardingEndpoint
 from fibaction.testing import ScriptedServer
 from fibaction.words.goal_steps import GoalStep, GoalSteps
+from tests.support.executors import Steps
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.matching import End
 from tests.support.spans import Spans
@@ -485,6 +486,30 @@ async def test_the_number_of_the_last_feedback_is_where_another_reader_goes_on()
         assert [(later.feedback.number, feedback) async for feedback in later] == [
             (3, Feedback([3]))
         ]
+
+
+@pytest.mark.parametrize("timeout", [None, 60.0])
+async def test_two_tasks_cannot_read_the_feedback_of_a_goal_at_once(timeout: float | None) -> None:
+    executor = Steps()
+    async with ActionServer(FIBONACCI, executor) as server:
+        client = ActionClient(server, FIBONACCI)
+        async with client.send_goal(Goal(1), timeout=timeout) as goal:
+            feedback = aiter(goal.feedback)
+            await anext(feedback)
+            seen: list[Feedback] = []
+
+            async def read() -> None:
+                seen.extend([item async for item in goal.feedback])
+
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(read)
+                await anyio.wait_all_tasks_blocked()
+                with pytest.raises(RuntimeError, match=r"get another one by `client\.attach"):
+                    await anext(feedback)
+                executor.go.set()
+            assert await goal.result() == Result([1])
+            # One after another may read on, also after a wait that was canceled.
+            assert [item async for item in goal.feedback] == seen == []
 
 
 async def test_only_a_client_that_was_awaited_is_closed() -> None:
