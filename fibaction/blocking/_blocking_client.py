@@ -118,9 +118,9 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         """Send a goal, and return it: **`with send_goal` cancels, `goal.detach()` prevents it.**
 
         It returns as soon as the server has accepted the goal. `with client.send_goal(...) as goal`
-        cancels the goal at the end of the block, if it has not ended. Without a block, the end of
-        the block of `connect` cancels it. Both do not after `goal.detach()`. `goal_id`,
-        `timeout` and `labels` are those of `ActionClient.send_goal`.
+        cancels the goal at the end of the block, if it has not ended, unless `goal.detach()` was
+        called. Without a block, the goal continues after the end of the block of `connect`, as in
+        asyncio. `goal_id`, `timeout` and `labels` are those of `ActionClient.send_goal`.
 
         Raises:
             ActionError, TypeError, ValueError: As for `ActionClient.send_goal`.

@@ -64,7 +64,8 @@ class BlockingFeedback(Generic[FeedbackT]):
 class BlockingGoal(Generic[FeedbackT, ResultT]):
     """One accepted goal, as its client sees it; a block of it cancels the goal at the end.
 
-    The methods are those of `ClientGoal`, and wait. Several threads may use one goal.
+    The methods are those of `ClientGoal`, and wait. Several threads may use one goal; one of them
+    reads its feedback.
 
     For example:
 
@@ -83,10 +84,15 @@ class BlockingGoal(Generic[FeedbackT, ResultT]):
         self._loop = loop
         self._goal = goal
         self._sending = sending
+        self._is_detached = False
         self.feedback = BlockingFeedback(loop, goal.feedback)
         """The feedback, for `for`. While it is not read, the server keeps the newest."""
+        if sending is not None:
+            loop.sent(sending)
 
     def __enter__(self) -> BlockingGoal[FeedbackT, ResultT]:
+        if self._sending is not None and not self._is_detached:
+            self._loop.begin_block(self._sending)
         return self
 
     def __exit__(
@@ -162,6 +168,7 @@ class BlockingGoal(Generic[FeedbackT, ResultT]):
 
     def detach(self) -> None:
         """Let the goal continue on its own: the end of a block no longer cancels it."""
+        self._is_detached = True
         if self._sending is not None:
             self._sending.detach()
 

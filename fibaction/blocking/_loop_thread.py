@@ -12,6 +12,11 @@ An exception in the caller's thread, `KeyboardInterrupt` above all, cancels the 
 then waits until the task has ended, because its end has canceled the goal: for a few seconds at
 most, since each wait of a clean-up is limited.
 
+A goal that was sent is canceled by its block, if it has one; else it continues, as in asyncio. But
+the block may be about to begin, and Ctrl-C in that moment is to cancel the goal. So the goal that
+the main thread has sent last counts as one with a block (`sent`), until the thread makes another
+call, or the block of `connect` ends in another way.
+
 `hosted` keeps an async context manager open in one task, which must enter it and leave it. `stop`
 ends the loop: calls that still run are canceled, and calls that come later raise `ConnectionLost`.
 """
@@ -31,8 +36,9 @@ from anyio import NoEventLoopError, get_cancelled_exc_class
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from anyio.lowlevel import current_token
 
-from fibaction.blocking._interrupts import Interrupts
+from fibaction.blocking._interrupts import Interrupts, is_main_thread
 from fibaction.client.feedback_reader import CALLER
+from fibaction.client.goal import SendingGoal
 from fibaction.words.errors import ConnectionLost
 
 T = TypeVar("T")
@@ -97,6 +103,7 @@ class LoopThread:
         self._thread: AbstractContextManager[BlockingPortal]
         self._host: _Call[None] | None = None
         self._leaving: anyio.Event
+        self._sent: SendingGoal[Any, Any] | None = None
 
     def start(self) -> None:
         """Start the thread."""
@@ -158,6 +165,7 @@ class LoopThread:
     ) -> T:
         """Run an async function that can let this thread call `callback`."""
         check_is_no_loop()
+        self.let_go()
         with self._interrupts.held():
             call = _Call[T](lambda call: function(call.hand_over))
             future = self._submit(call.run)
@@ -172,6 +180,25 @@ class LoopThread:
                 call.ended.wait()
                 raise
             return call.outcome()
+
+    def sent(self, goal: SendingGoal[Any, Any]) -> None:
+        """Take note of a goal that was sent, and whose block may be about to begin."""
+        if is_main_thread():
+            self._sent = goal
+        else:
+            goal.detach()
+
+    def begin_block(self, goal: SendingGoal[Any, Any]) -> None:
+        """Let the end of this block, or of that of `connect`, cancel the goal."""
+        goal.attach()
+        if self._sent is goal:
+            self._sent = None
+
+    def let_go(self) -> None:
+        """Let the goal that was sent last continue by itself: it has no block."""
+        if self._sent is not None and is_main_thread():
+            self._sent.detach()
+            self._sent = None
 
     def _submit(self, function: Callable[[], Any]) -> Future[Any]:
         with self._lock:  # the portal may not be stopped while it is asked
@@ -241,6 +268,8 @@ class LoopBlock(Generic[OpenedT, ValueT]):
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        if exc_type is not KeyboardInterrupt:
+            self._loop.let_go()
         self._close()
 
     def _close(self) -> None:

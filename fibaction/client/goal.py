@@ -233,6 +233,10 @@ class SendingGoal(AsyncBlock, Generic[FeedbackT, ResultT]):
             if not stream.status.is_terminal:
                 await self.leave()
 
+    def attach(self) -> None:
+        """Let the end of the client's block cancel the goal, as if the goal had a block here."""
+        self._blocks[self] = None
+
     def detach(self) -> None:
         """Let the goal continue on its own: the end of a block no longer cancels it."""
         self._blocks.pop(self, None)

@@ -129,17 +129,69 @@ def test_a_goal_is_followed_to_its_end(client: Client) -> None:
         assert repr(goal) == f"<BlockingGoal {goal.goal_id} SUCCEEDED>"
 
 
-def test_a_goal_without_a_block_is_canceled_by_the_end_of_the_connection(served: Served) -> None:
+def test_a_goal_without_a_block_continues_after_the_end_of_the_connection(served: Served) -> None:
     with connect(served.url, COUNT) as client, connect(served.url, COUNT) as other:
         with connect(served.url, COUNT) as short:
-            left, detached = short.send_goal(FOR_EVER), short.send_goal(FOR_EVER)
-            detached.detach()
-        assert client.attach(left.goal_id).outcome().status is GoalStatus.CANCELED
-        with other.attach(detached.goal_id) as followed:
-            followed.detach()
-            assert next(followed.feedback) > 0
-        assert client.cancel_goals(detached.goal_id).accepted
-        assert client.attach(detached.goal_id).outcome().status is GoalStatus.CANCELED
+            detached, used, last = [short.send_goal(FOR_EVER) for _ in range(3)]
+            with detached:
+                detached.detach()
+            with detached:
+                next(used.feedback)
+        for goal in (detached, used, last):
+            with other.attach(goal.goal_id) as followed:
+                followed.detach()
+                assert next(followed.feedback) > 0
+            assert client.cancel_goals(goal.goal_id).accepted
+            assert client.attach(goal.goal_id).outcome().status is GoalStatus.CANCELED
+
+
+def test_a_block_that_begins_later_cancels_its_goal(served: Served, client: Client) -> None:
+    with connect(served.url, COUNT) as short:
+        first = short.send_goal(FOR_EVER)
+        assert first.attempt == 1
+        short.goals()
+        with first:
+            next(first.feedback)
+        assert client.attach(first.goal_id).outcome().status is GoalStatus.CANCELED
+        in_a_thread: list[Any] = []
+        thread = threading.Thread(target=lambda: in_a_thread.append(short.send_goal(FOR_EVER)))
+        thread.start()
+        thread.join()
+    assert client.cancel_goals(in_a_thread[0].goal_id).accepted  # it has continued
+
+
+@action("say_nothing")
+async def say_nothing() -> None:
+    await anyio.sleep_forever()
+
+
+def test_two_threads_cannot_read_the_feedback_of_a_goal_at_once() -> None:
+    with (
+        blocking_serve(say_nothing, "tcp://127.0.0.1:0") as (url,),
+        connect(url, say_nothing) as client,
+        client.send_goal() as goal,
+    ):
+        errors: list[str] = []
+        both_tried = threading.Event()
+
+        def read() -> None:
+            try:
+                next(goal.feedback)
+            except RuntimeError as error:
+                errors.append(str(error))
+                both_tried.set()
+            except StopIteration:
+                pass
+
+        threads = [threading.Thread(target=read) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        assert both_tried.wait(5)
+        goal.cancel()
+        for thread in threads:
+            thread.join()
+    [text] = errors
+    assert text.startswith("another task or thread waits for the feedback of goal ")
 
 
 def test_without_an_action_it_gives_a_connection(served: Served) -> None:
