@@ -15,7 +15,7 @@ import msgspec
 import pytest
 from a2a.types import Message, Part, Role
 
-from fibaction import Action, ActionInfo, ClientConnection, connect, serve
+from fibaction import Action, ActionInfo, ClientConnection, action, connect, serve
 from fibaction.cli.output import render
 from fibaction.cli.verbs.send_goal import SendOptions, send
 from fibaction.schema.template import Template
@@ -61,16 +61,25 @@ class Given:
         return Action("home", goal=self.type, feedback=int, result=str)
 
 
+@action
+async def home() -> str:
+    """Drive home."""
+    raise AssertionError("a script stands for it")
+
+
 NONE, EMPTY = Given(None, None), Given(Home, Home())
+FUNCTION = Given(home.goal.type, home.goal.type())
 KINDS = {
     "none": NONE,
     "a struct without fields": EMPTY,
+    "a function without parameters": FUNCTION,
     "a struct of defaults": Given(Slowly, Slowly(), has_fields=True),
     "a map": Given(dict[str, int], {}, has_fields=True),
     "nullable": Given(int | None, None, has_fields=True),
 }
 each_kind = pytest.mark.parametrize("given", KINDS.values(), ids=KINDS)
-each_empty_kind = pytest.mark.parametrize("given", [NONE, EMPTY], ids=["none", "empty"])
+EMPTY_KINDS = {"none": NONE, "empty": EMPTY, "function": FUNCTION}
+each_empty_kind = pytest.mark.parametrize("given", EMPTY_KINDS.values(), ids=EMPTY_KINDS)
 
 
 @pytest.fixture

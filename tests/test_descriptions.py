@@ -16,7 +16,7 @@ import pytest
 import yaml
 from google.protobuf.json_format import MessageToDict
 
-from fibaction import Action, ActionInfo, connect, serve
+from fibaction import Action, ActionInfo, Report, action, connect, serve
 from fibaction.cli.verbs.info import print_info
 from fibaction.schema.template import Template
 from fibaction.schema.typescript import typescript_source
@@ -64,7 +64,37 @@ class DriveData:
     speed: Annotated[float, "Meters in a second."] = 0.5
 
 
+@action
+async def drive(
+    report: Report[int],
+    meters: Annotated[int, "How far, in meters."],
+    speed: Annotated[float, msgspec.Meta(description="Meters in a second.")] = 0.5,
+) -> str:
+    """Drive straight on.
+
+    It stops:
+
+    - at a wall,
+    - at the end.
+    """
+    raise AssertionError("a script stands for it")
+
+
+@action("drive")
+async def drive_by_data(request: DriveData) -> str:
+    """Drive straight on.
+
+    It stops:
+
+    - at a wall,
+    - at the end.
+    """
+    raise AssertionError("a script stands for it")
+
+
 ACTIONS: dict[str, Action[Any, Any, Any]] = {
+    "a function": drive,
+    "a function of a dataclass": drive_by_data,
     "a struct": Action("drive", goal=DriveStruct, feedback=int, result=str),
     "a dataclass": Action("drive", goal=DriveData, feedback=int, result=str),
 }
@@ -196,20 +226,20 @@ DOORS: dict[str, Callable[[Served], Awaitable[Shown]]] = {
 }
 
 
-@pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
+@pytest.mark.parametrize("shown", ACTIONS.values(), ids=ACTIONS)
 @pytest.mark.parametrize("door", DOORS.values(), ids=DOORS)
 async def test_an_action_looks_the_same_at_each_door(
-    door: Callable[[Served], Awaitable[Shown]], action: Action[Any, Any, Any]
+    door: Callable[[Served], Awaitable[Shown]], shown: Action[Any, Any, Any]
 ) -> None:
-    async with ScriptedServer(action, ["there"]) as server:
+    async with ScriptedServer(shown, ["there"]) as server:
         assert await door(server) == (TEXT, FIELDS)
 
 
-@pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
+@pytest.mark.parametrize("shown", ACTIONS.values(), ids=ACTIONS)
 async def test_a_rosbridge_client_has_the_same_names_and_defaults(
-    action: Action[Any, Any, Any],
+    shown: Action[Any, Any, Any],
 ) -> None:
-    goal_type, type_name = action.goal.type, "drive_msgs/action/Drive"
+    goal_type, type_name = shown.goal.type, "drive_msgs/action/Drive"
     named = Action("drive", goal=goal_type, feedback=int, result=str, type_name=type_name)
     async with (
         ScriptedServer(named, ["there"]) as server,
