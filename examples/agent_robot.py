@@ -50,7 +50,7 @@ def on_goal(goal: Put) -> None:
         raise GoalRejected(f"there is no {goal.thing}, but {', '.join(sorted(ON_THE_TABLE))}")
 
 
-@action("put")
+@action
 async def put(goal: Put, report: Report[str]) -> Done:
     """Take a thing, and put it somewhere."""
     for step in (f"grasps the {goal.thing}", f"moves to the {goal.place}", "opens the hand"):

@@ -40,7 +40,7 @@ class Moving(Struct):
     joints: list[float]
 
 
-@action("move_arm", type_name="arduinobot_msgs/action/MoveArm")
+@action(type_name="arduinobot_msgs/action/MoveArm")
 async def move_arm(report: Report[Moving], goal: Joints) -> Joints:
     """Move all joints at once, in ten parts."""
     joints = [0.0] * len(goal.joints)

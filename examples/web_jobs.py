@@ -42,7 +42,7 @@ class Progress(Struct):
     percent: int
 
 
-@action("make_report")
+@action
 async def make_report(report: Report[Progress], job: Job) -> str:
     """Write one page after another."""
     page = 0

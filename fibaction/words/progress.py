@@ -29,7 +29,7 @@ class Progress(msgspec.Struct, frozen=True):
 
     For example:
 
-        @action("copy")
+        @action
         async def copy(report: Report[Progress], files: list[str]) -> int:
             for number, name in enumerate(files):
                 await report(Progress(number, len(files), name))

@@ -8,6 +8,7 @@ import pytest
 
 from tests.support import node, walks
 from tests.support.pages import Block
+from tests.support.ros_domain import own_domain
 from tests.support.walks import file_of, steps_of, terminal_of, walk
 from tests.test_docs import PAGES, ROOT
 
@@ -27,7 +28,8 @@ def test_a_reader_who_types_what_the_page_says_sees_what_it_shows(
             pytest.skip(node.MISSING)
         (folder / "node_modules").symlink_to(node.MODULES)  # as by `npm install`
 
-    wrong = walk(page, folder)
+    with own_domain():
+        wrong = walk(page, folder)
 
     assert not wrong, "\n".join(wrong)
 
