@@ -69,6 +69,7 @@ types: $(VENV)/.tools  ## Check the types of the code, and of the programs in th
 	$(BIN)/mypy
 	$(BIN)/basedpyright
 	$(BIN)/python -m tests.typing.pages
+	$(BIN)/python -m tests.typing.other_checkers
 
 imports: $(VENV)/.tools  ## Check that imports point one way
 	$(BIN)/lint-imports
