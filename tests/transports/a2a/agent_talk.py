@@ -143,9 +143,8 @@ def told(update: StreamResponse) -> str:
 
 
 def data_of(parts: Any) -> Any:
-    """Return the data of the only part."""
-    (part,) = parts
-    return MessageToDict(part.data)
+    """Return the data of the first part; those after it are the same as text."""
+    return MessageToDict(parts[0].data)
 
 
 def state_of(task: Task) -> str:

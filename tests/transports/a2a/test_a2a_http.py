@@ -79,9 +79,13 @@ async def test_each_of_several_tokens_is_enough() -> None:
 @pytest.mark.parametrize(
     ("body", "code", "text"),
     [
-        (b"{", -32700, "Expecting property name"),
+        (b"{", -32700, "the request is not JSON: "),
         (b"[]", -32600, ""),
-        (b"\xff\xfe\x00", -32603, ""),
+        (b"\xff\xfe\x00", -32700, "the request is not JSON: "),
+        (b"[" * 5000, -32700, "the request nests too deep"),
+        (call("SendMessage", {"metadata": {"a": [1] * 9000}}), -32600, "16384 are the limit"),
+        ([1] * 9000, -32600, "16384 are the limit"),
+        (call("SendMessage", {"message": {"parts": [{}] * 100_000}}), -32602, ""),
         (b'{"jsonrpc": "2.0", "id": 1, "method": "Fly"}', -32601, "Method not found"),
         (call("SendMessage", {"message": 3}), -32602, ""),
         (call("SendMessage", {"message": {"parts": []}}), -32602, ""),
@@ -91,9 +95,12 @@ async def test_each_of_several_tokens_is_enough() -> None:
         (call("ListTasks", {"pageToken": "next"}), -32602, "page before"),
     ],
 )
-async def test_what_is_no_request_is_an_error(body: Any, code: int, text: str) -> None:
+async def test_what_is_no_request_is_an_error(
+    body: Any, code: int, text: str, caplog: pytest.LogCaptureFixture
+) -> None:
     async with robot_and_talk() as (robot, talk):
         answer = (await post(talk.url, body)).json()
+        assert "Traceback" not in caplog.text
         assert answer["error"]["code"] == code
         assert text in answer["error"]["message"]
         assert robot.sent == []
@@ -124,6 +131,49 @@ async def test_a_document_that_is_too_large_or_too_deep_is_an_error() -> None:
         deep = {**GOAL["message"], "parts": [{"data": json.loads("[" * 500 + "]" * 500)}]}
         answer = (await post(talk.url, call("SendMessage", {"message": deep}))).json()
         assert "error" in answer
+        assert robot.sent == []
+
+
+@pytest.mark.parametrize(
+    ("method", "part", "told"),
+    [
+        ("message/send", {"kind": "data", "data": {"meters": 3}}, '"state":"completed"'),
+        ("message/send", {"kind": "text", "text": '{"meters": 3}'}, '"state":"completed"'),
+        ("message/stream", {"kind": "text", "text": '{"meters": 3}'}, '"state":"completed"'),
+        ("message/send", {"kind": "text", "text": "drive"}, "a text that is JSON"),
+        ("message/stream", {"kind": "text", "text": "drive"}, "a text that is JSON"),
+    ],
+)
+async def test_an_agent_of_version_0_3_is_answered_in_it(method: str, part: Any, told: str) -> None:
+    message = {"kind": "message", "messageId": "m", "role": "user", "parts": [part]}
+    async with robot_and_talk(allow=["arm/drive"]) as (robot, talk):
+        async with httpx.AsyncClient(headers=GOOD, trust_env=False) as http:
+            card = (await http.get(talk.url.rstrip("/") + CARD_PATH)).json()
+            body = call(method, {"message": message})
+            answer = await http.post(card["url"], json=body, timeout=PATIENCE)
+        assert (card["protocolVersion"], card["preferredTransport"]) == ("0.3", "JSONRPC")
+        assert told in answer.text
+        assert len(robot.sent) == ("completed" in told)
+
+
+async def test_a_large_document_keeps_nobody_waiting() -> None:
+    data = {"meters": 3, "more": [1] * 300_000}
+    message = {**GOAL["message"], "parts": [{"data": data}]}
+    body = json.dumps(call("SendMessage", {"message": message})).encode()
+    async with robot_and_talk() as (robot, talk):
+        longest, last = 0.0, anyio.current_time()
+        async with anyio.create_task_group() as tasks:
+
+            async def send() -> None:
+                answer = (await post(talk.url, body)).json()
+                assert 'no field "more"' in answer["error"]["message"]
+                tasks.cancel_scope.cancel()
+
+            tasks.start_soon(send)
+            while True:
+                await anyio.sleep(0.001)
+                longest, last = max(longest, anyio.current_time() - last), anyio.current_time()
+        assert longest < 1
         assert robot.sent == []
 
 

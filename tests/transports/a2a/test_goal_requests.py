@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 from a2a.types import (
     DeleteTaskPushNotificationConfigRequest,
@@ -12,6 +13,9 @@ from a2a.types import (
     GetTaskPushNotificationConfigRequest,
     ListTaskPushNotificationConfigsRequest,
     ListTasksRequest,
+    Message,
+    Part,
+    Role,
     TaskPushNotificationConfig,
     TaskState,
 )
@@ -56,7 +60,7 @@ async def test_the_card_has_a_skill_for_each_action() -> None:
         assert "Drive straight on." in drive.description
         assert '"required":["meters"]' in drive.description
         assert list(drive.examples) == ['{"meters":0,"speed":0.5}']
-        assert list(drive.input_modes) == ["application/json"]
+        assert list(drive.input_modes) == ["application/json", "text/plain"]
         assert list(say.input_modes) == ["application/json", "text/plain"]
         assert talk.card.capabilities.streaming
         assert talk.card.supported_interfaces[0].url == talk.url
@@ -117,7 +121,7 @@ async def test_an_action_that_needs_no_goal_takes_an_empty_text() -> None:
         assert "text/plain" in talk.card.skills[0].input_modes
         for sent in (message({}), message(text=" ")):
             assert state_of(await talk.send(made=sent)) == "COMPLETED"
-        with pytest.raises(ContentTypeNotSupportedError, match="has one part with data"):
+        with pytest.raises(InvalidParamsError, match="a text that is JSON"):
             await talk.send(made=message(text="away"))
     assert server.received == [None, None]
 
@@ -218,14 +222,60 @@ async def test_a_wrong_goal_is_an_error_that_says_what_is_wrong(
         assert robot.sent == []
 
 
-async def test_a_text_is_a_goal_only_where_goals_are_text() -> None:
+@pytest.mark.parametrize(
+    ("text", "skill"),
+    [
+        ('{"meters": 3}', "arm-drive"),
+        ('{"skill": "arm-drive", "goal": {"meters": 3}}', ""),
+        (' { "goal": {"meters": 3.0}, "skill": "arm-drive" }', ""),
+    ],
+)
+async def test_a_text_of_an_agent_is_the_goal(text: str, skill: str) -> None:
+    async with robot_and_talk() as (robot, talk):
+        done = await talk.send(text=text, skill=skill)
+        assert [part.text for part in done.artifacts[0].parts] == ["", '{"at":3}']
+        assert state_of(await talk.send({"skill": "arm-drive", "goal": {"meters": 3}}))
+        assert robot.sent == [Drive(3), Drive(3)]
+
+
+class Fetch(msgspec.Struct):
+    what: str
+    count: int = 1
+
+
+@pytest.mark.parametrize("text", ["two cups", "2", "null", "[1]"])
+async def test_a_text_is_the_only_text_field_of_a_goal(text: str) -> None:
+    action = Action("fetch", goal=Fetch, feedback=int, result=str)
+    address = A2aHttpTransport(port=0, unasked=["*"], token=TOKEN)
+    async with (
+        ScriptedServer(action, ["here"]) as server,
+        serve(server, address) as (url,),
+        talking(url) as talk,
+    ):
+        assert state_of(await talk.send(text=text)) == "COMPLETED"
+        assert state_of(await talk.send(text='{"what": "a pen", "count": 2}')) == "COMPLETED"
+    assert server.received == [Fetch(text), Fetch("a pen", 2)]
+
+
+async def test_what_was_said_before_a_text_is_not_the_goal() -> None:
     async with robot_and_talk() as (_, talk):
-        with pytest.raises(ContentTypeNotSupportedError, match="has one part with data, which"):
+        said = message(text="[user] said: hallo", skill="say")
+        said.parts.append(Part(text="moin"))
+        assert data_of((await talk.send(made=said)).artifacts[0].parts) == "MOIN"
+
+
+async def test_what_is_not_a_goal_is_told_what_would_be_one() -> None:
+    async with robot_and_talk() as (robot, talk):
+        with pytest.raises(InvalidParamsError, match=r"a text that is JSON, such as {\"meters\":0"):
             await talk.send(text="drive on", skill="arm-drive")
+        with pytest.raises(InvalidParamsError, match="or send the goal as"):
+            await talk.send(text='{"skill": "fly"}')
         two = message("a", skill="say")
         two.parts.append(two.parts[0])
-        with pytest.raises(ContentTypeNotSupportedError, match="data, or one with text"):
-            await talk.send(made=two)
+        for sent in (two, Message(message_id="1", role=Role.ROLE_USER, parts=[Part(raw=b"a")])):
+            with pytest.raises(ContentTypeNotSupportedError, match="one part with data, or with"):
+                await talk.send(made=sent)
+        assert robot.sent == []
 
 
 async def test_a_message_that_is_sent_again_sends_no_second_goal() -> None:

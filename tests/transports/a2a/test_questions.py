@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from a2a.types import Message, Part
 from a2a.utils.errors import InvalidParamsError, TaskNotFoundError
-from google.protobuf.json_format import ParseDict
-from google.protobuf.struct_pb2 import Value
 
 from fibaction_transports.a2a import questions
+from fibaction_transports.a2a.documents import Document
 from fibaction_transports.a2a.questions import answer_in
 from tests.transports.a2a.agent_talk import (
     data_of,
@@ -118,10 +116,10 @@ async def test_a_question_expires_and_only_so_many_wait(monkeypatch: pytest.Monk
     [({"consent": True}, True), ({"consent": "yes"}, None), ({}, None), (True, None)],
 )
 async def test_an_answer_as_data(data: Any, answer: bool | None) -> None:
-    assert answer_in(Message(parts=[Part(data=ParseDict(data, Value()))])) is answer
+    assert answer_in([Document("data", data)]) is answer
 
 
 async def test_an_answer_is_one_part() -> None:
-    assert answer_in(Message()) is None
-    assert answer_in(Message(parts=[Part(raw=b"yes")])) is None
-    assert answer_in(message(text="YES!")) is True
+    assert answer_in([]) is None
+    assert answer_in([Document("")]) is None
+    assert answer_in([Document("text", "YES!")]) is True

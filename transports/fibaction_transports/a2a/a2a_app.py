@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextvars import ContextVar
 from typing import NamedTuple
 
@@ -10,13 +11,22 @@ from a2a.server.routes import create_agent_card_routes, create_jsonrpc_routes
 from a2a.types import AgentCard
 from a2a.utils.constants import AGENT_CARD_WELL_KNOWN_PATH
 from starlette.applications import Starlette
+from starlette.responses import JSONResponse
 
+from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.schema.turns import in_turn
 from fibaction.wire.auth import Peer
-from fibaction_transports._http.exchange import App, Receive, Scope, Send
+from fibaction_transports._http.exchange import App, Message, Receive, Scope, Send
 from fibaction_transports.a2a.agent_card import CardMaker
+from fibaction_transports.a2a.documents import Document, RequestError, read_request
 
 PATH = "/"
 CARD_PATH = AGENT_CARD_WELL_KNOWN_PATH
+_LOGGERS = (
+    "a2a.server.routes.jsonrpc_dispatcher",
+    "a2a.compat.v0_3.jsonrpc_adapter",
+)
+"""The loggers of the SDK for what clients send."""
 
 
 class AskedRequest(NamedTuple):
@@ -26,6 +36,8 @@ class AskedRequest(NamedTuple):
     """The URL of this server, as its client calls it."""
     client: str | None
     """The name that belongs to the client's token; None without a token."""
+    documents: tuple[Document, ...]
+    """The documents of its message, one for each part."""
 
     @property
     def is_known(self) -> bool:
@@ -41,9 +53,11 @@ def asked_request() -> AskedRequest:
     return _ASKED.get()
 
 
-def note_request(url: str, client: str | None) -> None:
-    """Note the request that the calling task answers from now on."""
-    _ASKED.set(AskedRequest(url, client))
+def _is_not_of_garbage(record: logging.LogRecord) -> bool:
+    """Return whether to log a record of the SDK: not the traceback for what a client has sent,
+    before the line about the answer.
+    """
+    return not (record.exc_info and record.getMessage().startswith("Failed to "))
 
 
 class A2aApp:
@@ -54,17 +68,41 @@ class A2aApp:
         made_for_each_request = cards.card(f"http://localhost{PATH}", is_known=False)
         routes = [
             *create_agent_card_routes(made_for_each_request, self._card),
-            *create_jsonrpc_routes(requests, PATH),
+            *create_jsonrpc_routes(requests, PATH, enable_v0_3_compat=True),
         ]
+        for name in _LOGGERS:
+            clean_logger(name).addFilter(_is_not_of_garbage)
         self._app: App = Starlette(routes=routes)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         host = dict(scope["headers"]).get(b"host", b"").decode("latin-1")
         url = f"{scope['scheme']}://{host}{PATH}"
         client: Peer | None = scope["state"]["client"]
-        note_request(url, None if client is None else client.name)
+        name = None if client is None else client.name
+        documents: tuple[Document, ...] = ()
+        if scope["method"] == "POST":
+            body: bytes = (await receive())["body"]
+            try:
+                rest, documents = await in_turn(len(body), lambda _: read_request(body))
+            except RequestError as exc:
+                error = {"code": exc.code, "message": excerpt(str(exc))}
+                answer = {"jsonrpc": "2.0", "id": exc.request_id, "error": error}
+                await JSONResponse(answer)(scope, receive, send)
+                return
+            receive = _after(rest, receive)
+        _ASKED.set(AskedRequest(url, name, documents))
         await self._app(scope, receive, send)
 
     async def _card(self, _: AgentCard) -> AgentCard:
         asked = asked_request()
         return self._cards.card(asked.url, is_known=asked.is_known)
+
+
+def _after(body: bytes, receive: Receive) -> Receive:
+    """Return a function that receives a body, and then what `receive` does."""
+    pieces = [{"type": "http.request", "body": body}]
+
+    async def received() -> Message:
+        return pieces.pop() if pieces else await receive()
+
+    return received

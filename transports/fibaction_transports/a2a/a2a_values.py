@@ -6,7 +6,6 @@ as protobuf writes such numbers, and a goal that has one is rejected.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from a2a.types import Part
@@ -15,9 +14,10 @@ from google.protobuf.struct_pb2 import Struct, Value
 
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
 from fibaction.words.plain_data import is_list, is_map
+from fibaction_transports.a2a.documents import LARGEST
 
-LARGEST = 2**53
-"""The largest whole number up to which floats have all of them."""
+LONGEST_TEXT = 10_000
+"""Characters of a result that is told as text, too."""
 
 
 def data_part(codec: JsonCodec, payload: bytes) -> Part:
@@ -32,30 +32,18 @@ def data_part(codec: JsonCodec, payload: bytes) -> Part:
         return Part(text=to_json(data), media_type="application/json")
 
 
+def shown_text(codec: JsonCodec, payload: bytes) -> str:
+    """Return a payload as text for models: text as it is, the rest as JSON; empty if it is long."""
+    data = codec.decode(payload)
+    text = data if isinstance(data, str) else to_json(data)
+    return text if len(text) <= LONGEST_TEXT else ""
+
+
 def struct_of(data: dict[str, Any]) -> Struct:
     """Return metadata as a message."""
     struct = Struct()
     struct.update(_exact(data))
     return struct
-
-
-def plain_of(value: Value) -> Any:
-    """Return a value as plain data; a whole number is an integer if that is exact.
-
-    Raises:
-        ValueError: A number is not finite.
-    """
-    kind = value.WhichOneof("kind")
-    if kind == "struct_value":
-        return {name: plain_of(one) for name, one in value.struct_value.fields.items()}
-    if kind == "list_value":
-        return [plain_of(one) for one in value.list_value.values]
-    if kind == "number_value":
-        number = value.number_value
-        if not math.isfinite(number):
-            raise ValueError("a number is not finite")
-        return int(number) if number.is_integer() and abs(number) <= LARGEST else number
-    return {"string_value": value.string_value, "bool_value": value.bool_value}.get(kind or "")
 
 
 def has_inexact(data: Any) -> bool:

@@ -7,6 +7,8 @@ actions are for its clients. With the token, the same path has the whole card, w
 
 from __future__ import annotations
 
+from typing import Any
+
 from a2a.types import (
     AgentCapabilities,
     AgentCard,
@@ -18,7 +20,7 @@ from a2a.types import (
     SecurityScheme,
     StringList,
 )
-from a2a.utils.constants import PROTOCOL_VERSION_1_0, TransportProtocol
+from a2a.utils.constants import PROTOCOL_VERSION_0_3, PROTOCOL_VERSION_1_0, TransportProtocol
 
 from fibaction import __version__
 from fibaction.border.abc import Connection
@@ -43,7 +45,8 @@ tells."""
 
 _DESCRIPTION = (
     "Actions of robots, devices and long jobs. A goal may move something. A task is one goal: send"
-    " a message with one data part, and the ID of the skill in its metadata as 'skill'."
+    " a message with one part, the goal as data or as JSON text, and the ID of the skill in its"
+    ' metadata as "skill"; or both in the part: {"skill": ..., "goal": ...}.'
 )
 _READ_ONLY = " Only the tasks of others can be followed here: nothing is sent or canceled."
 _HIDDEN = "The skills are in the card that is sent with the token."
@@ -64,6 +67,16 @@ class Skill(RobotAction):
         self._type = self._template.resolved(info.goal) if self._template.is_usable else {}
         self.takes_text = self._type.get("type") == "string"
         """True if a goal is plain text."""
+        self.text_field = self._text_field()
+        """The only field that a goal needs, or has, if it is text; empty if it is not so."""
+        self.example: Any = self._template.value
+        """A goal with the defaults."""
+
+    def _text_field(self) -> str:
+        fields = self._template.required or list(self._template.fields)
+        kinds = [self._template.resolved(self._template.fields.get(one)) for one in fields]
+        is_text = [kind.get("type") for kind in kinds] == ["string"]
+        return fields[0] if is_text else ""
 
     def in_card(self, *, is_asked: bool) -> AgentSkill:
         """Return the skill for an agent card; with `is_asked`, the user is asked before a goal."""
@@ -77,7 +90,7 @@ class Skill(RobotAction):
             text += " It needs no goal: an empty text will do."
         schema = to_json(info.goal)
         if len(schema) <= LONGEST_SCHEMA:
-            text += f" The goal is a data part of this JSON Schema: {schema}"
+            text += f" The goal is data, or JSON text, of this JSON Schema: {schema}"
         template = self._template
         kind = excerpt(info.type_name)
         return AgentSkill(
@@ -86,7 +99,7 @@ class Skill(RobotAction):
             description=text,
             tags=["action", *([kind] if kind else [])],
             examples=[to_json(template.value)] if template.is_usable else [],
-            input_modes=[JSON, TEXT] if self.takes_text or not self.goals.needs_goal else [JSON],
+            input_modes=[JSON, TEXT],
             output_modes=[JSON],
         )
 
@@ -113,15 +126,16 @@ class CardMaker:
                 AgentInterface(
                     url=url,
                     protocol_binding=TransportProtocol.JSONRPC,
-                    protocol_version=PROTOCOL_VERSION_1_0,
+                    protocol_version=version,
                 )
+                for version in (PROTOCOL_VERSION_1_0, PROTOCOL_VERSION_0_3)
             ],
             capabilities=AgentCapabilities(
                 streaming=True, push_notifications=False, extended_agent_card=True
             ),
             security_schemes={BEARER: scheme},
             security_requirements=[SecurityRequirement(schemes={BEARER: StringList()})],
-            default_input_modes=[JSON],
+            default_input_modes=[JSON, TEXT],
             default_output_modes=[JSON],
         )
         if is_known:

@@ -1,58 +1,66 @@
-"""Goals in the messages of agents: which skill a message is for, and its goal."""
+"""Goals in the messages of agents: which skill a message is for, and its goal.
+
+A program sends the goal as data, and names the skill in the metadata. Many agents can only send a
+text that their model has written. So a text that is JSON is a goal as well, one that is not is the
+only text field of a goal, and `{"skill": ..., "goal": ...}` names the skill in the document itself.
+"""
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 from uuid import UUID
 
-from a2a.types import Message, Part, SendMessageRequest
+from a2a.types import Message, SendMessageRequest
 from a2a.utils.errors import ContentTypeNotSupportedError, InvalidParamsError
 
 from fibaction.border.peer_text import excerpt
-from fibaction.schema.payload import PayloadError
-from fibaction.schema.turns import in_turn
+from fibaction.schema.payload import PayloadError, to_json
+from fibaction.schema.turns import in_turn, read_json
 from fibaction.words.goals import NO_GOAL, GoalID
-from fibaction_transports.a2a.a2a_values import LARGEST, has_inexact, plain_of
+from fibaction.words.plain_data import is_map
+from fibaction_transports.a2a.a2a_values import has_inexact
 from fibaction_transports.a2a.agent_card import Skill, Skills
+from fibaction_transports.a2a.documents import LARGEST, Document
 
-SKILL = "skill"
-"""The key in the metadata of a message, or of its request, for the ID of the skill."""
+SKILL, GOAL = "skill", "goal"
+"""The keys for the ID of the skill, in the metadata of a message, or of its request, or in a
+document with the goal."""
 
 
-def skill_of(request: SendMessageRequest, skills: Skills) -> Skill:
-    """Return the skill that a message is for.
+async def goal_in(
+    request: SendMessageRequest, documents: Sequence[Document], skills: Skills
+) -> tuple[Skill, Any]:
+    """Return the skill that a message is for, and its goal, with its defaults.
 
     Raises:
-        InvalidParamsError: It names none that is here.
+        ContentTypeNotSupportedError: The message is not one part with data, or with text.
+        InvalidParamsError: It names no skill that is here, or is not a goal of its action.
     """
-    known = skills.by_label
-    names = ", ".join(sorted(known)) or "none"
-    for metadata in (request.message.metadata, request.metadata):
-        if SKILL in metadata:
-            named = metadata[SKILL]
-            if isinstance(named, str) and named in known:
-                return known[named]
-            text = excerpt(named if isinstance(named, str) else "that is no text")
-            raise InvalidParamsError(f"there is no skill {text!r} now; there are: {names}")
-    if len(known) != 1:
-        raise InvalidParamsError(
-            f"name the skill in the metadata of the message, as {SKILL!r}; there are: {names}"
+    kinds = {document.kind for document in documents}
+    if kinds != {"text"} and (kinds != {"data"} or len(documents) > 1):
+        raise ContentTypeNotSupportedError(
+            "a message has one part with data, or with text, which is the goal"
         )
-    return next(iter(known.values()))
+    goal = documents[-1]  # agents send what was said before a text, too, each in a part
+    return await in_turn(None, lambda _: _goal_in(request, goal, skills.by_label))
 
 
-async def goal_of(message: Message, skill: Skill) -> Any:
-    """Return the goal in a message, with its defaults.
-
-    Raises:
-        ContentTypeNotSupportedError: It is not one part with data; or with text, for a skill whose
-            goals are text; or an empty text, for one that needs no goal.
-        InvalidParamsError: The data is not a goal of the action.
-    """
-    given = _given(list(message.parts), skill)
+def _goal_in(
+    request: SendMessageRequest, document: Document, known: dict[str, Skill]
+) -> tuple[Skill, Any]:
+    skill = _named_in(request, known)
+    given = document.value
+    if skill is None:
+        read = _read(given) if document.kind == "text" else given
+        if is_map(read) and read.keys() <= {SKILL, GOAL} and read.get(SKILL) in [*known]:
+            skill, given = known[read[SKILL]], read.get(GOAL, {})
+        else:
+            skill = _only(known)
+    if isinstance(given, str):
+        given = _goal_of_text(given, skill)
     try:
-        goal = await in_turn(None, partial(skill.goals.complete, given))
+        goal = skill.goals.complete(given)
     except PayloadError as exc:
         raise InvalidParamsError(f"the goal was not sent: {exc}") from exc
     if has_inexact(goal):
@@ -60,24 +68,65 @@ async def goal_of(message: Message, skill: Skill) -> Any:
             f"the goal was not sent: it has a whole number of {LARGEST} or more, which A2A does not"
             f" carry exactly"
         )
-    return goal
+    return skill, goal
 
 
-def _given(parts: list[Part], skill: Skill) -> Any:
-    kinds = [part.WhichOneof("content") for part in parts]
-    if kinds == ["data"]:
-        try:
-            return plain_of(parts[0].data)
-        except ValueError as exc:
-            raise InvalidParamsError(f"the goal was not sent: {exc}") from exc
-    if kinds == ["text"] and skill.takes_text:
-        return parts[0].text
-    if kinds == ["text"] and not parts[0].text.strip() and not skill.goals.needs_goal:
-        return {}
-    wanted = "data, or one with text" if skill.takes_text else "data"
-    raise ContentTypeNotSupportedError(
-        f"a message to the skill {skill.label} has one part with {wanted}, which is the goal"
+def _named_in(request: SendMessageRequest, known: dict[str, Skill]) -> Skill | None:
+    """Return the skill that the metadata name; None if they name none.
+
+    Raises:
+        InvalidParamsError: It is not here.
+    """
+    for metadata in (request.message.metadata, request.metadata):
+        if SKILL in metadata:
+            named = metadata[SKILL]
+            if isinstance(named, str) and named in known:
+                return known[named]
+            text = excerpt(named if isinstance(named, str) else "that is no text")
+            raise InvalidParamsError(f"there is no skill {text!r} now; there are: {_names(known)}")
+    return None
+
+
+def _only(known: dict[str, Skill]) -> Skill:
+    if len(known) == 1:
+        return next(iter(known.values()))
+    raise InvalidParamsError(
+        f"name the skill in the metadata of the message, as {SKILL!r}, or send the goal as"
+        f' {{"{SKILL}": ..., "{GOAL}": ...}}; there are: {_names(known)}'
     )
+
+
+def _names(known: dict[str, Skill]) -> str:
+    return ", ".join(sorted(known)) or "none"
+
+
+def _goal_of_text(text: str, skill: Skill) -> Any:
+    """Return the goal that a text is.
+
+    Raises:
+        InvalidParamsError: It is not one of the skill.
+    """
+    if skill.takes_text:
+        return text
+    if not text.strip() and not skill.goals.needs_goal:
+        return {}
+    read = _read(text)
+    if skill.text_field and not is_map(read):
+        return {skill.text_field: text}
+    if read is None:
+        raise InvalidParamsError(
+            f"the goal was not sent: the skill {skill.label} takes data, or a text that is JSON,"
+            f" such as {to_json(skill.example)}"
+        )
+    return read
+
+
+def _read(text: str) -> Any:
+    """Return the value of a JSON text; None if it is not one."""
+    try:
+        return read_json(text)
+    except (ValueError, RecursionError):
+        return None
 
 
 def goal_id_of(message: Message) -> GoalID:

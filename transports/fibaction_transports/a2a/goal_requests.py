@@ -58,7 +58,7 @@ from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports._agents.goal_text import HiddenGoal, question_about
 from fibaction_transports.a2a.a2a_app import asked_request
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
-from fibaction_transports.a2a.goal_messages import goal_id_of, goal_of, skill_of
+from fibaction_transports.a2a.goal_messages import goal_id_of, goal_in
 from fibaction_transports.a2a.questions import Question, Questions, answer_in
 from fibaction_transports.a2a.task_views import (
     AFTER_RESULT,
@@ -205,8 +205,7 @@ class GoalRequests(RequestHandler):
             return await self._answer(params)
         if self._policy.read_only:
             raise UnsupportedOperationError("nothing was sent: this server is read-only")
-        skill = skill_of(params, self._skills)
-        goal = await goal_of(message, skill)
+        skill, goal = await goal_in(params, asked_request().documents, self._skills)
         goal_id = goal_id_of(message)
         if not self._policy.asks(skill.server, skill.info.name):
             return await self._send_goal(skill, goal_id, goal, message.context_id)
@@ -231,7 +230,7 @@ class GoalRequests(RequestHandler):
             raise UnsupportedOperationError(
                 f"the task {state}: send a message without a task ID for another goal"
             )
-        answer = answer_in(params.message)
+        answer = answer_in(asked_request().documents)
         if answer is None:
             return _asking(question)
         self._questions.close(question)

@@ -10,15 +10,16 @@ of trust, as with every protocol for agents.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import anyio
-from a2a.types import Message
 from a2a.utils.errors import InvalidParamsError
 
 from fibaction.words.goals import GoalID
-from fibaction_transports.a2a.a2a_values import plain_of
+from fibaction.words.plain_data import is_map
 from fibaction_transports.a2a.agent_card import Skill
+from fibaction_transports.a2a.documents import Document
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""
@@ -93,15 +94,12 @@ class Questions:
         self._questions.pop(question.goal_id, None)
 
 
-def answer_in(message: Message) -> bool | None:
-    """Return the answer in a message; None if it is not one."""
-    if len(message.parts) != 1:
+def answer_in(documents: Sequence[Document]) -> bool | None:
+    """Return the answer in the documents of a message; None if it is not one."""
+    if len(documents) != 1:
         return None
-    (part,) = message.parts
-    kind = part.WhichOneof("content")
+    kind, value = documents[0]
     if kind == "text":
-        return _ANSWERS.get(part.text.strip().strip(".!").lower())
-    if kind == "data" and part.data.WhichOneof("kind") == "struct_value":
-        consent = plain_of(part.data).get("consent")
-        return consent if isinstance(consent, bool) else None
-    return None
+        return _ANSWERS.get(value.strip().strip(".!").lower())
+    consent = value.get("consent") if is_map(value) else None
+    return consent if isinstance(consent, bool) else None

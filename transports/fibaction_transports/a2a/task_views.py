@@ -37,7 +37,7 @@ from fibaction.border.abc import FeedbackItem
 from fibaction.words.goals import GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents.agent_goals import AgentGoal, KeptUpdate, Position
-from fibaction_transports.a2a.a2a_values import data_part, struct_of
+from fibaction_transports.a2a.a2a_values import data_part, shown_text, struct_of
 from fibaction_transports.a2a.agent_card import Skill
 
 DEFAULT_PAGE = 50
@@ -157,10 +157,13 @@ def artifact_of(goal: AgentGoal[Skill]) -> Artifact | None:
     outcome = goal.outcome
     if outcome is None or outcome.result is None:
         return None
-    part = data_part(goal.action.result, outcome.result)
+    codec = goal.action.result
+    parts = [data_part(codec, outcome.result)]
+    if parts[0].HasField("data") and (text := shown_text(codec, outcome.result)):
+        parts.append(Part(text=text))  # many agents read no data
     is_partial = outcome.status is not GoalStatus.SUCCEEDED
     name = "partial result" if is_partial else "result"
-    return Artifact(artifact_id=RESULT, name=name, parts=[part])
+    return Artifact(artifact_id=RESULT, name=name, parts=parts)
 
 
 def artifact_event(goal: AgentGoal[Skill]) -> TaskArtifactUpdateEvent | None:
