@@ -30,7 +30,7 @@ simulated = functools.cache(simulate)
 """The report of a seed without a mistake, for all tests that look at it."""
 
 
-@pytest.mark.promise("FLEET-1", "FLEET-2", "FLEET-4", "FLEET-5", "FLEET-12")
+@pytest.mark.promise("FLEET-1", "FLEET-2", "FLEET-4", "FLEET-5", "FLEET-12", "FLEET-15")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_fleet_keeps_its_promises_whatever_happens(seed: int) -> None:
     assert simulated(seed).violations == []

@@ -403,6 +403,7 @@ def _result(endpoint: Endpoint) -> Awaitable[Any]:
     return endpoint.get_result(GOAL_ID)
 
 
+@pytest.mark.promise("FLEET-15")
 @pytest.mark.parametrize("ask", [_cancel, _attach, _result])
 async def test_a_goal_that_moves_after_its_record_was_read_is_asked_about_again(
     fleet: FakeFleet, ask: Callable[[Endpoint], Awaitable[Any]]
@@ -432,6 +433,7 @@ async def test_a_goal_that_moves_after_its_record_was_read_is_asked_about_again(
             assert answer.status is GoalStatus.CANCELED
 
 
+@pytest.mark.promise("FLEET-15")
 async def test_a_cancel_during_the_release_of_a_goal_goes_to_its_next_worker(
     fleet: FakeFleet,
 ) -> None:

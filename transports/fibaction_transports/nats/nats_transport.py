@@ -142,7 +142,9 @@ class NatsTransport(ConfiguredTransport):
         async with open_broker(self.settings) as broker:
             settings = self.settings.of_worker(broker.brokers)
             await broker.create_streams(self._names, replicas=settings.replicas)
-            async with open_worker(broker, self._names, settings) as worker:
+            async with open_worker(
+                broker, self._names, settings, lambda: open_broker(settings)
+            ) as worker:
                 self._worker = worker
                 try:
                     yield worker

@@ -16,6 +16,11 @@ goals over (`takeover`). Then the worker joins again, with a new incarnation, as
 answer. A process that was frozen finds in its first turns that `valid_until` has passed: `check` is
 called before each write.
 
+While an executor blocks the event loop, a thread renews the lease in its place (`LeaseThread`):
+otherwise another worker would run the goal while the first one still does. The thread sees that by
+`fence_in_time`, which notes the time as long as the event loop runs, and takes the last entry as it
+was stored. What both write is guarded by a lock. A lease that has ended is not renewed by it.
+
 An answer that does not come says nothing. The worker tries again until the lease ends, and a write
 that is refused after a lost answer may be its own: the entry has the incarnation of who wrote it.
 """
@@ -25,6 +30,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
+from threading import Lock
 
 from anyio import current_time, move_on_after, sleep
 
@@ -52,6 +58,12 @@ RENEWALS = 3
 """The number of renewals in the time of one lease."""
 RESEND_PART = 1 / 6
 """The part of a lease after which a renewal that is not answered is sent again."""
+BEATS = 6
+"""The number of times in a lease at which the event loop notes that it runs, at least."""
+BLOCKED_PART = 1 / 4
+"""The part of a lease after which an event loop that has noted nothing counts as blocked."""
+OVERDUE_PART = 2 / 5
+"""The part of a lease that is left of its certain time when a blocked event loop is helped."""
 CHANGE_INTERVAL = 1.0
 """Seconds between two renewals because something has changed."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
@@ -81,9 +93,13 @@ class Term:
     def stored(self) -> None:
         """Note that the lease is stored, by the earliest of the writes that were sent."""
         assert self._sent is not None
-        self.valid_until = self._sent + self.lease * (1 - MARGIN)
+        self.extend(self._sent)
         self.renew_at = self._sent + self.lease / RENEWALS
         self._sent = None
+
+    def extend(self, sent: float) -> None:
+        """Note that the lease is stored by a write that was sent at that time."""
+        self.valid_until = max(self.valid_until, sent + self.lease * (1 - MARGIN))
 
     def end(self) -> None:
         """Forget the lease."""
@@ -119,6 +135,10 @@ class Membership:
         self._term = Term(lease)
         self._mine: set[bytes] = set()
         self._sequence = 0
+        self._data = b""  # the lease as it was sent last
+        self.alive_at = -math.inf
+        """Time at which the event loop ran."""
+        self._lock = Lock()  # for what a `LeaseThread` writes, too
         self._rest_until = -math.inf  # the end of the lease that was given up
         self._wanted = 0  # the number of changes so far
         self._stored = 0  # the number of those that the stored lease has
@@ -142,8 +162,16 @@ class Membership:
 
     def check(self) -> bool:
         """Return whether the worker is in the fleet now; fence it if its time is over."""
-        if self.incarnation and current_time() >= self._term.valid_until:
-            self._fence("the brokers did not answer in time")
+        now = current_time()
+        if self.incarnation and now >= self._term.valid_until:
+            silent = now - self.alive_at
+            is_blocked = silent > self.lease * BLOCKED_PART
+            self._fence(
+                f"its event loop has not run for {silent:.1f} s: the process was stopped, or an"
+                " executor has blocked it in code that keeps Python's lock"
+                if is_blocked
+                else "the brokers did not answer in time"
+            )
         return bool(self.incarnation)
 
     def note_change(self) -> None:
@@ -217,11 +245,13 @@ class Membership:
         self._mine.add(incarnation)
         self._term.end()
         self._term.sent(current_time())
+        self._sequence = 0
         change = self._wanted
         stored = await self._put(self._entry(incarnation), expected)
         if isinstance(stored, int):
             self._keep(stored, change)
-            if current_time() < self._term.valid_until:
+            self.alive_at = current_time()
+            if self.alive_at < self._term.valid_until:
                 self.incarnation = incarnation
         elif stored.kind in (PutFailure.TOO_LARGE, PutFailure.FULL):
             raise TransportError(f"cannot join the fleet: {stored.text}")
@@ -237,6 +267,7 @@ class Membership:
     ) -> int | PutError:
         """Store the lease, or delete it, and wait for the answer."""
         data = b"" if entry is None else encode(entry)
+        self._data = data
         self._last_put = current_time()
         with move_on_after(self.lease * RESEND_PART):
             return await self._broker.put_and_wait(
@@ -260,7 +291,9 @@ class Membership:
         """Fence the worker as soon as its time is over, until canceled."""
         while True:
             is_in = self.check()
-            await sleep(self._term.valid_until - current_time() if is_in else LONGEST_PAUSE)
+            now = self.alive_at = current_time()
+            left = self._term.valid_until - now if is_in else LONGEST_PAUSE
+            await sleep(min(left, self.lease / BEATS))
 
     async def _wait(self) -> None:
         """Wait for the time of the next renewal."""
@@ -315,17 +348,20 @@ class Membership:
             return False
 
     def _keep(self, sequence: int, change: int) -> None:
-        self._sequence, self._stored = sequence, change
-        self._term.stored()
+        self._stored = change
+        with self._lock:
+            self._sequence = max(self._sequence, sequence)
+            self._term.stored()
         self._news.notify()
         self.check()
 
     def _fence(self, why: str) -> None:
         logger.error("worker %r gives up its goals, and joins again: %s", self.worker, why)
-        self.incarnation = b""
-        # Until then no other worker takes the goals over: executors have that time for their end.
-        self._rest_until = self._term.valid_until + self._term.lease * MARGIN
-        self._term.end()
+        with self._lock:
+            self.incarnation = b""
+            # Until then no other worker takes the goals over: executors have that time to end.
+            self._rest_until = self._term.valid_until + self._term.lease * MARGIN
+            self._term.end()
         for part in self._parts:
             part.fenced()
 
@@ -340,6 +376,33 @@ class Membership:
             logger.warning("worker %r has joined again", self.worker)
             for part in self._parts:
                 part.joined()
+
+    # In another thread, for an event loop that is blocked
+
+    def is_blocked(self, now: float) -> bool:
+        """Return whether the lease is to be renewed for an event loop that does not run."""
+        left = self._term.valid_until - now
+        is_due = 0 < left <= self.lease * OVERDUE_PART
+        return bool(self.incarnation) and is_due and now - self.alive_at > self.lease * BLOCKED_PART
+
+    async def renew_blocked(self, broker: Broker) -> None:
+        """Store the lease again as it was stored last, by a connection of this thread's own."""
+        incarnation, data, sequence = self.incarnation, self._data, self._sequence
+        while True:
+            sent = current_time()
+            stored = await broker.put_and_wait(
+                self._subject, data, expected=sequence, ttl=self.lease
+            )
+            if isinstance(stored, int):
+                break
+            record = await broker.get(self._names.workers, self._subject)
+            if record is None or record.sequence <= sequence or not self._has(record, incarnation):
+                return  # the lease has ended, or the next try finds it
+            sequence = record.sequence  # by a write whose answer the event loop has not read
+        with self._lock:
+            if self.incarnation == incarnation:
+                self._sequence = max(self._sequence, stored)
+                self._term.extend(sent)
 
     # Leave
 

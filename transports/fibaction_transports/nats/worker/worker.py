@@ -30,6 +30,7 @@ from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.worker.fleet_limits import FleetLimits
 from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
+from fibaction_transports.nats.worker.lease_thread import OpenBroker, lease_thread
 from fibaction_transports.nats.worker.lost_streams import LostStreams
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.offers import Offers
@@ -198,10 +199,13 @@ class Worker(MemberPart):
 
 @asynccontextmanager
 async def open_worker(
-    broker: Broker, names: FleetNames, settings: FleetSettings
+    broker: Broker,
+    names: FleetNames,
+    settings: FleetSettings,
+    open_broker: OpenBroker | None = None,
 ) -> AsyncGenerator[Worker, None]:
     """Join a fleet for as long as the block lasts. The streams are there, and the settings name
-    the worker and its lease.
+    the worker and its lease. With `open_broker`, executors may block the event loop for longer.
 
     Raises:
         TransportError: The name of the worker is in use, or the brokers do not answer.
@@ -210,9 +214,12 @@ async def open_worker(
     await membership.join()
     worker: Worker | None = None
     try:
-        async with Background() as tasks:
+        async with AsyncExitStack() as stack:
+            tasks = await stack.enter_async_context(Background())
             worker = Worker(broker, names, settings, membership, tasks)
             await worker.start()
+            if open_broker is not None:
+                stack.enter_context(lease_thread(membership, open_broker))
             yield worker
     finally:
         with CancelScope(shield=True):
