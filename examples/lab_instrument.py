@@ -19,7 +19,7 @@ from socketserver import StreamRequestHandler, ThreadingTCPServer
 
 from msgspec import Struct
 
-from fibaction import Action, ActionServer, GoalCanceled, Report, Schedule, action
+from fibaction import ActionServer, GoalCanceled, Report, Schedule, action
 from fibaction.blocking import connect, serve
 
 # The instrument, as its maker has made it
@@ -57,21 +57,11 @@ def instrument() -> Generator[tuple[str, int], None, None]:
 # The server beside it
 
 
-class Range(Struct):
-    """The first and the last wavelength of a scan, in nanometers."""
-
-    first: int
-    last: int
-
-
 class Reading(Struct):
     """The light that came through, from 0 to 1, at a wavelength."""
 
     wavelength: int
     light: float
-
-
-SCAN = Action("scan", goal=Range, feedback=Reading, result=list[Reading])
 
 
 class Driver:
@@ -96,12 +86,13 @@ class Driver:
         self.tell(command)
         return self._lines.readline().strip()
 
-    def scan(self, report: Report[Reading], goal: Range) -> list[Reading]:
-        """Read at each wavelength, with the lamp on."""
+    @action
+    def scan(self, report: Report[Reading], first: int, last: int) -> list[Reading]:
+        """Read at each wavelength, in nanometers, with the lamp on."""
         readings: list[Reading] = []
         self.tell("LAMP ON")
         try:
-            for wavelength in range(goal.first, goal.last + 1):
+            for wavelength in range(first, last + 1):
                 readings.append(Reading(wavelength, float(self.ask(f"READ? {wavelength}"))))
                 report(readings[-1])  # here a cancel arrives
         except GoalCanceled:
@@ -117,10 +108,10 @@ class Driver:
 def run_scripts(url: str) -> None:
     """Order a long scan and a short one, and stop the long one."""
     with (
-        connect(url, SCAN) as mine,
-        connect(url, SCAN) as yours,
-        mine.send_goal(Range(400, 2400)) as long,
-        yours.send_goal(Range(540, 560)) as short,
+        connect(url, Driver.scan) as mine,
+        connect(url, Driver.scan) as yours,
+        mine.send_goal(400, 2400) as long,
+        yours.send_goal(540, 560) as short,
     ):
         for reading in long.feedback:
             print(f"long: {reading.light} at {reading.wavelength} nm")
@@ -140,9 +131,7 @@ def main() -> None:
     with instrument() as address:
         driver = Driver(address)
         try:
-            server = ActionServer(
-                action("scan")(driver.scan), schedule=Schedule(concurrency=1, queue=8)
-            )
+            server = ActionServer(driver.scan, schedule=Schedule(concurrency=1, queue=8))
             with serve(server, "tcp://127.0.0.1:0") as (url,):
                 run_scripts(url)
             print("lamp:", driver.ask("LAMP?"))

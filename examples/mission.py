@@ -18,30 +18,25 @@ import logging
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from signal import SIGINT, SIGTERM
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import anyio
 from msgspec import Struct
 
 from fibaction import (
-    Action,
     ActionClient,
     ActionServer,
     GoalAborted,
     GoalHandle,
     GoalRejected,
+    Report,
     TransportError,
+    action,
     serve,
 )
 
 METER = 0.1  # seconds that the robot needs for one
 HEAVY = ("anvil", "piano")  # too heavy for the gripper
-
-
-class Goal(Struct):
-    """A task: `what` is a place to drive to, or a thing to pick, to place or to fetch."""
-
-    what: str
 
 
 class Feedback(Struct):
@@ -56,41 +51,38 @@ class Result(Struct):
     text: str
 
 
-Work: TypeAlias = AsyncGenerator[Feedback | Result, None]
-Client: TypeAlias = ActionClient[Goal, Feedback, Result]
-Server: TypeAlias = ActionServer[Goal, Feedback, Result]
-
-DRIVE, PICK, PLACE, FETCH = (
-    Action(name, goal=Goal, feedback=Feedback, result=Result)
-    for name in ("drive", "pick", "place", "fetch")
-)
+Client: TypeAlias = ActionClient[Any, Feedback, Result]
+Server: TypeAlias = ActionServer[Any, Feedback, Result]
 
 
-async def drive(goal: GoalHandle[Goal]) -> Work:
+@action
+async def drive(report: Report[Feedback], what: str) -> Result:
     """Drive to a place."""
     for meter in range(1, 4):
         await anyio.sleep(METER)
-        yield Feedback(f"{meter} m on the way to the {goal.request.what}")
-    yield Result(f"at the {goal.request.what}")
+        await report(Feedback(f"{meter} m on the way to the {what}"))
+    return Result(f"at the {what}")
 
 
-async def pick(goal: GoalHandle[Goal]) -> Work:
+@action
+async def pick(report: Report[Feedback], what: str) -> Result:
     """Pick a thing, unless it is too heavy."""
-    yield Feedback("closing the gripper")
+    await report(Feedback("closing the gripper"))
     await anyio.sleep(METER)
-    if goal.request.what in HEAVY:
-        raise GoalAborted(f"the {goal.request.what} is too heavy")
-    yield Result(f"holding the {goal.request.what}")
+    if what in HEAVY:
+        raise GoalAborted(f"the {what} is too heavy")
+    return Result(f"holding the {what}")
 
 
-async def place(goal: GoalHandle[Goal]) -> Work:
+@action
+async def place(report: Report[Feedback], what: str) -> Result:
     """Place the thing that the gripper holds."""
-    yield Feedback("opening the gripper")
+    await report(Feedback("opening the gripper"))
     await anyio.sleep(METER)
-    yield Result(f"the {goal.request.what} is on the table")
+    return Result(f"the {what} is on the table")
 
 
-def on_fetch(goal: Goal) -> None:
+def on_fetch(goal: Any) -> None:
     """Accept a mission for a thing with a name.
 
     Raises:
@@ -106,38 +98,38 @@ class Missions:
     def __init__(self, drive: Client, pick: Client, place: Client) -> None:
         self.drive, self.pick, self.place = drive, pick, place
 
-    async def fetch(self, goal: GoalHandle[Goal]) -> Work:
+    @action
+    async def fetch(self, report: Report[Feedback], goal: GoalHandle[object], what: str) -> Result:
         """Drive, pick and place; drive back if the thing cannot be picked."""
-        thing = goal.request
-        async with self.drive.send_goal(Goal("shelf"), step=goal.step("drive")) as driving:
+        async with self.drive.send_goal("shelf", step=goal.step("drive")) as driving:
             async for feedback in driving.feedback:
-                yield feedback
-            yield Feedback((await driving.result()).text)
+                await report(feedback)
+            await report(Feedback((await driving.result()).text))
         try:
-            held = await self.pick.call(thing, step=goal.step("pick", wait_for_end=True))
+            held = await self.pick.call(what, step=goal.step("pick", wait_for_end=True))
         except GoalAborted as error:
-            yield Feedback("driving back")
-            back = await self.drive.call(Goal("dock"), step=goal.step("drive back"))
+            await report(Feedback("driving back"))
+            back = await self.drive.call("dock", step=goal.step("drive back"))
             raise GoalAborted(f"{error.reason}; the robot is {back.text}") from error
-        yield Feedback(held.text)
-        yield await self.place.call(thing, step=goal.step("place"))
+        await report(Feedback(held.text))
+        return await self.place.call(what, step=goal.step("place"))
 
 
 @asynccontextmanager
 async def robot() -> AsyncGenerator[tuple[Server, Server, Server, Server], None]:
     """Run the servers of the steps; give them, and that of the missions, which is to stop first."""
-    steps = ActionServer(DRIVE, drive), ActionServer(PICK, pick), ActionServer(PLACE, place)
+    steps = ActionServer(drive), ActionServer(pick), ActionServer(place)
     async with AsyncExitStack() as stack:
         for server in steps:
             await stack.enter_async_context(server)
         missions = Missions(*(ActionClient(server, server.action) for server in steps))
-        yield *steps, ActionServer(FETCH, missions.fetch, on_goal=on_fetch)
+        yield *steps, ActionServer(missions.fetch, on_goal=on_fetch)
 
 
 async def demo(things: Iterable[str]) -> None:
     """Fetch things one after another, and list the steps that were taken."""
     async with robot() as (*steps, missions), missions:
-        client = ActionClient(missions, FETCH)
+        client = ActionClient(missions, Missions.fetch)
         for thing in things:
             await fetch(client, thing, [ActionClient(server, server.action) for server in steps])
 
@@ -146,7 +138,7 @@ async def fetch(client: Client, thing: str, steps: Iterable[Client]) -> None:
     """Fetch a thing, and print how it goes; then print the steps, which name their mission."""
     print(f"fetch     {thing}", flush=True)
     try:
-        async with client.send_goal(Goal(thing)) as mission:
+        async with client.send_goal(thing) as mission:
             async for feedback in mission.feedback:
                 print(f"          {feedback.text}", flush=True)
             print(f"done      {(await mission.result()).text}", flush=True)

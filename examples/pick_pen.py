@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import AsyncGenerator
 from contextlib import suppress
 from typing import NamedTuple
 
 import anyio
 from msgspec import Struct
 
-from fibaction import Action, ActionServer, ClientGoal, GoalCanceled, GoalHandle, connect, serve
+from fibaction import ClientGoal, GoalCanceled, Report, action, connect, serve
 
 URL = "inproc://robot"
 FRAME = 1 / 20  # seconds between two frames of the camera
@@ -40,12 +39,6 @@ class Position(NamedTuple):
 HOME = Position(0.10, 0.00, 0.30)
 
 
-class Goal(Struct):
-    """A request to pick the object at the target."""
-
-    target: Position
-
-
 class Feedback(Struct):
     """The progress of the arm; `distance` is in metres, from the gripper to the target."""
 
@@ -58,9 +51,6 @@ class Result(Struct):
 
     gripped: bool
     reached: float
-
-
-PICK = Action("pick", goal=Goal, feedback=Feedback, result=Result)
 
 
 class Pen:
@@ -84,24 +74,24 @@ class Arm:
         self._gripper = HOME
         self._pen = pen  # felt by the fingers
 
-    async def pick(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    @action
+    async def pick(self, report: Report[Feedback], target: Position) -> Result:
         """Move above the target, descend and grip; after a cancel, move home first."""
-        target = goal.request.target
         way = {"approach": target._replace(z=target.z + 0.1), "descend": target}
         try:
             for phase, place in way.items():
                 while math.dist(self._gripper, place) > NEAR:
                     await self._move(place)
-                    yield Feedback(phase, math.dist(self._gripper, target))
+                    await report(Feedback(phase, math.dist(self._gripper, target)))
             await anyio.sleep(STEP)  # the fingers close
         except anyio.get_cancelled_exc_class():
             # The cancellation is raised only once, so there is time to clean up.
             reached = round(math.dist(HOME, self._gripper), 2)
             while math.dist(self._gripper, HOME) > NEAR:
                 await self._move(HOME)
-                yield Feedback("retreat", math.dist(self._gripper, target))
+                await report(Feedback("retreat", math.dist(self._gripper, target)))
             raise GoalCanceled(result=Result(gripped=False, reached=reached)) from None
-        yield Result(self._pen.look() == target, round(math.dist(HOME, self._gripper), 2))
+        return Result(self._pen.look() == target, round(math.dist(HOME, self._gripper), 2))
 
     async def _move(self, place: Position) -> None:
         await anyio.sleep(STEP)
@@ -123,11 +113,11 @@ async def track(pen: Pen, place: Position, goal: ClientGoal[Feedback, Result]) -
 
 async def run(pen: Pen) -> None:
     """Find the pen, send the arm there, and follow both."""
-    async with serve(ActionServer(PICK, Arm(pen).pick), URL), connect(URL, PICK) as client:
+    async with serve(Arm(pen), URL), connect(URL, Arm.pick) as client:
         target = pen.look()
         assert target is not None
         print(f"vision  there is a pen at {target}, pick it")
-        async with client.send_goal(Goal(target)) as goal, anyio.create_task_group() as tasks:
+        async with client.send_goal(target) as goal, anyio.create_task_group() as tasks:
             tasks.start_soon(track, pen, target, goal)
             async for feedback in goal.feedback:
                 print(f"arm     {feedback.phase:<9}{feedback.distance:.2f} m from the target")

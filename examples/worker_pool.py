@@ -14,15 +14,14 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import AsyncGenerator
 from contextlib import suppress
 from signal import SIGINT, SIGTERM
+from typing import Any
 
 import anyio
 from msgspec import Struct
 
 from fibaction import (
-    Action,
     ActionClient,
     ActionError,
     ActionServer,
@@ -30,9 +29,11 @@ from fibaction import (
     GoalCanceled,
     GoalHandle,
     GoalRejected,
+    Report,
     Retry,
     Schedule,
     TransportError,
+    action,
     connect,
     serve,
 )
@@ -63,9 +64,6 @@ class Result(Struct):
     frames: int
 
 
-RENDER = Action("render", goal=Goal, feedback=Feedback, result=Result)
-
-
 def on_goal(goal: Goal) -> None:
     """Accept an order of at least one frame.
 
@@ -76,23 +74,24 @@ def on_goal(goal: Goal) -> None:
         raise GoalRejected(f"a shot has 1 frame or more, not {goal.frames}")
 
 
-async def render(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+@action
+async def render(report: Report[Feedback], handle: GoalHandle[object], goal: Goal) -> Result:
     """Render one frame after another, unless the client's deadline comes before the last one."""
-    seconds_left = goal.deadline - anyio.current_time()
-    if goal.request.frames * FRAME > seconds_left:
+    seconds_left = handle.deadline - anyio.current_time()
+    if goal.frames * FRAME > seconds_left:
         raise GoalAborted(f"it takes too long for the {seconds_left:.1f} s that are left")
     frames = 0
     try:
-        while frames < goal.request.frames:
+        while frames < goal.frames:
             await anyio.sleep(FRAME)  # for real work: `await anyio.to_process.run_sync(...)`
             frames += 1
-            yield Feedback(frames)
+            await report(Feedback(frames))
     except anyio.get_cancelled_exc_class():
         raise GoalCanceled(result=Result(frames)) from None
-    yield Result(frames)
+    return Result(frames)
 
 
-def make_server(workers: int, queue: int) -> ActionServer[Goal, Feedback, Result]:
+def make_server(workers: int, queue: int) -> ActionServer[Any, Feedback, Result]:
     """Return a farm with so many workers, where so many goals may wait.
 
     Raises:
@@ -104,14 +103,14 @@ def make_server(workers: int, queue: int) -> ActionServer[Goal, Feedback, Result
         priority=lambda goal: goal.urgency,
         run_timeout=3600,  # a shot that hangs does not keep its worker for ever
     )
-    return ActionServer(RENDER, render, on_goal=on_goal, schedule=schedule)
+    return ActionServer(render, on_goal=on_goal, schedule=schedule)
 
 
 async def demo(workers: int, queue: int) -> None:
     """Serve a farm, and order one shot more than there is room for."""
     async with (
         serve(make_server(workers, queue), HERE),
-        connect(HERE, RENDER) as client,
+        connect(HERE, render) as client,
         anyio.create_task_group() as tasks,
     ):
         for number in range(1, workers + queue - 1):
@@ -122,7 +121,7 @@ async def demo(workers: int, queue: int) -> None:
 
 
 async def order(
-    client: ActionClient[Goal, Feedback, Result], goal: Goal, timeout: float | None = None
+    client: ActionClient[Any, Feedback, Result], goal: Goal, timeout: float | None = None
 ) -> None:
     """Order a shot that is of use for so many seconds, and print how it goes."""
 
@@ -151,7 +150,7 @@ async def serve_at(url: str, workers: int, queue: int) -> None:
     server = make_server(workers, queue)
     with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
         async with serve(server, url) as (where,):
-            print(f"serving {RENDER.name} at {where}, Ctrl-C stops it", flush=True)
+            print(f"serving {render.name} at {where}, Ctrl-C stops it", flush=True)
             await anext(signals)
 
 

@@ -289,13 +289,13 @@ def test_ctrl_c_ends_a_demonstration_with_no_traceback(tmp_path: Path, script: s
 @pytest.mark.anyio
 async def test_a_cancel_of_a_mission_reaches_the_step_that_runs() -> None:
     async with mission.robot() as (drives, _, _, missions), missions:
-        client = ActionClient(missions, mission.FETCH)
-        async with client.send_goal(mission.Goal("cup")) as fetching:
+        client = ActionClient(missions, mission.Missions.fetch)
+        async with client.send_goal("cup") as fetching:
             await anext(fetching.feedback)
             assert (await fetching.cancel()).accepted
             assert (await fetching.outcome()).status is GoalStatus.CANCELED
-        (driving,) = await ActionClient(drives, mission.DRIVE).goals()
-        follower = await ActionClient(drives, mission.DRIVE).attach(driving.goal_id)
+        (driving,) = await ActionClient(drives, mission.drive).goals()
+        follower = await ActionClient(drives, mission.drive).attach(driving.goal_id)
         assert (await follower.outcome()).status is GoalStatus.CANCELED
     assert driving.parent == Parent(fetching.goal_id, "drive")
 
@@ -371,8 +371,8 @@ def test_a_goal_out_of_range_is_rejected_with_the_reason(
             exclusive_arm.Result([pytest.approx(0.27), 0.0, 0.0]),  # type: ignore[list-item]  # it is equal to it
         ),
         (
-            worker_pool.RENDER,
             worker_pool.render,
+            worker_pool.render.executor,
             worker_pool.Goal("test", 9),
             worker_pool.Result(2),
         ),
@@ -403,7 +403,7 @@ async def test_a_shot_that_cannot_be_done_in_time_is_not_begun(
 ) -> None:
     frames: list[int] = []
     async with worker_pool.make_server(4, 6) as server:
-        client = ActionClient(server, worker_pool.RENDER)
+        client = ActionClient(server, worker_pool.render)
         calling = client.call(
             worker_pool.Goal("test", 4),
             timeout=timeout,
