@@ -51,7 +51,7 @@ def on_goal(goal: Put) -> None:
 
 
 @action
-async def put(goal: Put, report: Report[str]) -> Done:
+async def put(report: Report[str], goal: Put) -> Done:
     """Take a thing, and put it somewhere."""
     for step in (f"grasps the {goal.thing}", f"moves to the {goal.place}", "opens the hand"):
         await report(step)

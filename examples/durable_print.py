@@ -18,23 +18,24 @@ import argparse
 import logging
 import math
 import os
-from collections.abc import AsyncGenerator
 from pathlib import Path
 from signal import SIGINT, SIGTERM
+from typing import Any
 
 import anyio
 from msgspec import Struct
 
 from fibaction import (
-    Action,
     ActionServer,
     GoalCanceled,
     GoalHandle,
     GoalRejected,
+    Report,
     Schedule,
     SqliteStore,
     StoreError,
     TransportError,
+    action,
     serve,
 )
 
@@ -63,9 +64,6 @@ class Result(Struct):
     file: str
 
 
-PRINT = Action("print", goal=Goal, feedback=Feedback, result=Result, checkpoint=int)
-
-
 def on_goal(goal: Goal) -> None:
     """Accept an object that has a name for a file, and at least one layer.
 
@@ -87,23 +85,26 @@ class Printer:
         self._folder = folder
         self._period = period
 
-    async def print(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    @action(checkpoint=int)
+    async def print(
+        self, report: Report[Feedback], handle: GoalHandle[object], goal: Goal
+    ) -> Result:
         """Print layer upon layer, from the last one that was kept."""
-        done: int = goal.restored or 0
-        file = self._folder / f"{goal.request.name}-{goal.goal_id}.txt"
-        print(f"{file.name}: attempt {goal.attempt}, from layer {done + 1}", flush=True)
+        done: int = handle.restored or 0
+        file = self._folder / f"{goal.name}-{handle.goal_id}.txt"
+        print(f"{file.name}: attempt {handle.attempt}, from layer {done + 1}", flush=True)
         try:
-            while done < goal.request.layers:
+            while done < goal.layers:
                 await anyio.sleep(self._period)
                 put_layer(file, done + 1)
                 # A kill at this point makes the next attempt print this layer again. That does no
                 # harm, since a layer goes to its own height.
                 done += 1
-                await goal.checkpoint(done)
-                yield Feedback(done)
+                await handle.checkpoint(done)
+                await report(Feedback(done))
         except anyio.get_cancelled_exc_class():
             raise GoalCanceled(result=Result(done, file.name)) from None
-        yield Result(done, file.name)
+        return Result(done, file.name)
 
 
 def put_layer(file: Path, number: int) -> None:
@@ -116,10 +117,9 @@ def put_layer(file: Path, number: int) -> None:
         os.fsync(stream.fileno())  # the work is on the disk before the checkpoint says so
 
 
-def make_server(store: Path, folder: Path, period: float) -> ActionServer[Goal, Feedback, Result]:
+def make_server(store: Path, folder: Path, period: float) -> ActionServer[Any, Feedback, Result]:
     """Return a printer that keeps its jobs in a store, and results for a day."""
     return ActionServer(
-        PRINT,
         Printer(folder, period).print,
         on_goal=on_goal,
         schedule=Schedule(concurrency=1, queue=100),
@@ -139,7 +139,7 @@ async def main(url: str, store: Path, folder: Path, period: float) -> None:
     """
     with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
         async with serve(make_server(store, folder, period), url) as (where,):
-            print(f"serving {PRINT.name} at {where}, Ctrl-C stops it", flush=True)
+            print(f"serving {Printer.print.name} at {where}, Ctrl-C stops it", flush=True)
             await anext(signals)
 
 

@@ -15,9 +15,10 @@ from __future__ import annotations
 import argparse
 import logging
 import math
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from signal import SIGINT, SIGTERM
+from typing import Any
 
 import anyio
 from anyio import TASK_STATUS_IGNORED
@@ -25,14 +26,14 @@ from anyio.abc import TaskStatus
 from msgspec import Struct
 
 from fibaction import (
-    Action,
     ActionClient,
     ActionServer,
     GoalCanceled,
-    GoalHandle,
     GoalRejected,
+    Report,
     Schedule,
     TransportError,
+    action,
     connect,
     serve,
 )
@@ -69,13 +70,6 @@ class Result(Struct):
     joints: list[float]
 
 
-MOVE_ARM = Action(
-    "move_arm",
-    goal=Goal,
-    feedback=Feedback,
-    result=Result,
-    type_name="arduinobot_msgs/action/MoveArm",
-)
 NEWEST_ONLY = Schedule(concurrency=1, when_full="preempt")
 
 
@@ -97,20 +91,21 @@ class Arm:
             if not abs(angle) <= RANGE:
                 raise GoalRejected(f"a joint cannot turn to {angle:.2f}, only to +-{RANGE:.2f}")
 
-    async def move(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    @action("move_arm", type_name="arduinobot_msgs/action/MoveArm")
+    async def move(self, report: Report[Feedback], goal: Goal) -> Result:
         """Turn all joints to their angles; brake if the goal is preempted or canceled."""
-        target = goal.request.joints
+        target = goal.joints
         try:
             while self.joints != target:
                 await self._turn(target)
-                yield Feedback("moves", self.joints)
+                await report(Feedback("moves", self.joints))
         except anyio.get_cancelled_exc_class():
             # The next goal begins only after this clean-up, so the joints have one master.
             for part in BRAKING:
                 await self._turn(target, part)
-                yield Feedback("brakes", self.joints)
+                await report(Feedback("brakes", self.joints))
             raise GoalCanceled(result=Result(self.joints)) from None
-        yield Result(self.joints)
+        return Result(self.joints)
 
     async def _turn(self, target: list[float], part: float = 1.0) -> None:
         await anyio.sleep(STEP)
@@ -121,17 +116,17 @@ class Arm:
         ]
 
 
-def make_server() -> ActionServer[Goal, Feedback, Result]:
+def make_server() -> ActionServer[Any, Feedback, Result]:
     """Return a server of a new arm."""
     arm = Arm()
-    return ActionServer(MOVE_ARM, arm.move, on_goal=arm.on_goal, schedule=NEWEST_ONLY)
+    return ActionServer(arm.move, on_goal=arm.on_goal, schedule=NEWEST_ONLY)
 
 
 async def demo() -> None:
     """Serve an arm, and send it after a cup."""
     async with (
         serve(make_server(), HERE),
-        connect(HERE, MOVE_ARM) as client,
+        connect(HERE, Arm.move) as client,
         anyio.create_task_group() as tasks,
     ):
         for place, joints in SIGHTINGS.items():
@@ -139,7 +134,7 @@ async def demo() -> None:
 
 
 async def send_arm(
-    client: ActionClient[Goal, Feedback, Result],
+    client: ActionClient[Any, Feedback, Result],
     place: str,
     joints: Iterable[float],
     *,
@@ -179,7 +174,7 @@ async def serve_at(url: str) -> None:
     """
     with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
         async with serve(make_server(), url) as (where,):
-            print(f"serving {MOVE_ARM.name} at {where}, Ctrl-C stops it", flush=True)
+            print(f"serving {Arm.move.name} at {where}, Ctrl-C stops it", flush=True)
             await anext(signals)
 
 

@@ -309,7 +309,7 @@ async def test_a_signal_while_the_arm_brakes_ends_both_goals() -> None:
     url = "inproc://braking"
     with anyio.fail_after(30):
         async with (
-            connect(url, exclusive_arm.MOVE_ARM) as client,
+            connect(url, exclusive_arm.Arm.move) as client,
             anyio.create_task_group() as tasks,
         ):
             tasks.start_soon(exclusive_arm.serve_at, url)
@@ -365,8 +365,8 @@ def test_a_goal_out_of_range_is_rejected_with_the_reason(
     ("action", "executor", "goal", "part"),
     [
         (
-            exclusive_arm.MOVE_ARM,
-            exclusive_arm.Arm().move,
+            exclusive_arm.Arm.move,
+            exclusive_arm.Arm().move.executor,
             exclusive_arm.Goal([1.0, 0.0, 0.0]),
             exclusive_arm.Result([pytest.approx(0.27), 0.0, 0.0]),  # type: ignore[list-item]  # it is equal to it
         ),
@@ -377,8 +377,8 @@ def test_a_goal_out_of_range_is_rejected_with_the_reason(
             worker_pool.Result(2),
         ),
         (
-            picking.PICK,
-            picking.Robot("robot1", 0.01).pick,
+            picking.Robot.pick,
+            picking.Robot("robot1", 0.01).pick.executor,
             picking.Order(9),
             picking.Picked(2),
         ),
@@ -437,7 +437,7 @@ async def print_through(folder: Path, url: str, number: signal.Signals | None) -
     """Send the printer an object, end the printer at layer 3, and start it again. Return the layers
     that were told, the results, and the line with which the printer begins again.
     """
-    async with connect(url, durable_print.PRINT) as client:
+    async with connect(url, durable_print.Printer.print) as client:
         with printing(folder, url) as process:
             await anyio.to_thread.run_sync(lines_until, "^serving", process)
             await client.wait_for_server()
@@ -479,7 +479,9 @@ async def test_a_printer_that_was_ended_goes_on_with_the_next_layer(
 async def test_an_object_that_is_canceled_has_the_layers_so_far(tmp_path: Path) -> None:
     printer = durable_print.Printer(tmp_path, 1.0)
     goal = durable_print.Goal("gear", 9)
-    trial = await run_executor(durable_print.PRINT, printer.print, goal, cancel_after=2)
+    trial = await run_executor(
+        durable_print.Printer.print, printer.print.executor, goal, cancel_after=2
+    )
     assert trial.outcome.status is GoalStatus.CANCELED
     assert trial.outcome.result is not None
     assert trial.outcome.result.layers == 2

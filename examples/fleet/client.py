@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import Any
 
 import anyio
-from picking import PICK, URL, Order, Picked, Progress
+from picking import URL, Order, Picked, Progress, Robot
 
 from fibaction import (
     ActionClient,
@@ -41,7 +42,7 @@ async def main(url: str, orders: int) -> int:
         ConnectionLost: The broker is gone.
     """
     done: list[bool] = []
-    async with connect(url, PICK) as client:
+    async with connect(url, Robot.pick) as client:
         await client.wait_for_server(timeout=10)
         async with anyio.create_task_group() as tasks:
             for number in range(1, orders + 1):
@@ -50,9 +51,7 @@ async def main(url: str, orders: int) -> int:
     return 0 if all(done) else FAILED
 
 
-async def order(
-    client: ActionClient[Order, Progress, Picked], number: int, done: list[bool]
-) -> None:
+async def order(client: ActionClient[Any, Progress, Picked], number: int, done: list[bool]) -> None:
     """Send an order, print each item, and note whether all items were picked."""
     robot = ""
 

@@ -6,12 +6,20 @@ each item.
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from typing import Any
 
 import anyio
 from msgspec import Struct
 
-from fibaction import Action, ActionServer, GoalCanceled, GoalHandle, GoalRejected, Schedule
+from fibaction import (
+    ActionServer,
+    GoalCanceled,
+    GoalHandle,
+    GoalRejected,
+    Report,
+    Schedule,
+    action,
+)
 
 URL = "nats://127.0.0.1:4222/warehouse"
 AT_ONCE = 2
@@ -39,9 +47,6 @@ class Picked(Struct):
     items: int
 
 
-PICK = Action("pick", goal=Order, feedback=Progress, result=Picked, checkpoint=int)
-
-
 def on_goal(order: Order) -> None:
     """Accept an order of at least one item.
 
@@ -59,25 +64,27 @@ class Robot:
         self._name = name
         self._period = period
 
-    async def pick(self, goal: GoalHandle[Order]) -> AsyncGenerator[Progress | Picked, None]:
+    @action(checkpoint=int)
+    async def pick(
+        self, report: Report[Progress], goal: GoalHandle[object], order: Order
+    ) -> Picked:
         """Pick one item after the other, from the last one that was kept."""
         items: int = goal.restored or 0
         try:
-            while items < goal.request.items:
+            while items < order.items:
                 await anyio.sleep(self._period)
                 # A kill at this point makes the next robot pick this item again.
                 items += 1
                 await goal.checkpoint(items)
-                yield Progress(items, self._name)
+                await report(Progress(items, self._name))
         except anyio.get_cancelled_exc_class():
             raise GoalCanceled(result=Picked(items)) from None
-        yield Picked(items)
+        return Picked(items)
 
 
-def make_server(name: str, period: float) -> ActionServer[Order, Progress, Picked]:
+def make_server(name: str, period: float) -> ActionServer[Any, Progress, Picked]:
     """Return a robot whose orders go on with other robots when it stops or is gone."""
     return ActionServer(
-        PICK,
         Robot(name, period).pick,
         on_goal=on_goal,
         schedule=Schedule(concurrency=AT_ONCE, queue=WAITING),

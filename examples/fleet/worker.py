@@ -17,7 +17,7 @@ import os
 from signal import SIGINT, SIGTERM
 
 import anyio
-from picking import PICK, URL, make_server
+from picking import URL, Robot, make_server
 
 from fibaction import StoreError, TransportError, serve
 
@@ -32,7 +32,7 @@ async def main(url: str, name: str, period: float) -> None:
     mark = "&" if "?" in url else "?"
     with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
         async with serve(make_server(name, period), f"{url}{mark}worker={name}"):
-            print(f"{name} serves {PICK.name} as process {os.getpid()}", flush=True)
+            print(f"{name} serves {Robot.pick.name} as process {os.getpid()}", flush=True)
             await anext(signals)
 
 

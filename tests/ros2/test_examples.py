@@ -167,7 +167,7 @@ def test_a_url_that_cannot_be_used_is_one_line_and_an_exit_code(
 
 async def send_and_preempt(url: str) -> list[Outcome[exclusive_arm.Result]]:
     """Send a goal to the arm, and another one when it moves; return both ends."""
-    async with connect(url, exclusive_arm.MOVE_ARM) as client:
+    async with connect(url, exclusive_arm.Arm.move) as client:
         await client.wait_for_server(PATIENCE)
         first = await client.send_goal(exclusive_arm.Goal([1.5, 0.0, 0.0]))
         await anext(aiter(first.feedback))
