@@ -248,3 +248,10 @@ test("what a newer server says beside the rest is ignored", async () => {
   assert.deepEqual(told, [[FIRST, "SUCCEEDED"]]);
   assert.deepEqual([connection.state, errors], ["ready", []]);
 });
+
+test("an action that needs no goal is sent one without fields", () => {
+  const { connection, socket } = watched();
+  connection.sendGoal("home").catch(() => {});
+  const goals = socket.said.at(-1).filter((part) => part instanceof Uint8Array && part.length === 1);
+  assert.deepEqual(goals, [new Uint8Array([0x80])]);
+});

@@ -125,6 +125,15 @@ async def test_a_request_is_read_as_its_standard_has_it(head: bytes, status: int
     assert said.startswith(b"HTTP/1.1 %d " % status)
 
 
+async def test_a_request_that_comes_in_pieces_is_answered() -> None:
+    async with served() as url, await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+        for piece in (b"\r\n", b"GET /actions HTTP/1.1\r", b"\nHost: [::1]\r\n\r\n"):
+            await stream.send(piece)
+            await anyio.wait_all_tasks_blocked()
+        with anyio.fail_after(20):
+            assert (await stream.receive()).startswith(b"HTTP/1.1 200 ")
+
+
 async def test_an_empty_line_between_two_requests_is_no_request() -> None:
     body = b'{"order": 1}'
     post = f"{POST}Content-Length: {len(body)}\r\n\r\n".encode() + body
