@@ -40,12 +40,12 @@ from fibaction import (
 
 HERE = "inproc://farm"
 FRAME = 0.1  # seconds that one frame takes
-URGENT, USUAL = 1, 5
+URGENT, USUAL = 5, 1
 PATIENT = Retry(attempts=10, delay=0.4)  # only while the farm is busy
 
 
 class Goal(Struct):
-    """An order to render the frames of a shot; the smaller its urgency, the sooner it starts."""
+    """An order to render the frames of a shot; the larger its urgency, the sooner it starts."""
 
     shot: str
     frames: int

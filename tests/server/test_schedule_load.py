@@ -46,8 +46,13 @@ def key_of(goal: Goal) -> int:
     return goal.order % KEYS
 
 
-def urgency_of(goal: Goal) -> int:
+def priority_of(goal: Goal) -> int:
     return goal.order * 7 % 5
+
+
+def urgency_of(goal: Goal) -> int:
+    """The order in a queue: the smallest is the first."""
+    return -priority_of(goal)
 
 
 class Sent:
@@ -288,17 +293,17 @@ class Load:
 REJECTING = {
     "a bounded queue": Schedule(concurrency=4, queue=50),
     "one of each key, by priority": Schedule(
-        concurrency=1, queue=20, key=key_of, priority=urgency_of
+        concurrency=1, queue=20, key=key_of, priority=priority_of
     ),
     "keys within a total": Schedule(
-        concurrency=2, total=4, queue=10, key=key_of, priority=urgency_of
+        concurrency=2, total=4, queue=10, key=key_of, priority=priority_of
     ),
 }
 PREEMPTING = {
     "one arm": Schedule(concurrency=1, when_full="preempt"),
     "two arms with a queue": Schedule(concurrency=2, queue=3, when_full="preempt"),
     "urgent goals": Schedule(
-        concurrency=1, queue=5, when_full="preempt", key=key_of, priority=urgency_of
+        concurrency=1, queue=5, when_full="preempt", key=key_of, priority=priority_of
     ),
 }
 HANDING_OVER = {

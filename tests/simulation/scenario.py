@@ -109,7 +109,7 @@ class SchedulePlan(msgspec.Struct, frozen=True):
         return work.key % self.keys if self.keys else 0
 
     def urgency_of(self, work: Work) -> int:
-        """Return the urgency of a goal."""
+        """Return the urgency of a goal: of the most urgent one the smallest."""
         return work.key * 7 % self.urgencies if self.urgencies else 0
 
     def schedule(self) -> Schedule:
@@ -123,7 +123,7 @@ class SchedulePlan(msgspec.Struct, frozen=True):
         def priority(work: Work) -> int:
             if self.fails and work.key % 7 == 5:
                 raise ValueError(ON_PURPOSE)
-            return self.urgency_of(work)
+            return -self.urgency_of(work)
 
         return Schedule(
             concurrency=self.concurrency,

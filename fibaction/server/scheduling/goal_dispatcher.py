@@ -156,7 +156,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         return deadline if self._skips_expired else math.inf
 
     def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
-        """Return the key and the urgency of a goal.
+        """Return the key of a goal, and its urgency in a queue: the smaller, the more urgent.
 
         Raises:
             GoalRejected: A function of the schedule raised this or another exception, or its answer
@@ -166,7 +166,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         for name, check, function in self._functions:
             with failures_as(GoalRejected, name, self._action):
                 rank[name] = _asked(check, function, request, sender)
-        return rank["key"], rank["priority"]
+        return rank["key"], -rank["priority"]  # in a queue, the smallest number is the first
 
     def accepted(self, goal_id: GoalID) -> None:
         self._shared.carry_out(self._held.pop(goal_id, ()))

@@ -47,7 +47,7 @@ class Schedule(SettingsStruct, frozen=True, kw_only=True):
     """Executors that run at the same time, for all keys together; None for any number."""
     priority: GoalFunction[Any, float] | None = None
     """A function that returns the urgency of a goal, which may have the `Sender` as its second
-    parameter: goals with smaller numbers start first, equal ones in the order of their arrival. A
+    parameter: goals with larger numbers start first, equal ones in the order of their arrival. A
     goal preempts only less urgent ones, and then at once, even if there is room to wait."""
     queue_timeout: float = math.inf
     """Seconds that a goal may wait; then it ends as ABORTED."""

@@ -198,13 +198,13 @@ async def test_the_most_urgent_goal_starts_first_and_preempts_none(reach: Reach)
         sent = await send(client, 15, 27, 31, 43, 51)
         bench.let_go(15, 27, 31, 43, 51)
         assert [await ended(one) for one in sent] == [GoalStatus.SUCCEEDED] * 5
-        assert bench.started == [15, 31, 51, 43, 27]
+        assert bench.started == [15, 27, 43, 31, 51]
 
 
 @pytest.mark.promise("STATUS-9")
 async def test_a_list_of_goals_tells_the_places_of_those_that_wait(reach: Reach) -> None:
     bench = Bench()
-    schedule = Schedule(concurrency=1, queue=5, priority=lambda goal: goal.order)
+    schedule = Schedule(concurrency=1, queue=5, priority=lambda goal: -goal.order)
     async with reach(ActionServer(FIBONACCI, bench, schedule=schedule)) as client:
         sent = await send(client, 1, 9, 5)
         await begun(sent[0])
@@ -287,16 +287,16 @@ async def test_with_a_priority_only_a_more_urgent_goal_preempts(reach: Reach) ->
         concurrency=1, queue=1, when_full="preempt", priority=lambda goal: goal.order
     )
     async with reach(ActionServer(FIBONACCI, bench, schedule=schedule)) as client:
-        running, waiting = await send(client, 5, 6)
+        running, waiting = await send(client, 5, 4)
         await begun(running)
         with pytest.raises(GoalRejected):
             await client.send_goal(Goal(5))
-        (urgent,) = await send(client, 1)
+        (urgent,) = await send(client, 9)
         await begun(urgent)
         assert await ended(running) is GoalStatus.ABORTED
-        bench.let_go(1, 6)
+        bench.let_go(9, 4)
         assert await ended(waiting) is GoalStatus.SUCCEEDED
-        assert bench.started == [5, 1, 6]
+        assert bench.started == [5, 9, 4]
 
 
 @pytest.mark.promise("SCHEDULE-6")
