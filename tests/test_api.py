@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -20,9 +21,11 @@ from fibaction import (
     GoalAborted,
     GoalHandle,
     GoalInfo,
+    GoalKept,
     Outcome,
     Report,
     ServerNotFound,
+    StoreError,
     TransportError,
     Watcher,
     action,
@@ -36,7 +39,7 @@ from fibaction.words.goals import Sender
 from fibaction_transports.inprocess import InProcessTransport
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.support.memory_store import MemoryStore
+from tests.support.memory_store import Fate, MemoryStore
 from tests.support.one_worker import WORKER, OneWorker
 
 pytestmark = pytest.mark.asyncio
@@ -112,12 +115,47 @@ async def test_a_forgotten_await_is_told_with_what_to_write() -> None:
         forgotten.call(Goal(1))
 
 
-async def test_a_server_that_is_awaited_is_told_with_what_to_write() -> None:
-    serving: Any = serve(ActionServer(FIBONACCI, fibonacci), "inproc://connection")
-    with pytest.raises(TypeError, match=r"write `async with serve\(\.\.\.\):`"):
-        await serving
-    async with serving as urls:  # which does no harm
-        assert urls == ("inproc://connection",)
+async def test_servers_without_a_block_are_stopped_in_another_task() -> None:
+    opened: list[Any] = []
+
+    async def open_servers() -> None:
+        opened.append(await serve(ActionServer(FIBONACCI, fibonacci), "inproc://kept"))
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(open_servers)
+    [servers] = opened
+    assert servers.urls == ("inproc://kept",)
+    assert repr(servers) == "<KeptServers at inproc://kept>"
+    assert await call("inproc://kept", FIBONACCI, Goal(2)) == Result([0, 1, 1])
+    with pytest.raises(TransportError, match="already served"):
+        await serve(ActionServer(FIBONACCI, fibonacci), "inproc://kept")
+    await servers.aclose()
+    await servers.aclose()
+    with pytest.raises(ServerNotFound):
+        await call("inproc://kept", FIBONACCI, Goal(2))
+
+
+async def test_servers_whose_value_is_dropped_stop_and_the_log_says_what_to_write(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    await serve(server, "inproc://dropped")
+    gc.collect()
+    assert "write `async with serve(...):`" in caplog.text
+    with anyio.fail_after(5):
+        while server.is_running:
+            await anyio.lowlevel.checkpoint()
+
+
+async def test_servers_without_a_block_tell_the_failure_of_their_store() -> None:
+    store = MemoryStore(lambda _number, _what: Fate.FAILED)
+    server = ActionServer(FIBONACCI, fibonacci, store=store)
+    servers = await serve(server, "inproc://failing")
+    with pytest.raises(GoalKept):
+        await call("inproc://failing", FIBONACCI, Goal(2))
+    with pytest.raises(StoreError, match="broken, on purpose"):
+        await servers.aclose()
+    await servers.aclose()
 
 
 async def test_the_servers_and_the_clients_of_an_action_are_those_that_the_transport_knows() -> (

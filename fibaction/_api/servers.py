@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Generator, Iterable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, Unpack, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, cast
 
 from anyio import create_task_group
 
 from fibaction._runtime.async_only import AsyncBlock
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, Startable, Transport
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.border.watchers import Watcher
+from fibaction.client.kept_block import KeptBlock
 from fibaction.types.action import Action
 from fibaction.words.errors import TransportError
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from fibaction.server import ActionServer
     from fibaction.server.functions.function_action import FunctionAction
     from fibaction_transports.keywords import ServeKeywords
+
+logger = clean_logger("fibaction.server")
 
 Served: TypeAlias = "Endpoint | FunctionAction[..., Any, Any, Any] | object"
 """A server or another endpoint, an action that is made of a function, or an object whose methods
@@ -47,14 +52,48 @@ class Serving(AsyncBlock, AbstractAsyncContextManager[tuple[str, ...], None]):
     ) -> None:
         await self._block.__aexit__(exc_type, exc, traceback)
 
-    # For type checkers, it could be awaited.
-    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
+    def __await__(self) -> Generator[Any, Any, KeptServers]:
+        return self._kept().__await__()
 
-        def __await__(self) -> NoReturn:
-            raise TypeError(
-                "serve() is not awaited, because it serves for as long as a block lasts: write"
-                " `async with serve(...):`, and `await anyio.sleep_forever()` in the block"
+    async def _kept(self) -> KeptServers:
+        block = KeptBlock(self._block)
+        await block.open("fibaction servers")
+        return KeptServers(block)
+
+
+class KeptServers:
+    """Servers that `await serve(...)` has started, and that run until `aclose`."""
+
+    def __init__(self, block: KeptBlock[tuple[str, ...]]) -> None:
+        self._block = block
+        self._thread = OwnThread()
+        self.urls = block.value
+        """The URLs under which clients find the servers."""
+
+    async def aclose(self) -> None:
+        """Stop the servers, from any task. Closing twice does nothing.
+
+        Raises:
+            StoreError: The store of a server has failed.
+        """
+        self._thread.check()
+        self._block.close()
+        await self._block.ended.wait()
+        error, self._block.error = self._block.error, None
+        if error is not None:
+            raise error
+
+    def __del__(self) -> None:
+        if not self._block.is_closing:
+            logger.warning(
+                "the servers at %s stop, because the value of `await serve(...)` was dropped: keep"
+                " it, and call its `aclose()`, or write `async with serve(...):`",
+                ", ".join(self.urls),
             )
+            self._block.close_soon()
+
+    def __repr__(self) -> str:
+        return f"<KeptServers at {', '.join(self.urls)}>"
 
 
 def serve(
@@ -75,6 +114,9 @@ def serve(
 
         async with serve(ActionServer(DRIVE, drive), "tcp://127.0.0.1:7400"):
             await anyio.sleep_forever()
+
+    Where a block is in the way, as in a notebook, write `server = await serve(...)`, and later, in
+    any task, `await server.aclose()`; `server.urls` has the URLs.
 
     Raises:
         TransportError: An address cannot be used.

@@ -155,7 +155,9 @@ async def main() -> None:
     async with serve(server, "inproc://a", "inproc://b") as urls:
         assert_type(urls, tuple[str, ...])
 
-    await serve(server, "inproc://a")  # type: ignore[misc]  # pyright: ignore[reportGeneralTypeIssues]  # must be refused
+    servers = await serve(server, "inproc://a")
+    assert_type(servers.urls, tuple[str, ...])
+    await servers.aclose()
 
     async with connect("inproc://a") as connection:
         assert_type(connection, ClientConnection)
