@@ -45,8 +45,8 @@ class Retry(SettingsStruct, frozen=True, kw_only=True):
     attempts: int = 3
     """The number of attempts in all, the first one included."""
     delay: float = 0.5
-    """Seconds before the second attempt. Each further delay is twice as long. All delays are
-    shortened by chance, to half at most, so that the clients of a busy server do not come
+    """Seconds before the second attempt. Each further delay is twice as long. Each delay is
+    shortened at random, by half at most, so that the clients of a busy server do not come back
     together."""
     max_delay: float = 10.0
     """Seconds that a delay takes at most."""

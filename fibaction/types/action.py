@@ -203,8 +203,8 @@ class ActionInfo(msgspec.Struct, frozen=True):
 
     @property
     def description(self) -> str:
-        """The purpose of the action, as its author says it: the description of the goal, which is
-        the docstring of its type; empty if there is none.
+        """The purpose of the action, in the words of its author: the description of the goal,
+        which is the docstring of its type; empty if it has none.
         """
         root: Any = self.goal  # a peer may send anything
         definitions = root.get("$defs") if is_map(root) else None

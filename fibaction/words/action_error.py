@@ -2,7 +2,7 @@
 
 
 class ActionError(Exception):
-    """The root: `except ActionError` catches all that fibaction raises on purpose.
+    """Base class of all errors that fibaction raises on purpose: `except ActionError` catches them.
 
     Programming errors are not included: they raise `TypeError`, `ValueError`, or, for a server that
     is started twice, `RuntimeError`.

@@ -97,7 +97,7 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
         help="List the goals with this status only; may be given several times.",
     )
     @click.option(
-        "--client", metavar="TEXT", default="", help="List the goals whose CLIENT has TEXT in it."
+        "--client", metavar="TEXT", default="", help="List the goals whose CLIENT contains TEXT."
     )
     @labels_option("List the goals with this label only; given several times, with all of them.")
     @click.option("--since", type=TimeType(), help="List the goals accepted at that time or later.")
@@ -105,20 +105,20 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
     @click.option(
         "--sort",
         type=click.Choice(tuple(SORTS)),
-        help="Begin with the least or the earliest, end with the greatest or the latest.",
+        help="Sort in ascending order by this property.",
     )
     @click.option(
         "--limit",
         type=click.IntRange(min=0),
         default=LIMIT,
-        help="List so many goals: the active and the newest ones, or the last ones of --sort; 0 for"
+        help="List at most so many goals: active and newest ones, or the last of --sort; 0 for"
         f" all.  [default: {LIMIT}]",
     )
     @click.option(
         "--past",
         is_flag=True,
-        help="List also the goals that the server has forgotten, and has in the history of its"
-        " store.",
+        help="Also list the goals that the server has forgotten and that its store has in the"
+        " history.",
     )
     @wraps(function)
     def choosing(

@@ -38,8 +38,8 @@ def attach_command(
     """Follow a goal that was sent before: its feedback from now on, and its result. The exit code
     is that of send_goal. Ctrl-C leaves the goal running.
 
-    The beginning of a GOAL_ID is enough, if no other goal's ID begins so. With the action's NAME
-    the goal is not looked for at other actions.
+    The beginning of a GOAL_ID is enough if it is unique. With NAME, only the goals of that action
+    are searched.
     """
     name = None if name is None else namespace.absolute(name)
     run(attach, url, goal_digits(goal_id), name, namespace, full=full, as_json=as_json)

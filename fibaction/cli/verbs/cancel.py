@@ -51,7 +51,7 @@ Examples:
   fibaction cancel --before 2026-01-31T12:00:00
   fibaction cancel drive --before 10m
 
-Exit code 1: a goal was not canceled, since the server rejected that or the goal had ended.""",
+Exit code 1: a goal was not canceled: the server rejected the cancel, or the goal had ended.""",
 )
 @click.argument("words", nargs=-1, metavar="[NAME] [GOAL_ID]", type=ACTION_OR_GOAL_ID)
 @click.option("--all", "everything", is_flag=True, help="Cancel all goals.")
@@ -74,9 +74,9 @@ def cancel_command(
 ) -> None:
     """Cancel a goal of any client, or many, of the action NAME or of all actions.
 
-    The beginning of a GOAL_ID is enough, if no other goal's ID begins so. STAMP is in nanoseconds
-    since 1970, as `goals --json` prints it, or as in 2026-01-31T12:00:00Z, or as in 10m for ten
-    minutes ago. The command does not wait for the end of the goals.
+    The beginning of a GOAL_ID is enough if it is unique. STAMP is in nanoseconds since 1970, as
+    `goals --json` prints it, or a time such as 2026-01-31T12:00:00Z, or an age such as 10m. The
+    command does not wait for the end of the goals.
     """
     if everything and before is not None:
         raise click.UsageError("--all and --before cannot be combined")

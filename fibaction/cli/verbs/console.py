@@ -61,7 +61,7 @@ def console_command(context: click.Context, source: str | None, port: int, no_op
 
     The page is served on this machine only, with a token of its own in the address.
 
-    Ctrl-C or SIGTERM ends it; the goals continue at their server. A second one ends at once.
+    Ctrl-C or SIGTERM ends it; the goals continue at their server. A second one ends it at once.
     """
     there = source or url_of(context)
     opens = not no_open and can_open(os.environ, sys.platform)

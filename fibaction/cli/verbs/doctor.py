@@ -43,8 +43,8 @@ Examples:
 def doctor_command(
     context: click.Context, where: str | None, seconds: float, action: str, as_json: bool
 ) -> None:
-    """Say what is found at URL, and what to do if it is not what you expect. The default is dds://,
-    unless you give a URL in another way.
+    """Report what is found at URL, and what to do if it is not what you expect. The default is
+    dds://, unless you give a URL in another way.
 
     At dds://, it listens for other participants; at other URLs, it tries to connect.
     """

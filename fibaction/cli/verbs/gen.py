@@ -95,13 +95,13 @@ def gen_command(
     in capitals. Its lines may be long: run your formatter over it. The TypeScript module has the
     types for the JavaScript client, of all actions of a server if FILE names one.
 
-    Nested messages are searched for beside the file, in its package and the packages beside that,
+    Nested messages are searched for next to the file, in its package and the packages next to that,
     in the folders of --search, and in those of ROS, if setup.bash has been sourced or ROS is
     installed in this virtual environment.
 
     With --from-robot, one Python module gets the types of a robot's actions: all of them where ROS
     and the packages of the types are installed (ros2://), and elsewhere (dds://) those whose files
-    are found, and those that the robot tells. What cannot be written is said on stderr.
+    are found, and those that the robot tells. Types that cannot be written are listed on stderr.
     """
     if from_robot:
         if is_typescript or name or type_name or search:

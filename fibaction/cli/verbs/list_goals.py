@@ -100,14 +100,14 @@ def goals_command(
     as_csv: bool,
     url: str,
 ) -> None:
-    """List the goals of the action NAME, of several, or of all actions: those that are active, and
-    those that have ended and that the server remembers. With --past, those in the history of its
-    store are listed as well, and with --store no server need run.
+    """List the goals of the actions that you name, or of all actions: the active ones, and the
+    ended ones that the server remembers. With --past, the list includes the history of its store.
+    With --store, no server has to run.
 
     With --namespace, a NAME without a slash in front is relative to the namespace.
 
-    A time is as in 2026-01-31T12:00:00, or as in 30s, 10m, 2h or 7d for a time ago, or nanoseconds
-    since 1970.
+    A time is written as 2026-01-31T12:00:00, as an age such as 30s, 10m, 2h or 7d, or in
+    nanoseconds since 1970.
 
     With --watch the list is kept up to date on a terminal; elsewhere each change is a line.
     """

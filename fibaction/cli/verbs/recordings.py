@@ -40,8 +40,9 @@ Examples:
 def record_command(url: str, file: str) -> None:
     """Record the goals of all actions at URL, until Ctrl-C or SIGTERM.
 
-    The command is an observer, for which no executor waits. It misses what observers are not told,
-    for example rejected goals; `fibaction serve --record` misses nothing. FILE is appended to.
+    No executor waits for this command. It does not see what observers are not told, for example
+    rejected goals; `fibaction serve --record` records everything. The recording is appended to
+    FILE.
     """
     reject_inproc(url)
     run(record, url, file)

@@ -63,12 +63,12 @@ Examples:
     help="Keep goals and leases in this folder, over restarts.",
 )
 def broker_command(port: int, data: str) -> None:
-    """Run a broker for a fleet, a nats-server with JetStream, at this machine only.
+    """Run a broker for a fleet on this machine: a nats-server with JetStream.
 
-    It is for tests and a first try: in production, run NATS's own build, and three of them.
+    Use it for tests and a first try. In production, run three servers of NATS's own build.
 
     Each write is on the disk before it is answered (sync_interval: always), so that a power cut
-    loses nothing. That costs speed: some 1,000 writes in a second rather than some 10,000.
+    loses nothing. This limits it to about 1,000 writes per second, instead of 10,000.
 
     Ctrl-C or SIGTERM stops it, and keeps the data.
     """

@@ -66,16 +66,16 @@ Examples:
     "--history",
     metavar="DAYS",
     type=click.FloatRange(min=0, min_open=True),
-    help="With --store: keep goals that have ended for so many days, for lists of the past.",
+    help="With --store: keep ended goals for this many days, for `fibaction goals --past`.",
 )
 @click.option(
     "--drain",
     metavar="SECONDS",
     type=click.FloatRange(min=0),
     default=0.0,
-    help="When it is to stop, take no new goals, and let those that run end, for so long.",
+    help="Before a stop, reject new goals, and give running ones this much time to end.",
 )
-@click.option("--log-json", is_flag=True, help="Log JSON objects, one on a line, with goal IDs.")
+@click.option("--log-json", is_flag=True, help="Log JSON objects, one per line, with goal IDs.")
 @click.option("--metrics", metavar="[HOST]:PORT", help="Serve /metrics and /healthz here, by HTTP.")
 @click.option("--record", metavar="FILE", help="Record everything that happens to goals.")
 @click.option("--reload", is_flag=True, help="Start again when the module's .py files change.")
@@ -95,14 +95,14 @@ def serve_command(
     reload: bool,
     parent: int | None,
 ) -> None:
-    """Run the action servers of a module of yours, at one URL or at several at once.
+    """Run the action servers of your module, at one URL or several.
 
     SERVER is an ActionServer, a function that @action has made an action, a list of several, or a
     function without arguments that returns them.
     The module is looked for in the current folder first.
 
-    Ctrl-C or SIGTERM ends all goals, tells their clients and stops. A second one ends at once.
-    With --drain, goals that run have some time to end by themselves before that.
+    Ctrl-C or SIGTERM ends all goals, tells their clients, and stops the servers; a second one stops
+    them at once. With --drain, running goals first get time to finish.
 
     With --store, servers that have no store of their own keep their goals in that file: their
     `recovery` and `at_stop` say what becomes of active ones.

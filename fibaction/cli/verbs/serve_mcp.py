@@ -57,9 +57,9 @@ Examples:
     "--unasked",
     metavar="NAME",
     multiple=True,
-    help="Send goals of this action without a question to the user.",
+    help="Send goals of this action without asking the user.",
 )
-@click.option("--read-only", is_flag=True, help="Show goals, and let none be sent or canceled.")
+@click.option("--read-only", is_flag=True, help="Show goals, but do not send or cancel any.")
 @click.option(
     "--patience",
     type=click.FloatRange(min=0, min_open=True),
@@ -94,7 +94,7 @@ def mcp_command(
     those of the actions in --unasked.
 
     Ctrl-C, SIGTERM or the end of stdin ends it. Goals that a tool waits for are canceled, all
-    others go on at their server. A second signal ends it at once.
+    others continue at their server. A second signal ends it at once.
     """
     if find_spec("mcp") is None:
         raise Failure("fibaction mcp needs mcp: pip install 'fibaction[mcp]'")

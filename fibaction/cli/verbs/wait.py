@@ -36,7 +36,7 @@ Examples:
 )
 @url_option
 def wait_command(names: tuple[str, ...], timeout: float | None, url: str) -> None:
-    """Wait until the action NAME is served, or all of several, and print nothing."""
+    """Wait until the actions are served, and print nothing."""
     run(wait, url, names, timeout)
 
 

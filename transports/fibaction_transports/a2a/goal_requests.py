@@ -167,7 +167,7 @@ class GoalRequests(RequestHandler):
         try:
             rejected = await goal.cancel()
         except ActionError as exc:
-            raise InternalError(f"the goal may go on: {exc}") from exc
+            raise InternalError(f"the goal may continue: {exc}") from exc
         if rejected:
             raise TaskNotCancelableError(f"the server rejects the cancel: {rejected}")
         with anyio.move_on_after(CANCEL_WAIT):
@@ -327,7 +327,7 @@ async def _updates(
             yield update_event(goal, entry)
     if goal.error is not None:
         raise InternalError(
-            f"the task cannot be followed now, and may go on: {goal.error}; subscribe to it again"
+            f"the task cannot be followed now, and may continue: {goal.error}; subscribe again"
         )
     artifact = artifact_event(goal)
     if artifact is not None and after != AFTER_RESULT:
