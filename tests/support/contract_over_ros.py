@@ -12,17 +12,10 @@ from typing import Any
 
 import pytest
 
+from fibaction.testing.contract.reach import Reach, directly, through_a_gateway
+from tests.contract.conftest import anyio_backend
 from tests.support.forms import Form, as_generator
 from tests.support.ros_contract import EXCLUSIONS, MODULES
-
-pytest.register_assert_rewrite(*MODULES)
-
-from fibaction.testing.contract.reach import (  # noqa: E402  # rewritten first
-    Reach,
-    directly,
-    through_a_gateway,
-)
-from tests.contract.conftest import anyio_backend  # noqa: E402
 
 PATIENCE = 45.0
 """Seconds for a thousand goals, which take some 6 s, and several times that on a busy machine."""
