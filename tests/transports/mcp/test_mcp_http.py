@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import ssl
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -20,6 +21,7 @@ from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.mcp import McpHttpTransport
 from tests.support.certificates import pems
+from tests.support.loop_times import LoopTimes
 from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
 from tests.transports.mcp.robot import MODES, YES, Mode, Robot, Rounds, Talk
 
@@ -90,6 +92,56 @@ async def test_the_answer_of_another_client_does_not_send_a_goal() -> None:
         again = await Rounds(bob).call(3, input_responses=YES, request_state=state)
 
         assert isinstance(again, InputRequiredResult)
+        assert robot.sent == []
+
+
+async def test_a_large_goal_keeps_nobody_waiting() -> None:
+    meta = {
+        "io.modelcontextprotocol/protocolVersion": "2026-07-28",
+        "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
+        "io.modelcontextprotocol/clientCapabilities": {},
+    }
+    goal = {"meters": 3, "more": [[]] * 250_000}
+    params = {"name": "arm-drive", "arguments": goal, "_meta": meta}
+    body = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params})
+    headers = {
+        "Accept": "application/json, text/event-stream",
+        "Content-Type": "application/json",
+        "MCP-Protocol-Version": "2026-07-28",
+        "Mcp-Method": "tools/call",
+        "Mcp-Name": "arm-drive",
+    }
+    async with (
+        served(unasked=["*"]) as (robot, url),
+        httpx2.AsyncClient(headers=GOOD, trust_env=False, timeout=PATIENCE) as http,
+        LoopTimes() as times,
+    ):
+        answer = await http.post(url, content=body.encode(), headers=headers)
+
+        assert 'no field \\"more\\"' in answer.text
+        assert times.longest < 0.5
+        assert robot.sent == []
+
+
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [
+        (b"[" + b"[]," * 300_000 + b"[]]", "beside its goal; 16384 are the limit"),
+        (b"[" * 5000, "the request nests too deep"),
+        (b"garbage", "the request is not JSON: "),
+        (b'{"method": "tools/call", "params": {"arguments": 3}}', "error"),
+    ],
+    ids=["large", "deep", "garbage", "no arguments"],
+)
+async def test_what_is_no_request_is_an_error_without_a_traceback(
+    body: bytes, text: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with served() as (robot, url), httpx2.AsyncClient(headers=GOOD, trust_env=False) as http:
+        answer = await http.post(url, content=body, headers={"Content-Type": "application/json"})
+
+        assert answer.status_code in (400, 406)
+        assert text in answer.text
+        assert "Traceback" not in caplog.text
         assert robot.sent == []
 
 

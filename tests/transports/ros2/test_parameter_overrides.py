@@ -92,7 +92,7 @@ def test_the_last_value_counts_by_the_place_where_its_nodes_were_first_named(fil
         ("arm: &a {ros__parameters: {}}\nleg: *a", "it has the alias *a, as no file for ROS"),
         ("[a]: b", "not valid YAML: while constructing a mapping found"),
         ("a: 1\n--- b", "not valid YAML: expected a single document"),
-        ("[" * 500 + "]" * 500, "too many levels"),
+        ("[" * 50_000, "too many levels"),
         ("\0", "not valid YAML: unacceptable character"),
     ],
 )

@@ -11,14 +11,12 @@ from a2a.server.routes import create_agent_card_routes, create_jsonrpc_routes
 from a2a.types import AgentCard
 from a2a.utils.constants import AGENT_CARD_WELL_KNOWN_PATH
 from starlette.applications import Starlette
-from starlette.responses import JSONResponse
 
-from fibaction.border.peer_text import clean_logger, excerpt
-from fibaction.schema.turns import in_turn
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.auth import Peer
-from fibaction_transports._http.exchange import App, Message, Receive, Scope, Send
+from fibaction_transports._http.exchange import App, Receive, Scope, Send
 from fibaction_transports.a2a.agent_card import CardMaker
-from fibaction_transports.a2a.documents import Document, RequestError, read_request
+from fibaction_transports.a2a.documents import Document
 
 PATH = "/"
 CARD_PATH = AGENT_CARD_WELL_KNOWN_PATH
@@ -79,30 +77,9 @@ class A2aApp:
         url = f"{scope['scheme']}://{host}{PATH}"
         client: Peer | None = scope["state"]["client"]
         name = None if client is None else client.name
-        documents: tuple[Document, ...] = ()
-        if scope["method"] == "POST":
-            body: bytes = (await receive())["body"]
-            try:
-                rest, documents = await in_turn(len(body), lambda _: read_request(body))
-            except RequestError as exc:
-                error = {"code": exc.code, "message": excerpt(str(exc))}
-                answer = {"jsonrpc": "2.0", "id": exc.request_id, "error": error}
-                await JSONResponse(answer)(scope, receive, send)
-                return
-            receive = _after(rest, receive)
-        _ASKED.set(AskedRequest(url, name, documents))
+        _ASKED.set(AskedRequest(url, name, scope["state"].get("documents") or ()))
         await self._app(scope, receive, send)
 
     async def _card(self, _: AgentCard) -> AgentCard:
         asked = asked_request()
         return self._cards.card(asked.url, is_known=asked.is_known)
-
-
-def _after(body: bytes, receive: Receive) -> Receive:
-    """Return a function that receives a body, and then what `receive` does."""
-    pieces = [{"type": "http.request", "body": body}]
-
-    async def received() -> Message:
-        return pieces.pop() if pieces else await receive()
-
-    return received

@@ -10,8 +10,10 @@ from fibaction.border.gateway import Gateway, ServerGroup
 from fibaction_transports._agents.agent_goals import AgentGoals
 from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
 from fibaction_transports._agents.agent_transport import AgentGateway
+from fibaction_transports._agents.document_app import DocumentApp
 from fibaction_transports.a2a.a2a_app import CARD_PATH, PATH, A2aApp
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
+from fibaction_transports.a2a.documents import take_documents
 from fibaction_transports.a2a.goal_requests import GoalRequests
 
 
@@ -39,6 +41,6 @@ class A2aHttpTransport(AgentHttpTransport):
         cards = CardMaker(skills, self.policy)
         goals = AgentGoals(skills)
         requests = GoalRequests(skills, goals, cards, self.policy)
-        app = A2aApp(requests, cards)
+        app = DocumentApp(A2aApp(requests, cards), take_documents, error_status=200)
         async with goals.followed(), self.serve_app(app, PATH, CARD_PATH) as url:
             yield AgentGateway(url, lambda: sorted(skills.by_label))

@@ -27,6 +27,7 @@ from fibaction_transports.mcp.answers import (
     message_in,
     overview,
 )
+from fibaction_transports.mcp.arguments import with_arguments
 from fibaction_transports.mcp.consent import Consents
 from fibaction_transports.mcp.goal_tasks import created, wants_task
 from fibaction_transports.mcp.tool_list import (
@@ -64,6 +65,7 @@ class ToolCalls:
     ) -> Any:  # an answer, a question or a task: the SDK has no type for the latter
         """Call a tool; an error is an answer, too."""
         own = {SEND: self._send, STATUS: self._status, CANCEL: self._cancel}
+        params = with_arguments(context, params)
         try:
             handle = own.get(params.name, self._run)
             return await handle(context, params)

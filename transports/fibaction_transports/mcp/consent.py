@@ -41,6 +41,7 @@ from pydantic import ValidationError
 
 from fibaction.wire.auth import Peer
 from fibaction_transports.mcp.answers import ToolError
+from fibaction_transports.mcp.arguments import state_of
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""
@@ -144,6 +145,5 @@ def _call_of(client: str, params: CallToolRequestParams, question: str) -> str:
 
 def _client_of(context: ServerRequestContext[Any, Any]) -> str:
     """Return the name that belongs to the client's token; empty if the transport has no tokens."""
-    scope: dict[str, Any] = getattr(context.request, "scope", {})
-    client: Peer | None = scope.get("state", {}).get("client")
+    client: Peer | None = state_of(context).get("client")
     return "" if client is None else client.name

@@ -19,6 +19,8 @@ from fibaction.border.event_loop import Background
 from fibaction.border.gateway import Gateway, ServerGroup
 from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
 from fibaction_transports._agents.agent_transport import AgentGateway, AgentTransport
+from fibaction_transports._agents.document_app import LARGEST_REST, DocumentApp
+from fibaction_transports.mcp.arguments import take_arguments
 from fibaction_transports.mcp.tool_server import ToolServer
 
 PATH = "/mcp"
@@ -59,7 +61,10 @@ class McpHttpTransport(AgentHttpTransport, McpTransport):
         # The rules of this transport are stricter.
         off = TransportSecuritySettings(enable_dns_rebinding_protection=False)
         app = server.streamable_http_app(
-            streamable_http_path=PATH, transport_security=off, host=self.host
+            streamable_http_path=PATH,
+            max_request_body_size=LARGEST_REST,
+            transport_security=off,
+            host=self.host,
         )
 
         async def run(*, task_status: TaskStatus[None]) -> None:
@@ -69,5 +74,5 @@ class McpHttpTransport(AgentHttpTransport, McpTransport):
 
         async with Background() as tasks:  # a task of its own, so no error of the block is in it
             await tasks.start(run)
-            async with self.serve_app(app, PATH) as url:
+            async with self.serve_app(DocumentApp(app, take_arguments, 400), PATH) as url:
                 yield url

@@ -28,6 +28,8 @@ from fibaction.words.errors import TransportError
 from fibaction.words.extras import MissingExtra, NeedsExtra
 
 ALL_NODES: Final = "/**"
+MOST_LEVELS = 100
+"""Levels of a file of parameters, which nests names of nodes and of parameters."""
 _KEY = "ros__parameters"
 _FORM = f"expected the names of nodes, each with {_KEY} and its parameters"
 _NODES = re.compile(r"(/(\*\*?|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
@@ -97,7 +99,12 @@ def _content(path: str) -> Any:
         import yaml
     try:
         with Path(path).open("rb") as file:
+            depth = 0
             for event in yaml.parse(file, yaml.BaseLoader):
+                depth += isinstance(event, yaml.CollectionStartEvent)
+                depth -= isinstance(event, yaml.CollectionEndEvent)
+                if depth > MOST_LEVELS:  # PyYAML takes a time that is quadratic in the depth
+                    raise RecursionError
                 if isinstance(event, yaml.AliasEvent):
                     raise ValueError(f"it has the alias *{event.anchor}, as no file for ROS may")
             file.seek(0)
