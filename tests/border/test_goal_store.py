@@ -9,8 +9,8 @@ import pytest
 
 from fibaction import SqliteStore
 from fibaction.border.goal_store import NoFleet, no_obstacle
+from fibaction.testing.contract.stores import a_goal
 from fibaction.words.statuses import GoalStatus
-from tests.stores.made import a_goal
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from fibaction import (
     SqliteStore,
 )
 from fibaction.server.durability import goal_keeper
+from fibaction.testing.contract.stores import a_goal, after_end
 from tests.cli.conftest import Run
-from tests.stores.made import a_goal, after_end
 
 PAINT = Action("paint", goal=int, feedback=int, result=str)
 DRIVE = Action("arm/drive", goal=int, feedback=int, result=str)

@@ -17,8 +17,8 @@ from fibaction.stores import _copy
 from fibaction.stores._copy import back_up, stored_goals
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.testing.contract.stores import a_goal
 from fibaction.words.statuses import GoalStatus
-from tests.stores.made import a_goal
 from tests.stores.test_sqlite_store import KILLED
 
 COUNT = """

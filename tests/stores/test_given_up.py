@@ -12,8 +12,8 @@ from fibaction import GoalID, StoreError
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._journal_file import JournalFile, rerun
 from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.testing.contract.stores import a_goal, after_end
 from fibaction.words.statuses import GoalStatus
-from tests.stores.made import a_goal, after_end
 
 
 @pytest.fixture

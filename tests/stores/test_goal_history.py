@@ -23,11 +23,11 @@ from fibaction.stores import _history_table
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._history_table import HistoryTable
 from fibaction.stores._journal_file import JournalFile
+from fibaction.testing.contract.stores import Kept, a_goal, after_end, opened
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import GoalID, GoalInfo, Parent
-from tests.stores.made import a_goal, after_end
 from tests.stores.record_goals import RECORDED
-from tests.stores.test_sqlite_store import KILLED, KILLS, Kept, killed, opened
+from tests.stores.test_sqlite_store import KILLED, KILLS, killed
 
 pytestmark = pytest.mark.anyio
 

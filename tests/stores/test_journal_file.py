@@ -18,8 +18,8 @@ import pytest
 from fibaction.stores import _wal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.testing.contract.stores import a_goal
 from fibaction.words.errors import StoreError
-from tests.stores.made import a_goal
 
 SIZE = 3000
 """Bytes of the result of each goal: with the goals of 20 commits there are pages of all kinds."""

@@ -23,9 +23,9 @@ from fibaction.stores.journal_rows import (
     ended,
     moved,
 )
+from fibaction.testing.contract.stores import a_goal, after_end
 from fibaction.words.goals import GoalID, Sender
 from fibaction.words.statuses import GoalStatus
-from tests.stores.made import a_goal, after_end
 
 ACTIONS = ["paint", "drive"]
 START = encode_row(1, [StartRecord()])

@@ -17,8 +17,8 @@ from fibaction import ActionServer, SqliteStore, StoreError
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.testing.contract.stores import a_goal
 from tests.server.painting import PAINT, paint
-from tests.stores.made import a_goal
 
 MISSING = (
     "the file next to it that ends in -wal is missing, and with it the newest goals; put it back,"

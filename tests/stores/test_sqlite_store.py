@@ -9,8 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager, closing
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -19,88 +18,18 @@ import anyio.to_thread
 import pytest
 
 from fibaction import GoalHistory, GoalStatus, SqliteStore, StoreError
-from fibaction.border.goal_store import GoalJournal, StoredGoal
 from fibaction.stores import _writer
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import Record, StartRecord, encode_row
+from fibaction.testing.contract.stores import a_goal, after_end, opened
 from fibaction.words.goal_query import PastPage
-from tests.stores.made import a_goal, after_end
 
 pytestmark = pytest.mark.anyio
-
-
-class Kept:
-    """An open journal whose writes are waited for."""
-
-    def __init__(self, journal: GoalJournal, found: list[StoredGoal]) -> None:
-        self.journal = journal
-        self.found = found
-
-    async def __call__(self, write: Callable[..., None], goal: StoredGoal) -> None:
-        told = anyio.Event()
-        errors: list[StoreError | None] = []
-
-        def then(error: StoreError | None) -> None:
-            errors.append(error)
-            told.set()
-
-        write(goal, then)
-        assert not errors  # it returns before anything is written
-        await told.wait()
-        if errors[0] is not None:
-            raise errors[0]
-
-
-@asynccontextmanager
-async def opened(
-    store: SqliteStore, action: str = "paint", max_results: int = 100
-) -> AsyncIterator[Kept]:
-    found: list[StoredGoal] = []
-    async with store.open(
-        action, max_results=max_results, claim=found.append, lose=lambda goal_id: None
-    ) as journal:
-        yield Kept(journal, found)
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "goals.db"
-
-
-async def test_each_step_is_kept(path: Path) -> None:
-    goal = a_goal()
-    store = SqliteStore(path)
-    async with opened(store) as kept:
-        await kept(kept.journal.accept, goal)
-        goal.status, goal.is_running, goal.attempt = GoalStatus.EXECUTING, True, 1
-        await kept(kept.journal.begin, goal)
-    async with opened(store) as kept:
-        assert kept.found == [goal]
-        goal.checkpoint = b"half"
-        await kept(kept.journal.checkpoint, goal)
-        goal.status = GoalStatus.CANCELING
-        await kept(kept.journal.cancel, goal)
-    async with opened(store) as kept:
-        assert kept.found == [goal]
-        goal.is_running = False
-        await kept(kept.journal.release, goal)
-    async with opened(store) as kept:
-        assert kept.found == [goal]
-        await kept(kept.journal.end, after_end(goal, reason="done ü"))
-    async with opened(store) as kept:
-        assert kept.found == [goal]
-
-
-async def test_goals_come_by_their_ends_and_then_by_their_stamps(path: Path) -> None:
-    store = SqliteStore(path)
-    async with opened(store) as kept:
-        for number in (5, 1, 4, 2, 3):
-            await kept(kept.journal.accept, a_goal(number))
-        for number in (3, 1):
-            await kept(kept.journal.end, after_end(a_goal(number)))
-    for _ in range(2):
-        async with opened(store) as kept:
-            assert [goal.stamp for goal in kept.found] == [3, 1, 2, 4, 5]
 
 
 async def test_results_are_forgotten_at_a_start_when_there_are_too_many_or_too_old(
@@ -115,49 +44,6 @@ async def test_results_are_forgotten_at_a_start_when_there_are_too_many_or_too_o
         assert [goal.stamp for goal in kept.found] == [2, 3, 5]
     async with opened(store) as kept:
         assert [goal.stamp for goal in kept.found] == [2, 3, 5]
-
-
-async def test_the_end_of_the_block_waits_for_what_is_written(path: Path) -> None:
-    store = SqliteStore(path)
-    told: list[tuple[int, StoreError | None]] = []
-
-    def note(number: int, error: StoreError | None) -> None:
-        told.append((number, error))
-
-    async with opened(store, "drive"):
-        async with opened(store) as paint:
-            for number in range(1, 100):
-                paint.journal.accept(a_goal(number), partial(note, number))
-        assert told == [(number, None) for number in range(1, 100)]
-        async with opened(store) as paint:
-            assert len(paint.found) == 99
-            for number in range(1, 100):
-                goal = after_end(a_goal(number))
-                paint.journal.end(goal, partial(note, -number))
-    assert told[99:] == [(-number, None) for number in range(1, 100)]
-
-
-async def test_a_goal_that_changes_after_a_call_is_kept_as_it_was(path: Path) -> None:
-    goal = a_goal()
-    async with opened(SqliteStore(path)) as kept:
-        kept.journal.accept(goal, lambda error: None)
-        goal.status = GoalStatus.CANCELING
-    async with opened(SqliteStore(path)) as kept:
-        assert kept.found == [a_goal()]
-
-
-async def test_stores_of_several_actions_are_opened_at_once(path: Path) -> None:
-    store = SqliteStore(path)
-
-    async def use(action: str) -> None:
-        for number in range(1, 4):
-            async with opened(store, action) as kept:
-                assert len(kept.found) == number - 1
-                await kept(kept.journal.accept, a_goal(number))
-
-    async with anyio.create_task_group() as tasks:
-        for number in range(5):
-            tasks.start_soon(use, f"action{number}")
 
 
 async def test_an_action_is_served_once(path: Path) -> None:

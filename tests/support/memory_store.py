@@ -377,7 +377,13 @@ class MemoryJournal(GoalJournal):
 def _changed(known: StoredGoal, what: str, goal: StoredGoal) -> StoredGoal:
     """Return a goal as it is kept after a write that says what has changed."""
     if what == "begin":
-        return replace(known, is_running=goal.is_running, attempt=goal.attempt, lost=goal.lost)
+        return replace(
+            known,
+            is_running=goal.is_running,
+            attempt=goal.attempt,
+            lost=goal.lost,
+            began_at=goal.began_at,
+        )
     if what == "cancel":
         assert goal.status is GoalStatus.CANCELING, goal
         return replace(known, status=goal.status)
