@@ -80,6 +80,10 @@ class JournalFile:
             raise self._error(LOG_IS_MISSING)
         if sync == "full":  # without it, several of the last commits may be torn after a power cut
             self._check_log()
+        with suppress(OSError):  # SQLite has better words for what is wrong
+            # For its owner only, and so is the log, since the goals of all clients are in them.
+            # "EXCL": to close a file that exists would end the lock that this process may have.
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
         with self._explained():
             # Without a timeout: the process that has the lock keeps it until it ends.
             self._db = sqlite3.connect(path, timeout=0, isolation_level=None)

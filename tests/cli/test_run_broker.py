@@ -53,6 +53,20 @@ def test_a_broker_runs_until_a_signal_comes(
 
 
 @needs_program
+def test_a_broker_stops_when_its_command_is_killed(tmp_path: Path, started: Start) -> None:
+    process = started("broker", "--port", "0", "--data", str(tmp_path))
+    (said,) = lines_until("broker", process)
+    host, port = re.findall(r"(127.0.0.1):(\d+)/", said)[0]
+    with socket.create_connection((host, int(port)), timeout=20) as stream:
+        process.kill()
+        process.wait()
+        last = b""
+        while data := stream.recv(4096):  # until the broker closes it
+            last = data
+        assert b"Stale" not in last, "it has stopped, and does not miss an answer only"
+
+
+@needs_program
 def test_a_port_or_a_folder_in_use_is_one_sentence(
     tmp_path: Path, started: Start, here: Run
 ) -> None:
@@ -164,6 +178,18 @@ def test_one_that_cannot_be_followed_is_killed(
 
     with pytest.raises(ProcessLookupError):
         os.kill(int(str(caught.value)), 0)
+
+
+def test_a_system_without_a_shell_runs_a_broker_as_well(
+    invoke: Invoke, program: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    which = shutil.which
+    monkeypatch.setattr(
+        shutil, "which", lambda name, path=None: None if name == "sh" else which(name, path=path)
+    )
+    program("exit 1")
+
+    assert invoke("broker").exit_code == ExitCode.ABORTED
 
 
 def test_windows_locks_the_folder_by_a_call_of_its_own(

@@ -389,3 +389,14 @@ def with_other_sums(data: bytes) -> bytes:
         sums = _wal._summed(bytes(result[start + 24 : start + 24 + 4096]), sums, order)
         result[start + 16 : start + 24] = struct.pack(">II", *sums)
     return bytes(result)
+
+
+def test_a_new_file_and_its_log_are_for_their_owner_only(path: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        with closing(JournalFile(str(path), "full")) as file:
+            add(file, 1)
+            modes = {one.name: one.stat().st_mode & 0o777 for one in path.parent.iterdir()}
+    finally:
+        os.umask(before)
+    assert modes == {"goals.db": 0o600, "goals.db-wal": 0o600}

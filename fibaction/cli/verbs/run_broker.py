@@ -8,8 +8,8 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Generator
-from contextlib import contextmanager
+from collections.abc import AsyncGenerator, AsyncIterator, Generator
+from contextlib import asynccontextmanager, contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ def broker_command(port: int, data: str) -> None:
     Each write is on the disk before it is answered (sync_interval: always), so that a power cut
     loses nothing. This limits it to about 1,000 writes per second, instead of 10,000.
 
-    Ctrl-C or SIGTERM stops it, and keeps the data.
+    Ctrl-C or SIGTERM stops it, and so does a kill of this command; the data are kept.
     """
     program = find_program()
     check_version(program)
@@ -194,7 +194,7 @@ async def run_broker(program: str, config: Path, data: str) -> int:
             start_new_session=True,
         )
         try:
-            async with anyio.create_task_group() as tasks:
+            async with _stopped_after_a_kill(process), anyio.create_task_group() as tasks:
 
                 async def stop_by_signal() -> None:
                     await stop.wait()
@@ -214,6 +214,30 @@ async def run_broker(program: str, config: Path, data: str) -> int:
     if not stop.is_set():
         raise Failure(f"the broker has ended: {last}", ExitCode.ABORTED)
     return ExitCode.SUCCEEDED
+
+
+@asynccontextmanager
+async def _stopped_after_a_kill(process: Process) -> AsyncGenerator[None, None]:
+    """Let a process be stopped if this one is killed in the block: by a shell that reads from it,
+    and comes to the end of its input then.
+    """
+    shell = shutil.which("sh")
+    if shell is None:  # on Windows
+        yield
+        return
+    guard = await anyio.open_process(
+        [shell, "-c", 'read line; kill "$0"', str(process.pid)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        guard.kill()
+        with anyio.CancelScope(shield=True):
+            await guard.aclose()
 
 
 async def _follow(process: Process, data: str) -> str:
