@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import anyio
 import pytest
 from mcp_types import ToolAnnotations
 
-from fibaction import GoalStatus, serve
+from fibaction import Action, GoalStatus, serve
+from fibaction.testing import ScriptedServer
 from fibaction_transports.mcp import AgentPolicy, McpBridge, answers
+from tests.support.ports import free_port
 from tests.transports.driving_robot import PATIENCE, Drive
 from tests.transports.mcp.robot import (
     MODES,
@@ -72,6 +75,21 @@ async def test_a_tool_sends_a_goal_and_answers_with_its_result(mode: Mode) -> No
         assert robot.sent == [Drive(3, 0.5)]
         assert made.progress == [(1, '{"meters":1}')]
         assert (await made.data("count", goal=2))["result"] == "xx"
+
+
+@both
+async def test_the_pieces_of_a_text_are_all_reported(mode: Mode) -> None:
+    action = Action("answer", goal=None, feedback=str, result=int)
+    pieces = [f"word {number} " for number in range(50)]
+    url = f"tcp://127.0.0.1:{free_port()}"
+    async with (
+        ScriptedServer(action, [*pieces, 50]) as server,
+        serve(server, url),
+        McpBridge(url, UNASKED) as bridge,
+        talk(bridge, mode) as made,
+    ):
+        assert (await made.data("answer"))["result"] == 50
+    assert "".join(json.loads(text or "") for _, text in made.progress) == "".join(pieces)
 
 
 @both

@@ -150,6 +150,11 @@ class AgentGoal(Generic[ActionT]):
         self.ended.set()
         self._note_change()
 
+    def feedback_after(self, count: int) -> list[FeedbackItem]:
+        """Return the feedback that was read after so many messages, as far as it is kept."""
+        kept = [one.update for one in self._entries if isinstance(one.update, FeedbackItem)]
+        return kept[max(len(kept) - (self.count - count), 0) :]
+
     async def catch_up(self, info: GoalInfo) -> None:
         """Wait a moment for what the server of the goal has told about it in a list."""
         with anyio.move_on_after(CATCH_UP):

@@ -31,6 +31,8 @@ LONGEST_ANSWER = 50_000
 """Characters of data that a model gets; clients cut longer ones, or fail."""
 LONGEST_FEEDBACK = 500
 """Characters of feedback in a notification of progress."""
+LONGEST_TEXT = 10_000
+"""Characters of feedback that is text, for example some pieces of an answer."""
 MOST_IMAGES = 4
 """Images of one answer."""
 LARGEST_IMAGE = 5 * 2**20
@@ -123,8 +125,9 @@ def json_text(value: Any) -> str:
 
 
 def feedback_text(feedback: Any) -> str:
-    """Return feedback as a short text."""
-    return shortened(json_text(feedback), LONGEST_FEEDBACK)
+    """Return feedback as a short text, or as a longer one if it is text itself."""
+    longest = LONGEST_TEXT if isinstance(feedback, str) else LONGEST_FEEDBACK
+    return shortened(json_text(feedback), longest)
 
 
 ReportProgress: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]

@@ -164,15 +164,21 @@ class ToolCalls:
         goal: AgentGoal[ToolAction],
         seconds: float,
     ) -> None:
-        """Wait for the end for so long, and report the feedback meanwhile, the newest one only."""
+        """Wait for the end for so long, and report the feedback meanwhile: the newest one only, but
+        all pieces of a text, since they are parts of one answer.
+        """
         reports = ProgressReports(context.session.report_progress)
         reported = 0
 
         async def report() -> None:
             nonlocal reported
-            if goal.newest is not None and goal.count != reported:
+            if items := goal.feedback_after(reported):
                 reported = goal.count
-                await reports.report(reported, message_in(goal.newest.payload))
+                message = message_in(items[-1].payload)
+                if isinstance(message, str):
+                    pieces = (message_in(item.payload) for item in items)
+                    message = "".join(one for one in pieces if isinstance(one, str))
+                await reports.report(reported, message)
 
         with anyio.move_on_after(seconds):
             while not goal.ended.is_set():

@@ -34,6 +34,9 @@ from fibaction_transports.mcp.tool_list import (
     tool_list,
 )
 
+MOST_PIECES = 256
+"""Feedback messages of a goal that are kept, for the pieces of a text."""
+
 
 class _McpServer(Server[object]):
     """A server whose list of tools changes, which it tells every client."""
@@ -59,7 +62,9 @@ class ToolServer:
         self._actions = ToolActions(group, policy, ToolAction, (SEND, STATUS, CANCEL))
         self._changes = ListChanges()
         self._goal_changes = GoalChanges(self._changes)
-        self._goals = AgentGoals(self._actions, most_kept=1, on_change=self._goal_changes.note)
+        self._goals = AgentGoals(
+            self._actions, most_kept=MOST_PIECES, on_change=self._goal_changes.note
+        )
         self._calls = ToolCalls(self._actions, self._goals, policy)
         resources = GoalResources(self._goals)
         self._block: AsyncExitStack
