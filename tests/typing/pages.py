@@ -23,6 +23,9 @@ from tests.support.walks import file_of
 ROOT = Path(__file__).resolve().parent.parent.parent
 FOLDER = ROOT / "build" / "pages"
 PROGRAMS = "page_{}.py"
+STUBS = FOLDER.parent / "page_stubs"
+NOT_INSTALLED = ["psycopg"]
+"""Libraries of pages that the checks do not install: all their names are `Any`."""
 
 
 def pages() -> Iterator[Path]:
@@ -75,7 +78,7 @@ def run_mypy(folders: list[Path]) -> bool:
     of_the_code = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
     settings = FOLDER.parent / "pages_mypy.ini"
     settings.write_text(
-        f"[mypy]\nstrict = true\nmypy_path = {ROOT}:{ROOT / 'transports'}\n"
+        f"[mypy]\nstrict = true\nmypy_path = {ROOT}:{ROOT / 'transports'}:{STUBS}\n"
         "exclude_gitignore = false\n"
         f"enable_error_code = {', '.join(of_the_code['enable_error_code'])}\n"
         "[mypy-roslibpy.*]\nignore_missing_imports = true\n",
@@ -99,6 +102,8 @@ def run_pyright(folders: list[Path]) -> bool:
             {"root": str(folder), "extraPaths": [str(ROOT), str(ROOT / "transports")]}
             for folder in folders
         ],
+        "stubPath": str(STUBS),
+        "reportMissingModuleSource": "none",  # of `NOT_INSTALLED`
         "typeCheckingMode": "standard",
         "pythonVersion": "3.11",
     }
@@ -110,7 +115,10 @@ def run_pyright(folders: list[Path]) -> bool:
 
 
 if __name__ == "__main__":
-    FOLDER.parent.mkdir(exist_ok=True)
+    STUBS.mkdir(parents=True, exist_ok=True)
+    for library in NOT_INSTALLED:
+        stub = "from typing import Any\n\ndef __getattr__(name: str) -> Any: ...\n"
+        (STUBS / f"{library}.pyi").write_text(stub, encoding="utf-8")
     written = write_all(FOLDER)
     print(f"{len(written)} programs of pages", flush=True)
     sys.exit(0 if run_mypy(written) & run_pyright(written) else 1)
