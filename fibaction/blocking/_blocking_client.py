@@ -136,7 +136,7 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
     def attach(
         self, goal_id: GoalID | str, *, after: int | None = None, attempt: int = 1
     ) -> BlockingGoal[FeedbackT, ResultT]:
-        """Follow a goal that any client sent, which the end of no block cancels.
+        """Follow a goal that any client sent. The end of a block does not cancel it.
 
         Raises:
             ActionError, TypeError: As for `ActionClient.attach`.

@@ -62,7 +62,7 @@ class BlockingFeedback(Generic[FeedbackT]):
 
 
 class BlockingGoal(Generic[FeedbackT, ResultT]):
-    """One accepted goal, as its client sees it; a block of it cancels the goal at the end.
+    """One accepted goal, as its client sees it; the end of its `with` block cancels it.
 
     The methods are those of `ClientGoal`, and wait. Several threads may use one goal; one of them
     reads its feedback.
