@@ -156,7 +156,7 @@ async def to_a2a(server: Served) -> Shown:
     async with serve(server, address) as (url,), talking(url) as agent:
         (skill,) = agent.card.skills
         (extension,) = agent.card.capabilities.extensions
-    text, _, schema = skill.description.partition(" The goal is a data part of this JSON Schema: ")
+    text, schema = skill.description.split(" The goal is data, or JSON text, of this JSON Schema: ")
     assert json.loads(schema) == MessageToDict(extension.params)["schemas"]["drive"]["goal"]
     return shown_by(json.loads(schema), text.removeprefix("Send a goal to the action drive. "))
 
