@@ -14,17 +14,20 @@ import sys
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from pathlib import PurePath
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
+from fibaction.types import paths
 from fibaction.types.base import Encoding
+from fibaction.types.paths import is_path_class
 from fibaction.types.ros_classes import is_message_class, message_class
-from fibaction.types.schemas import schema_of
+from fibaction.types.schemas import plain_path, schema_of
 
-_encode = msgspec.msgpack.Encoder().encode
+_encode = msgspec.msgpack.Encoder(enc_hook=plain_path).encode
 
 
 class MsgspecEncoding(Encoding):
@@ -40,18 +43,19 @@ class MsgspecEncoding(Encoding):
             NameError: A field has a type that is not defined.
         """
         info = inspect.type_info(message_type)
-        messages: set[type] = set()
-        _check_can_be_encoded(info, set(), messages)
+        hooked: set[type] = set()
+        _check_can_be_encoded(info, set(), hooked)
         self._type = message_type
         self.classes = tuple(_classes_of(info))
         self.encode = _encode
         self.decode = msgspec.msgpack.Decoder(message_type).decode
         self._schema: Callable[[Any], dict[str, Any]] = schema_of
-        if messages:
-            from fibaction.types.ros_messages import decoder, schema
-
-            self.decode = decoder(message_type)
-            self._schema = schema
+        if hooked:
+            hooks: Any = paths
+            if not all(map(is_path_class, hooked)):
+                from fibaction.types import ros_messages as hooks
+            self.decode = hooks.decoder(message_type)
+            self._schema = hooks.schema
 
     def schema(self) -> dict[str, Any]:
         try:
@@ -146,12 +150,12 @@ _CLASSES: dict[type[inspect.Type], tuple[type, ...]] = {
 }
 
 
-def _check_can_be_encoded(info: object, seen: set[int], messages: set[type]) -> None:
+def _check_can_be_encoded(info: object, seen: set[int], hooked: set[type]) -> None:
     """Check that no class, however deeply nested, is one that msgspec would give to a hook, but for
-    those of ROS, which are added to `messages`.
+    those of ROS and of `pathlib`, which are added to `hooked`.
 
     Raises:
-        TypeError: A class is.
+        TypeError: A class is, or a default is one that no schema can have.
     """
     if id(info) in seen:  # a type may contain itself
         return
@@ -161,20 +165,28 @@ def _check_can_be_encoded(info: object, seen: set[int], messages: set[type]) -> 
             return
         if is_message_class(info.cls):
             message_class(info.cls)  # which checks it
-            messages.add(info.cls)
+            hooked.add(info.cls)
+            return
+        if is_path_class(info.cls):
+            hooked.add(info.cls)
             return
         raise TypeError(
             f"{info.cls.__qualname__} cannot be encoded: use a msgspec.Struct, a dataclass, an"
             f" attrs class, a pydantic model, a TypedDict or a builtin"
         )
     if isinstance(info, inspect.Field):
-        _check_can_be_encoded(info.type, seen, messages)
+        if isinstance(info.default, PurePath):
+            raise TypeError(
+                f"the default of {info.name!r} is a path: write"
+                f" `field(default_factory=lambda: {type(info.default).__name__}(...))`"
+            )
+        _check_can_be_encoded(info.type, seen, hooked)
     elif isinstance(info, inspect.Type):
         for name in info.__struct_fields__:
             value: object = getattr(info, name)
             parts = cast("tuple[object, ...]", value if isinstance(value, tuple) else (value,))
             for part in parts:
-                _check_can_be_encoded(part, seen, messages)
+                _check_can_be_encoded(part, seen, hooked)
 
 
 def _classes_of(info: inspect.Type) -> Iterator[type]:

@@ -18,10 +18,11 @@ import msgspec
 from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
+from fibaction.types import paths
 from fibaction.types.arrays import plain_array
 from fibaction.types.base import Encoding
 from fibaction.types.ros_classes import is_message, is_message_class, message_class, ros_type_of
-from fibaction.types.schemas import schema_of
+from fibaction.types.schemas import plain_path, schema_of
 from fibaction.words.errors import ProtocolError
 from fibaction.words.plain_data import is_list, is_map
 
@@ -61,13 +62,13 @@ def plain(value: Any) -> Any:
     """Return a value that msgspec does not know as one that it does.
 
     Raises:
-        TypeError: It is neither a ROS message nor of a library of arrays.
+        TypeError: It is neither a ROS message nor of a library of arrays, and not a path.
     """
     if is_message(value):
         return reader_of(value, Any)(value)
     if isinstance(value, array.array) or hasattr(value, "dtype"):
         return plain_array(value)
-    raise TypeError(f"Encoding objects of type {type(value).__name__} is unsupported")
+    return plain_path(value)
 
 
 encode = msgspec.msgpack.Encoder(enc_hook=plain).encode
@@ -99,7 +100,7 @@ def _made(kind: Any, data: Any) -> Any:
         ValueError: The data are not such a message; msgspec adds where they are.
     """
     if not is_message_class(kind):
-        return data  # of the type `object`
+        return paths.made(kind, data)
     try:
         return message_class(kind).decode(encode(data))
     except ProtocolError as exc:
@@ -123,7 +124,7 @@ def _described(definitions: dict[str, Any], kind: Any) -> dict[str, Any]:
     What it refers to is put into `definitions`, under names that no other type has.
     """
     if not is_message_class(kind):
-        raise NotImplementedError
+        return paths.described(kind)
     text = msgspec.json.encode(schema_of(message_class(kind).struct))
     prefix = ros_type_of(kind).replace("/", ".") + "."
     made: dict[str, Any] = msgspec.json.decode(

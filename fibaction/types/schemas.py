@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from inspect import cleandoc
+from pathlib import PurePath
 from typing import Any, cast, get_origin, get_type_hints
 
 import msgspec
@@ -73,10 +74,22 @@ def constant_of(factory: Any, plain: Callable[[Any], Any] | None = None) -> Any:
     values differ, it has an error, or JSON cannot express them. `plain` is an `enc_hook`.
     """
     try:
-        first, second = (msgspec.json.encode(factory(), enc_hook=plain) for _ in range(2))
+        hook = plain or plain_path
+        first, second = (msgspec.json.encode(factory(), enc_hook=hook) for _ in range(2))
     except Exception:  # any: the server will meet it, too, and tell it there
         return msgspec.NODEFAULT
     return msgspec.json.decode(first) if first == second else msgspec.NODEFAULT
+
+
+def plain_path(value: object) -> str:
+    """Return a path as text: the `enc_hook` of types without classes of other libraries.
+
+    Raises:
+        TypeError: It is not a path.
+    """
+    if isinstance(value, PurePath):
+        return str(value)
+    raise TypeError(f"Encoding objects of type {type(value).__name__} is unsupported")
 
 
 def _objects(info: object, seen: set[object]) -> Iterator[Any]:

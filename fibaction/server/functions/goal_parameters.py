@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import field, make_dataclass
+from functools import partial
 from inspect import Parameter, Signature
+from pathlib import PurePath
 from typing import Annotated, Any, cast, get_args, get_origin
 
 import msgspec
@@ -96,6 +99,8 @@ def _struct_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
         kind = _described(one.annotation, msgspec.Meta)
         if one.default is Parameter.empty:
             yield one.name, kind
+        elif isinstance(one.default, PurePath):  # of which msgspec has no schema
+            yield one.name, kind, msgspec.field(default_factory=partial(copy, one.default))
         else:
             yield one.name, kind, one.default
 
