@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, Literal
 
 import anyio
@@ -24,8 +23,6 @@ from mcp.client.streamable_http import streamable_http_client
 from mcp.shared.exceptions import MCPError
 from mcp_types import (
     CallToolResult,
-    ElicitResult,
-    InputRequiredResult,
     Request,
     RequestParams,
     Result,
@@ -107,16 +104,20 @@ async def ask(client: Client, method: str, task_id: str, **more: Any) -> dict[st
 
 async def start(client: Client, tool: str, **arguments: Any) -> CreatedTask:
     """Call a tool whose answer is a task; agree to it for the user, if they are asked."""
-    call: Any = partial(
-        client.session.call_tool, tool, arguments, allow_claimed=True, allow_input_required=True
-    )
-    task = await call()
-    if isinstance(task, InputRequiredResult):
-        asked = task.input_requests or {}
-        responses = {key: ElicitResult(action="accept", content={}) for key in asked}
-        task = await call(input_responses=responses, request_state=task.request_state)
+    task: Any = await client.session.call_tool(tool, arguments, allow_claimed=True)
     assert isinstance(task, CreatedTask), task
+    if task.status == "input_required":
+        await answer(client, task.task_id, "accept")
     return task
+
+
+async def answer(client: Client, task_id: str, action: Literal["accept", "decline"]) -> None:
+    """Answer the questions of a task."""
+    seen = await ask(client, "tasks/get", task_id)
+    responses: dict[str, Any] = {
+        key: {"action": action, "content": {}} for key in seen["inputRequests"]
+    }
+    await ask(client, "tasks/update", task_id, input_responses=responses)
 
 
 async def until(client: Client, task_id: str, *statuses: str) -> dict[str, Any]:

@@ -11,17 +11,18 @@ import anyio
 import pytest
 from mcp import Client
 from mcp.shared.exceptions import MCPError
+from mcp_types import ElicitResult
 from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
 
 from fibaction import ActionError, ConnectionLost, GoalID, GoalStatus, Outcome, UnknownGoal, serve
 from fibaction.words.goals import UNKNOWN_OUTCOME
 from fibaction_transports._agents.agent_goals import AgentGoal
-from fibaction_transports.mcp import AgentPolicy, McpBridge
+from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
 from fibaction_transports.mcp.goal_tasks import EXTENSION, detailed
 from tests.support.ports import free_port
-from tests.transports.driving_robot import PATIENCE
+from tests.transports.driving_robot import PATIENCE, Drive
 from tests.transports.mcp.robot import UNASKED, Robot, sent_by_others, text_of
-from tests.transports.mcp.task_client import Tasks, ask, members_of, start, until
+from tests.transports.mcp.task_client import Tasks, answer, ask, members_of, start, until
 
 pytestmark = pytest.mark.asyncio
 TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z")
@@ -138,6 +139,67 @@ async def test_the_goal_of_another_program_is_not_canceled_without_its_user() ->
         assert code == INVALID_PARAMS
         assert "the tool cancel_goal asks the user" in text
         assert not robot.stopped.is_set()
+
+
+async def yes(context: Any, params: Any) -> ElicitResult:
+    """Stand for a client that can ask its user; a task has its question itself."""
+    raise AssertionError("the question is in the task")
+
+
+async def asked(client: Client, **arguments: Any) -> str:
+    """Call a tool whose answer is a task that asks the user, and return its ID."""
+    task: Any = await client.session.call_tool("arm-drive", arguments, allow_claimed=True)
+    assert (task.status, task.result_type) == ("input_required", "task")
+    return str(task.task_id)
+
+
+async def test_a_task_waits_for_the_consent_of_the_user_before_its_goal_is_sent() -> None:
+    async with tasking(AgentPolicy(), elicitation_callback=yes) as (robot, client):
+        task_id = await asked(client, meters=3)
+        seen = await ask(client, "tasks/get", task_id)
+        (question,) = seen["inputRequests"].values()
+        assert question["method"] == "elicitation/create"
+        assert '"meters": 3' in question["params"]["message"]
+        for useless in (None, {}, {"consent": {"action": "perhaps"}}):
+            await ask(client, "tasks/update", task_id, input_responses=useless)
+        assert (await ask(client, "tasks/get", task_id))["status"] == "input_required"
+        assert robot.sent == []
+
+        await answer(client, task_id, "accept")
+
+        done = await until(client, task_id, "completed")
+        assert done["result"]["structuredContent"]["result"] == {"at": 3}
+        assert robot.sent == [Drive(3)]
+
+
+async def test_a_task_without_consent_or_whose_goal_is_rejected_says_so() -> None:
+    async with tasking(AgentPolicy(), elicitation_callback=yes) as (robot, client):
+        declined, rejected = await asked(client, meters=3), await asked(client, meters=-1)
+        await answer(client, declined, "decline")
+        await answer(client, rejected, "accept")
+        for task_id, text in ((declined, "the user has declined"), (rejected, "was rejected")):
+            done = await ask(client, "tasks/get", task_id)
+            assert (done["status"], done["result"]["isError"]) == ("completed", True)
+            assert text in done["result"]["content"][0]["text"]
+        for _ in range(2):
+            canceled = await asked(client, meters=3)
+            for _ in range(2):
+                await ask(client, "tasks/cancel", canceled)
+            assert (await ask(client, "tasks/get", canceled))["status"] == "cancelled"
+        assert robot.sent == []
+
+
+async def test_a_question_of_a_task_expires_and_only_so_many_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(consent, "MOST_QUESTIONS", 1)
+    async with tasking(AgentPolicy(), elicitation_callback=yes) as (_, client):
+        one, two = await asked(client, meters=3), await asked(client, meters=3)
+        assert (await error_of(client, "tasks/get", one))[0] == INVALID_PARAMS
+        assert (await ask(client, "tasks/get", two))["status"] == "input_required"
+        monkeypatch.setattr(consent, "QUESTION_TIMEOUT", 0)
+        late = await asked(client, meters=3)
+        assert (await error_of(client, "tasks/get", late))[0] == INVALID_PARAMS
 
 
 async def test_a_bridge_that_is_read_only_shows_tasks_and_cancels_none() -> None:

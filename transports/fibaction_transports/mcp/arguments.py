@@ -7,6 +7,7 @@ from typing import Any
 from mcp.server.context import ServerRequestContext
 from mcp_types import CallToolRequestParams
 
+from fibaction.wire.auth import Peer
 from fibaction.words.plain_data import is_map
 
 CALL = "tools/call"
@@ -37,3 +38,9 @@ def with_arguments(
     """Return the parameters of a call with the arguments that were taken out of its request."""
     arguments = state_of(context).get("documents")
     return params if arguments is None else params.model_copy(update={"arguments": arguments})
+
+
+def client_of(context: ServerRequestContext[Any, Any]) -> str:
+    """Return the name that belongs to the client's token; empty if the transport has no tokens."""
+    client: Peer | None = state_of(context).get("client")
+    return "" if client is None else client.name

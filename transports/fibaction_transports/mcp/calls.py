@@ -28,8 +28,8 @@ from fibaction_transports.mcp.answers import (
     overview,
 )
 from fibaction_transports.mcp.arguments import with_arguments
-from fibaction_transports.mcp.consent import Consents
-from fibaction_transports.mcp.goal_tasks import created, wants_task
+from fibaction_transports.mcp.consent import AskedTasks, Consents, check_can_ask
+from fibaction_transports.mcp.goal_tasks import asked_task, created, wants_task
 from fibaction_transports.mcp.tool_list import (
     CANCEL,
     GOAL,
@@ -57,6 +57,8 @@ class ToolCalls:
         self._goals = goals
         self._policy = policy
         self._consents = Consents()
+        self.asked = AskedTasks()
+        """The tasks that wait for the consent of a user."""
         inputs = {tool.name: tool.input_schema for tool in tool_list({}, policy)}
         self._inputs = {name: JsonCodec(schema, "input") for name, schema in inputs.items()}
 
@@ -81,6 +83,10 @@ class ToolCalls:
         """
         action = self._action(params.name)
         message = await _message(action, params.arguments or {})
+        if wants_task(context) and (question := self._question(action, message)):
+            check_can_ask(context)
+            send = partial(self._send_goal, action, message)
+            return asked_task(self.asked.ask(context, question, send))
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
         goal = await self._send_goal(action, message)
@@ -150,13 +156,21 @@ class ToolCalls:
         Raises:
             ToolError: The goal may not be sent.
         """
+        question = self._question(action, message)
+        return await self._consents.ask(context, params, question) if question else None
+
+    def _question(self, action: ToolAction, message: Any) -> str:
+        """Return the question to the user before a goal; empty if none is asked.
+
+        Raises:
+            ToolError: The goal cannot be shown.
+        """
         if not self._policy.asks(action.server, action.info.name):
-            return None
+            return ""
         try:
-            question = question_about(action, message)
+            return question_about(action, message)
         except HiddenGoal as exc:
             raise ToolError(str(exc)) from exc
-        return await self._consents.ask(context, params, question)
 
     async def _wait(
         self,
@@ -207,7 +221,9 @@ class ToolCalls:
                 text += f" The server {server} cannot be reached: {problem}.".replace("  ", " ")
         raise ToolError(text)
 
-    async def _send_goal(self, action: ToolAction, message: Any) -> AgentGoal[ToolAction]:
+    async def _send_goal(
+        self, action: ToolAction, message: Any, goal_id: GoalID | None = None
+    ) -> AgentGoal[ToolAction]:
         """Send a goal.
 
         Raises:
@@ -215,7 +231,7 @@ class ToolCalls:
         """
         try:
             payload = msgspec.msgpack.encode(message)
-            return await self._goals.send(action, GoalID.random(), payload)
+            return await self._goals.send(action, goal_id or GoalID.random(), payload)
         except GoalRejected as exc:
             reason = exc.reason or "the server gave no reason"
             advice = ". You may try again later." if exc.code.is_temporary else ""

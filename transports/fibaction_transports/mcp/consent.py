@@ -1,4 +1,4 @@
-"""`Consents`: the questions to the user before something moves.
+"""`Consents` and `AskedTasks`: the questions to the user before something moves.
 
 Theory of operation
 -------------------
@@ -11,6 +11,10 @@ it travels depends on the protocol that the client speaks.
   it again with the user's answer and with a `requestState`. That is a random number here, which
   stands for one question of one client, with exactly this text, tool and arguments, and is valid
   once and for a limited time: an answer cannot be used for another goal, nor by another client.
+- A client that takes tasks gets one that is `input_required`, whose ID is that of the goal to come
+  (`AskedTasks`). It answers by `tasks/update`. With a yes, the goal is sent, and the task is a view
+  of it; without one, or if the goal is rejected, the task ends with the answer that the tool would
+  have given. Other clients know no task of that ID.
 
 A client says by its capabilities whether it can ask. One that cannot gets an error, so nothing
 moves; the error does not tell the model how that is changed, since some models can run commands. A
@@ -23,6 +27,8 @@ from __future__ import annotations
 
 import json
 import secrets
+from collections.abc import Awaitable, Callable
+from time import time
 from typing import Any, NamedTuple
 
 import anyio
@@ -30,26 +36,28 @@ from mcp.server.context import ServerRequestContext
 from mcp.shared.exceptions import MCPError
 from mcp_types import (
     CallToolRequestParams,
+    CallToolResult,
     ClientCapabilities,
     ElicitRequest,
     ElicitRequestFormParams,
     ElicitResult,
     InputRequiredResult,
+    TaskStatus,
 )
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
-from fibaction.wire.auth import Peer
-from fibaction_transports.mcp.answers import ToolError
-from fibaction_transports.mcp.arguments import state_of
+from fibaction.words.goals import GoalID
+from fibaction_transports.mcp.answers import ToolError, error_answer
+from fibaction_transports.mcp.arguments import client_of
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""
 MOST_QUESTIONS = 1000
 """Questions that wait for their answers at once; the oldest of more is forgotten."""
 
-_KEY = "consent"
-_SCHEMA: dict[str, Any] = {"type": "object", "properties": {}}
+KEY = "consent"
+FORM: dict[str, Any] = {"type": "object", "properties": {}}
 """The form of the question: it has no fields, only the answer itself."""
 
 
@@ -74,40 +82,49 @@ class Consents:
         Raises:
             ToolError: The user does not agree, or cannot be asked.
         """
-        if not _can_ask(context.session.client_capabilities):
-            raise _cannot_ask("this client cannot ask")
+        check_can_ask(context)
         if context.protocol_version in MODERN_PROTOCOL_VERSIONS:
-            return self._asked_again(_client_of(context), params, question)
+            return self._asked_again(client_of(context), params, question)
         try:
             with anyio.fail_after(QUESTION_TIMEOUT):
-                answer = await context.session.elicit_form(question, _SCHEMA, context.request_id)
+                answer = await context.session.elicit_form(question, FORM, context.request_id)
         except TimeoutError as exc:
             raise _cannot_ask(f"there was no answer in {QUESTION_TIMEOUT:g} s") from exc
         except (MCPError, ValidationError) as exc:
             raise _cannot_ask(f"the client failed to ask ({type(exc).__name__})") from exc
-        _check(answer)
+        check_answer(answer)
         return None
 
     def _asked_again(
         self, client: str, params: CallToolRequestParams, question: str
     ) -> InputRequiredResult | None:
         call, now = _call_of(client, params, question), anyio.current_time()
-        answer = (params.input_responses or {}).get(_KEY)
+        answer = (params.input_responses or {}).get(KEY)
         asked = self._questions.pop(params.request_state or "", None)
         if asked is not None and asked.call == call and asked.expires > now:
             if not isinstance(answer, ElicitResult):
                 raise _cannot_ask("the client has not answered the question")
-            _check(answer)
+            check_answer(answer)
             return None
         # The first call, or an answer to another question, or to an old one: it is asked again.
         state = secrets.token_urlsafe(16)
         while len(self._questions) >= MOST_QUESTIONS:
             del self._questions[next(iter(self._questions))]
         self._questions[state] = _Question(call, now + QUESTION_TIMEOUT)
-        form = ElicitRequestFormParams(message=question, requested_schema=_SCHEMA)
+        form = ElicitRequestFormParams(message=question, requested_schema=FORM)
         return InputRequiredResult(
-            input_requests={_KEY: ElicitRequest(params=form)}, request_state=state
+            input_requests={KEY: ElicitRequest(params=form)}, request_state=state
         )
+
+
+def check_can_ask(context: ServerRequestContext[Any, Any]) -> None:
+    """Check that a client can ask its user.
+
+    Raises:
+        ToolError: It cannot.
+    """
+    if not _can_ask(context.session.client_capabilities):
+        raise _cannot_ask("this client cannot ask")
 
 
 def _can_ask(capabilities: ClientCapabilities | None) -> bool:
@@ -123,7 +140,7 @@ def _cannot_ask(reason: str) -> ToolError:
     )
 
 
-def _check(answer: ElicitResult) -> None:
+def check_answer(answer: ElicitResult) -> None:
     """Check that the user has agreed.
 
     Raises:
@@ -143,7 +160,79 @@ def _call_of(client: str, params: CallToolRequestParams, question: str) -> str:
     return json.dumps([client, params.name, params.arguments, question], sort_keys=True)
 
 
-def _client_of(context: ServerRequestContext[Any, Any]) -> str:
-    """Return the name that belongs to the client's token; empty if the transport has no tokens."""
-    client: Peer | None = state_of(context).get("client")
-    return "" if client is None else client.name
+# Tasks that wait for the consent of a user, before there is a goal
+
+Send = Callable[[GoalID], Awaitable[object]]
+"""Sends the goal; raises `ToolError` if it was not accepted."""
+
+
+class AskedTask:
+    """A task before its goal."""
+
+    def __init__(self, client: str, question: str, send: Send) -> None:
+        self.goal_id = GoalID.random()
+        self.client = client
+        self.question = question
+        self.created = self.updated = time()
+        self.expires = anyio.current_time() + QUESTION_TIMEOUT
+        self.status: TaskStatus = "input_required"
+        """The status; with `working`, the goal is being sent."""
+        self.answer: CallToolResult | None = None
+        """The answer of a task that was completed without a goal."""
+        self._send = send
+
+    def cancel(self) -> None:
+        """End without a goal."""
+        self.status, self.updated = "cancelled", time()
+
+    async def take(self, answer: ElicitResult) -> bool:
+        """Take the answer of the user: with a yes, send the goal. Return whether it was sent."""
+        try:
+            check_answer(answer)
+            self.status = "working"
+            await self._send(self.goal_id)
+        except ToolError as exc:
+            self.answer, self.status, self.updated = error_answer(str(exc)), "completed", time()
+            return False
+        return True
+
+
+class AskedTasks:
+    """The tasks of one bridge that wait for an answer, or have ended without a goal."""
+
+    def __init__(self) -> None:
+        self._tasks: dict[str, AskedTask] = {}
+
+    def ask(self, context: ServerRequestContext[Any, Any], question: str, send: Send) -> AskedTask:
+        """Begin to wait for an answer."""
+        task = AskedTask(client_of(context), question, send)
+        while len(self._tasks) >= MOST_QUESTIONS:
+            del self._tasks[next(iter(self._tasks))]
+        self._tasks[str(task.goal_id)] = task
+        return task
+
+    def find(self, context: ServerRequestContext[Any, Any], task_id: str) -> AskedTask | None:
+        """Return a task of this client; None if there is none, or it was asked too long ago."""
+        task = self._tasks.get(task_id)
+        if task is None or task.client != client_of(context):
+            return None
+        if task.expires <= anyio.current_time():
+            del self._tasks[task_id]
+            return None
+        return task
+
+    async def take(self, task: AskedTask, responses: dict[str, Any] | None) -> None:
+        """Take the answer of the user, if it is among the responses; with a yes, send the goal."""
+        try:
+            answer = ElicitResult.model_validate((responses or {}).get(KEY))
+        except ValidationError:
+            return
+        if task.status == "input_required" and await task.take(answer):
+            self._tasks.pop(str(task.goal_id), None)  # from now on it is a goal
+
+
+def input_requests(task: AskedTask) -> dict[str, Any]:
+    """Return the question of a task."""
+    form = ElicitRequestFormParams(message=task.question, requested_schema=FORM)
+    asked = ElicitRequest(params=form).model_dump(by_alias=True, mode="json", exclude_none=True)
+    return {KEY: asked}

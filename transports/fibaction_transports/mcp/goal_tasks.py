@@ -4,15 +4,16 @@ Theory of operation
 -------------------
 
 A client of the protocol from 2026-07-28 on may declare the extension with a request. Then a tool
-that sends a goal answers with a task as soon as the goal is accepted, and the client asks for it:
+that sends a goal answers with a task as soon as the goal is accepted, or the user is to be asked,
+and the client asks for it:
 
     tasks/get       the newest status, and at the end the answer that the tool would have given
     tasks/cancel    cancels the goal
-    tasks/update    is acknowledged: a task never waits for input, since the user is asked before
+    tasks/update    answers the question whether the goal may be sent, see `consent`
 
 The ID of a task is the ID of its goal, and all else is asked of the server of the action. So a task
-needs no memory here: it outlives its client, and this bridge, too, for as long as its server knows
-the goal. With a store, that is also after a restart of the server.
+with a goal needs no memory here: it outlives its client, and this bridge, too, for as long as its
+server knows the goal. With a store, that is also after a restart of the server.
 
     goal                            task
     accepted, executing, canceling  working, with the newest feedback as its message
@@ -31,7 +32,12 @@ from typing import Any
 
 from mcp.server.context import ServerRequestContext
 from mcp.shared.exceptions import MCPError
-from mcp_types import CancelTaskRequestParams, GetTaskRequestParams, RequestParams
+from mcp_types import (
+    CallToolResult,
+    CancelTaskRequestParams,
+    GetTaskRequestParams,
+    RequestParams,
+)
 from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
@@ -46,6 +52,12 @@ from fibaction_transports.mcp.answers import (
     goal_answer,
     message_in,
 )
+from fibaction_transports.mcp.consent import (
+    QUESTION_TIMEOUT,
+    AskedTask,
+    AskedTasks,
+    input_requests,
+)
 from fibaction_transports.mcp.tool_list import CANCEL, ToolAction
 
 EXTENSION = "io.modelcontextprotocol/tasks"
@@ -57,9 +69,10 @@ Context = ServerRequestContext[Any, Any]
 
 
 class UpdateTaskParams(RequestParams):
-    """The parameters of `tasks/update`, whose responses are not read."""
+    """The parameters of `tasks/update`."""
 
     task_id: str
+    input_responses: dict[str, Any] | None = None
 
 
 def wants_task(context: Context) -> bool:
@@ -73,9 +86,12 @@ def wants_task(context: Context) -> bool:
 class GoalTasks:
     """The tasks of one bridge."""
 
-    def __init__(self, goals: AgentGoals[ToolAction], policy: AgentPolicy) -> None:
+    def __init__(
+        self, goals: AgentGoals[ToolAction], policy: AgentPolicy, asked: AskedTasks
+    ) -> None:
         self._goals = goals
         self._policy = policy
+        self._asked = asked
 
     async def get(self, context: Context, params: GetTaskRequestParams) -> dict[str, Any]:
         """Return the newest status of a task.
@@ -83,14 +99,19 @@ class GoalTasks:
         Raises:
             MCPError: There is none of that ID.
         """
+        if (task := self._asked.find(context, params.task_id)) is not None:
+            return _asked_members(task)
         return detailed(await self._find(context, params.task_id))
 
     async def update(self, context: Context, params: UpdateTaskParams) -> dict[str, Any]:
-        """Acknowledge input for a task.
+        """Take the answer of a user; any other input is acknowledged.
 
         Raises:
             MCPError: There is none of that ID.
         """
+        if (task := self._asked.find(context, params.task_id)) is not None:
+            await self._asked.take(task, params.input_responses)
+            return {}
         await self._find(context, params.task_id)
         return {}
 
@@ -100,6 +121,10 @@ class GoalTasks:
         Raises:
             MCPError: There is none of that ID, or it may not be canceled so, or continues.
         """
+        if (task := self._asked.find(context, params.task_id)) is not None:
+            if task.status == "input_required":
+                task.cancel()
+            return {}
         goal = await self._find(context, params.task_id)
         if goal.outcome is not None:
             return {}
@@ -136,6 +161,31 @@ def created(goal: AgentGoal[ToolAction]) -> dict[str, Any]:
     return {"resultType": "task", **_members(goal, "working")}
 
 
+def asked_task(task: AskedTask) -> dict[str, Any]:
+    """Return the answer to a call that has become a task whose user is asked first."""
+    return {"resultType": "task", **_asked_members(task)}
+
+
+def _asked_members(task: AskedTask) -> dict[str, Any]:
+    members = {
+        "taskId": str(task.goal_id),
+        "status": task.status,
+        "createdAt": _time_text(task.created),
+        "lastUpdatedAt": _time_text(task.updated),
+        "ttlMs": int(QUESTION_TIMEOUT * 1000),
+        "pollIntervalMs": POLL_INTERVAL,
+    }
+    if task.status == "input_required":
+        return {**members, "inputRequests": input_requests(task)}
+    if task.answer is None:
+        return members
+    return {**members, "result": _dumped(task.answer)}
+
+
+def _dumped(answer: CallToolResult) -> dict[str, Any]:
+    return answer.model_dump(by_alias=True, mode="json", exclude_none=True)
+
+
 def detailed(goal: AgentGoal[ToolAction]) -> dict[str, Any]:
     """Return a task with its answer, once it has ended."""
     outcome = goal.outcome
@@ -149,8 +199,7 @@ def detailed(goal: AgentGoal[ToolAction]) -> dict[str, Any]:
     if is_canceled and outcome.result is None:
         return members
     answer = goal_answer(goal, cancel_wanted=True)
-    result = answer.model_dump(by_alias=True, mode="json", exclude_none=True)
-    return {**members, "result": result}
+    return {**members, "result": _dumped(answer)}
 
 
 def _loss_of(goal: AgentGoal[ToolAction]) -> str:

@@ -82,7 +82,7 @@ class ToolServer:
             on_subscriptions_listen=self._changes.listen,
         )
         """The server of the SDK."""
-        tasks = GoalTasks(self._goals, policy)
+        tasks = GoalTasks(self._goals, policy, self._calls.asked)
         self.server.extensions[EXTENSION] = {}
         self.server.add_request_handler("tasks/get", GetTaskRequestParams, tasks.get)
         self.server.add_request_handler("tasks/update", UpdateTaskParams, tasks.update)
