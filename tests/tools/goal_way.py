@@ -125,9 +125,11 @@ class Way(list[Step]):
 
 @cache
 def module_of(file: str) -> str:
-    """Return a file of the packages from the root of the repository; empty for other files."""
+    """Return a file of the packages from the root of the repository; empty for other files, and for
+    the executor, which comes from `fibaction.testing` and stands for that of a user.
+    """
     for folder, name in _PACKAGES.items():
-        if file.startswith(f"{folder}/"):
+        if file.startswith(f"{folder}/") and not file.startswith(f"{folder}/testing/"):
             return name + file.removeprefix(folder)
     return ""
 
