@@ -247,18 +247,18 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     @property
     def waited(self) -> float | None:
         """The seconds from its acceptance to the begin of its first attempt; None if that is not
-        known.
+        known. If the server's clock was set back between, it is 0 at least.
         """
-        return None if self.began_at is None else (self.began_at - self.stamp) / 1e9
+        return None if self.began_at is None else max(0, self.began_at - self.stamp) / 1e9
 
     @property
     def ran(self) -> float | None:
         """The seconds from the begin of its first attempt to its end; None if one of them is not
-        known.
+        known. If the server's clock was set back between, it is 0 at least.
         """
         if self.began_at is None or self.ended_at is None:
             return None
-        return (self.ended_at - self.began_at) / 1e9
+        return max(0, self.ended_at - self.began_at) / 1e9
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):

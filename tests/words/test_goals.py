@@ -189,6 +189,7 @@ def test_an_outcome_is_decoded_if_it_has_a_result() -> None:
         (1_500_000_000, None, (0.5, None)),
         (None, 4_000_000_000, (None, None)),
         (1_500_000_000, 4_000_000_000, (0.5, 2.5)),
+        (500_000_000, 400_000_000, (0, 0)),  # the clock was set back twice
     ],
 )
 def test_a_goal_has_waited_until_its_begin_and_has_run_until_its_end(
