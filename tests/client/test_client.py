@@ -413,6 +413,15 @@ async def test_a_goal_goes_on_after_its_block_if_it_was_detached() -> None:
         assert await goal.result() == Result([4])
 
 
+async def test_a_goal_that_was_attached_again_is_canceled_by_its_block() -> None:
+    async with ScriptedServer(FIBONACCI, [anyio.Event(), Result([4])]) as server:
+        sending = client_of(server).send_goal(Goal(1))
+        async with sending as goal:
+            sending.detach()
+            sending.attach()
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
 async def test_a_goal_that_was_not_awaited_is_told_with_what_to_write() -> None:
     async with ScriptedServer(FIBONACCI, [Result([4])]) as server:
         forgotten: Any = client_of(server).send_goal(Goal(1))

@@ -148,6 +148,8 @@ def test_a_reason_is_text_whatever_was_given(error: type[Any]) -> None:
 def test_an_error_of_others_is_its_name_and_what_it_says_if_it_can() -> None:
     assert text_of(ValueError("too far")) == "ValueError: too far"
     assert text_of(TimeoutError()) == "TimeoutError"
+    assert text_of(SystemExit()) == "sys.exit() was called"
+    assert text_of(SystemExit("no arm")) == "sys.exit('no arm') was called"
     assert text_of(Mute("too far")) == "Mute"
 
 
