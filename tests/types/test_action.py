@@ -575,7 +575,7 @@ def test_a_type_that_cannot_be_is_told_with_the_message_that_it_is_of(
     ("value", "path"),
     [
         (2**64, "$"),
-        ([{"a": 1}, {"a": "\ud800"}], "$[1].a"),
+        ([{"a": 1.5}, {"a": "\ud800"}], "$[1].a"),
         ({"\ud800": 1}, "$"),
         (Path([Pose(1, 2)], {"a": Pose(3, -(2**64))}), "$.frames.a.y"),
         (([2**64], [1]), "$[0][0]"),

@@ -90,6 +90,7 @@ async def test_each_of_several_tokens_is_enough() -> None:
         (b'{"jsonrpc": "2.0", "id": 1, "method": "Fly"}', -32601, "Method not found"),
         (call("SendMessage", {"message": 3}), -32602, ""),
         (call("SendMessage", {"message": {"parts": []}}), -32602, ""),
+        (call("SendMessage", {"message": {"parts": [7]}}), -32602, ""),
         (call("GetTask", {}), -32602, ""),
         (call("GetTask", {"id": "x" * 1000}), -32001, "32 hexadecimal digits"),
         (call("ListTasks", {"pageSize": 101}), -32602, "between 1 and 100"),

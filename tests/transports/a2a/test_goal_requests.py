@@ -257,6 +257,12 @@ async def test_a_text_is_the_only_text_field_of_a_goal(text: str) -> None:
     assert server.received == [Fetch(text), Fetch("a pen", 2)]
 
 
+async def test_a_long_result_is_data_only() -> None:
+    async with robot_and_talk() as (_, talk):
+        (part,) = (await talk.send(text="x" * 10_001, skill="say")).artifacts[0].parts
+        assert part.data.string_value == "X" * 10_001
+
+
 async def test_what_was_said_before_a_text_is_not_the_goal() -> None:
     async with robot_and_talk() as (_, talk):
         said = message(text="[user] said: hallo", skill="say")
