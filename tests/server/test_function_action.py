@@ -6,6 +6,7 @@ import dataclasses
 import threading
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, TypedDict, cast
 
 import anyio
@@ -560,3 +561,20 @@ async def test_no_more_goals_than_the_most_run_in_threads(monkeypatch: pytest.Mo
         goals = [await client.send_goal(number) for number in range(5)]
         assert [await goal.result() for goal in goals] == [*range(5)]
     assert most == 1
+
+
+@action("backup")
+async def backup(report: Report[Path], source: Path, into: Path = Path("/backup")) -> Path:
+    await report(source)
+    return into / source.name
+
+
+async def test_a_function_takes_and_returns_paths() -> None:
+    seen: list[Path] = []
+    async with ActionServer(backup) as server:
+        client = ActionClient(server, backup)
+        assert await client.call(Path("a/b"), on_feedback=seen.append) == Path("/backup/b")
+    assert seen == [Path("a/b")]
+    path = {"type": "string", "format": "path"}
+    properties = backup.info.goal["$defs"]["BackupGoal"]["properties"]
+    assert properties == {"source": path, "into": {**path, "default": "/backup"}}

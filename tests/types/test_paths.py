@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction import Action, ActionClient, ActionServer, ProtocolError, Report, action
+from fibaction import Action, ProtocolError
 from fibaction.types.action import Codec
 
 PATH = {"type": "string", "format": "path"}
@@ -78,20 +78,3 @@ def test_another_object_is_not_sent() -> None:
     with pytest.raises(TypeError, match="Encoding objects of type object is unsupported"):
         Codec(Noted).encode(Noted(Path("a"), object()))
     assert Codec(Noted).schema() == {}  # which allows anything, as without a path
-
-
-@action("backup")
-async def backup(report: Report[Path], source: Path, into: Path = Path("/backup")) -> Path:
-    await report(source)
-    return into / source.name
-
-
-@pytest.mark.anyio
-async def test_a_function_takes_and_returns_paths() -> None:
-    seen: list[Path] = []
-    async with ActionServer(backup) as server:
-        client = ActionClient(server, backup)
-        assert await client.call(Path("a/b"), on_feedback=seen.append) == Path("/backup/b")
-    assert seen == [Path("a/b")]
-    properties = backup.info.goal["$defs"]["BackupGoal"]["properties"]
-    assert properties == {"source": PATH, "into": {**PATH, "default": "/backup"}}
