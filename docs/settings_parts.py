@@ -14,6 +14,7 @@ from fibaction_transports._agents.agent_http_transport import AgentHttpSettings
 from fibaction_transports._socket_lines.host_transport import HostSettings
 from fibaction_transports.nats.settings import NatsSettings
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsSettings
+from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohSettings
 from fibaction_transports.ros2.ros2_transport import Ros2Settings
 from fibaction_transports.ros2.settings import RosSettings
 from fibaction_transports.web.http_transport import HttpSettings
@@ -75,6 +76,7 @@ SETTINGS_PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "reference/ros2.md": {
         "settings": _part(Ros2Settings),
         "settings of DDS": _part(DdsSettings, RosSettings),
+        "settings of Zenoh": _part(ZenohSettings, RosSettings),
     },
     "reference/agents.md": {"settings": _part(AgentHttpSettings)},
 }

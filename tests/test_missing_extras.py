@@ -30,6 +30,7 @@ MODULES = {
     "ros-types": ("rosbags",),
     "tui": ("textual",),
     "web": ("h11", "wsproto"),
+    "zenoh": ("xxhash", "zenoh"),
 }
 """The modules that each extra brings."""
 
@@ -61,6 +62,7 @@ A2A = [
     for scheme in ("a2a+http", "a2a+https")
 ]
 IN_PYTHON = [
+    ("transport_for('zenoh://')", "zenoh:// needs zenoh: {zenoh}"),
     *WEB,
     *MCP,
     *A2A,

@@ -18,5 +18,6 @@ FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml \
 # A test that has a second try at the end of `.ci/run` may leave lines uncovered.
 if [ "$(failures)" = "$before" ]; then
     "$1/bin/python" -m coverage report --fail-under=100 \
-        --include='*/fibaction_transports/ros2/*' --omit='*/ros2/on_dds/*,*/ros2/without_ros/*,*/ros2/dds_transport.py'
+        --include='*/fibaction_transports/ros2/*' \
+        --omit='*/ros2/on_[dz]*,*/ros2/without_ros/*,*/ros2/dds_*.py,*/ros2/zenoh_*.py'
 fi

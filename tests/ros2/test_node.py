@@ -18,6 +18,7 @@ from fibaction.border.event_loop import Background
 from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
 from fibaction_transports.ros2 import Ros2Transport
 from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node.mailbox import Mailbox
 from fibaction_transports.ros2.on_rclpy import rclpy_adapter
 from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
@@ -32,7 +33,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
 from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node, users_node
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
-from fibaction_transports.ros2.on_rclpy.waitable import Mailbox, RosWaitable
+from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
@@ -377,7 +378,7 @@ async def test_the_thread_takes_nothing_while_the_mailbox_is_full_and_then_goes_
     ros.subscription("mine", GoalStatusArray, EndQos(depth=10), take)
     profile = rclpy_qos.QoSProfile(depth=10)
     publisher = ros.node.create_publisher(GoalStatusArray, "mine", profile)
-    monkeypatch.setattr("fibaction_transports.ros2.on_rclpy.waitable.MAILBOX", 2)
+    monkeypatch.setattr("fibaction_transports.ros2.node.mailbox.MAILBOX", 2)
     monkeypatch.setattr(RosWaitable, "is_paused", property(is_paused))
 
     async def readers() -> int:

@@ -8,9 +8,8 @@ from pathlib import Path
 
 SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
-NOT_ELSEWHERE = [
-    f"{ELSEWHERE}/{one}" for one in ("on_dds", "without_ros", "dds_transport.py")
-]  # needs none
+NO_ROS = ("on_dds", "on_zenoh", "without_ros", "dds_transport.py", "zenoh_transport.py")
+NOT_ELSEWHERE = [f"{ELSEWHERE}/{one}" for one in NO_ROS]
 CONTRACT = "fibaction/testing/contract"
 """The folder of tests that are installed with the product, for others to run."""
 SHARED = ("tests/contract", "tests/simulation", "tests/fleet_simulation")

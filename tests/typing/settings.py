@@ -23,7 +23,7 @@ from fibaction_transports.keywords import (
 )
 from fibaction_transports.mcp import McpHttpTransport, McpStdioTransport
 from fibaction_transports.nats import NatsTransport
-from fibaction_transports.ros2 import DdsTransport, Ros2Transport
+from fibaction_transports.ros2 import DdsTransport, Ros2Transport, ZenohTransport
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from fibaction_transports.web import (
     HttpTransport,
@@ -80,6 +80,7 @@ def settings_of_a_client() -> None:
         ip_versions=(4, 6),
         fragment_size=1400,
     )
+    connect("zenoh://robot", locators=["tcp/robot:7447"], mode="client", search=["interfaces"])
     connect(
         "nats://broker/fleet",
         worker="robot7",
@@ -149,6 +150,7 @@ def settings_of_a_server(server: ActionServer[Any, Any, Any]) -> None:
         ip_versions=(4,),
         fragment_size=1400,
     )
+    serve(server, "zenoh://robot", locators=["tcp/robot:7447"], mode="peer")
     serve(
         server,
         "nats://broker/fleet",
@@ -276,6 +278,7 @@ def settings_of_transports() -> None:
         ip_versions=[4],
         fragment_size=1400,
     )
+    ZenohTransport(**ROS, locators=["tcp/robot:7447"], mode="client", search=["interfaces"])
     McpStdioTransport(**AGENTS)
     McpHttpTransport(**AGENTS_OVER_HTTP)
     A2aHttpTransport(**AGENTS_OVER_HTTP)

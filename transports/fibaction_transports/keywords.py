@@ -49,6 +49,8 @@ class ConnectKeywords(TypedDict, total=False):
     answer_timeout: float
     schemas: bool
     cancel_on_disconnect: bool
+    locators: Sequence[str]
+    mode: Literal["", "peer", "client"]
     worker: str
     user: str
     password: str
@@ -88,6 +90,8 @@ class ServeKeywords(TypedDict, total=False):
     fragment_size: int
     node: Any
     via: Literal["", "rclpy", "dds"]
+    locators: Sequence[str]
+    mode: Literal["", "peer", "client"]
     authorize: Authorize | None
     orphans: Literal["keep", "cancel"]
     grace: float
@@ -184,6 +188,14 @@ class RosbridgeKeywords(LineKeywords, total=False):
     answer_timeout: float
     schemas: bool
     cancel_on_disconnect: bool
+
+
+class ZenohKeywords(RosKeywords, total=False):
+    """The keyword arguments of `ZenohSettings`."""
+
+    locators: Sequence[str]
+    mode: Literal["", "peer", "client"]
+    search: Sequence[str]
 
 
 class WireKeywords(ClientKeywords, total=False):

@@ -167,6 +167,12 @@ def _web() -> None:
     anyio.run(drives)
 
 
+def _zenoh() -> None:
+    from fibaction_transports.ros2 import ZenohTransport
+
+    assert ZenohTransport.from_url("zenoh://robot.local:7447/arm").url.startswith("zenoh://")
+
+
 CHECKS: dict[str, Callable[[], None]] = {
     "a2a": _a2a,
     "broker": _broker,
@@ -183,6 +189,7 @@ CHECKS: dict[str, Callable[[], None]] = {
     "tui": _tui,
     "uvloop": _uvloop,
     "web": _web,
+    "zenoh": _zenoh,
 }
 """What each extra is for, tried once."""
 

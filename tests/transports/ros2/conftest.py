@@ -1,4 +1,6 @@
-"""The environment of the tests of `dds://`: a domain of their own, on this machine only."""
+"""The environment of the tests of `dds://` and `zenoh://`: a domain and a router of their own, on
+this machine only.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,11 @@ from fibaction.interfaces import files
 from tests.support.ros_domain import own_domain
 
 ROOT = Path(__file__).parents[3]
-CONTRACT = Path(__file__).with_name("test_contract.py")
+CONTRACTS = {
+    Path(__file__).with_name(f"test_{name}.py"): scheme
+    for name, scheme in (("contract", "dds"), ("zenoh_contract", "zenoh"))
+}
+"""The modules with the contract, and the middleware of each."""
 FOLDERS = (ROOT / "examples/ros2", ROOT / "tests/ros2")
 
 
@@ -24,6 +30,15 @@ def domain() -> Iterator[None]:
         patch.setenv("FIBACTION_SEARCH", os.pathsep.join(map(str, FOLDERS)))
         patch.delenv("AMENT_PREFIX_PATH", raising=False)
         yield
+
+
+@pytest.fixture(scope="package")
+def router() -> Iterator[int]:
+    """Run a router of Zenoh for the tests that use it; gives its port."""
+    from tests.support.zenoh_router import own_router  # not where rclpy is tested
+
+    with own_router() as port:
+        yield port
 
 
 @pytest.fixture(autouse=True)
@@ -46,9 +61,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def _is_due(item: pytest.Item) -> bool:
     call = getattr(item, "callspec", None)
-    if call is None or item.path != CONTRACT:
+    if call is None or item.path not in CONTRACTS:
         return True
+    scheme = CONTRACTS[item.path]
     way = call.params["anyio_backend"], call.params["reach"]
-    ways = [("asyncio", "gateway to dds"), ("trio", "dds"), ("trio", "gateway to dds")]
+    gateway = f"gateway to {scheme}"
+    ways = [("asyncio", gateway), ("trio", scheme), ("trio", gateway)]
     name = item.name.partition("[")[0]
     return way not in ways or zlib.crc32(name.encode()) % 4 == ways.index(way)

@@ -149,7 +149,7 @@ async def test_an_answer_about_types_reaches_the_question(monkeypatch: pytest.Mo
 
     async def ask(node: DdsNode) -> None:
         with pytest.raises(UnusableDescription, match=problem):
-            await node._questions.look_up([EndInfo(prefix, "/far", EndQos(), type_id=type_id)])
+            await node._questions.look_up([EndInfo(prefix, "/far", EndQos(), type_id=type_id)], "")
 
     async with opened() as node, anyio.create_task_group() as tasks:
         monkeypatch.setattr(node._questions, "_ask", lambda *_: 7)

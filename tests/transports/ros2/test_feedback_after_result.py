@@ -39,9 +39,9 @@ class Node:
     types = SimpleNamespace(uuid=bytes)
     answer: Callable[[int, Any], None]
 
-    def caller(self, service: str, service_type: Any, qos: EndQos, take: Any, _: Any) -> Any:
+    def caller(self, service: str, service_type: Any, qos: EndQos, take: Any, *_: Any) -> Any:
         self.answer = take
-        return SimpleNamespace(send=lambda request: 1)
+        return SimpleNamespace(send=lambda request: 1, forget=lambda number: None)
 
 
 def ended(

@@ -282,11 +282,11 @@ async def test_a_node_that_does_not_answer_costs_a_moment_and_is_asked_again_lat
     monkeypatch.setattr(type_learner, "MOST_SILENT", 0)
     asked: list[str] = []
 
-    async def ask(learner: object, node: str, request: DescriptionRequest) -> None:
+    async def ask(asking: object, node: str, request: DescriptionRequest) -> None:
         asked.append(request.type_name)
         await anyio.sleep_forever()
 
-    monkeypatch.setattr(type_learner.TypeLearner, "_ask", ask)
+    monkeypatch.setattr(type_learner, "ask_node", ask)
     name = new_name()
     async with painting(folder, name), connect(DdsTransport()) as connection:
         for _ in range(2):  # none is remembered

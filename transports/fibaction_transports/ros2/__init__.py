@@ -8,10 +8,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fibaction_transports.ros2.dds_transport import DdsTransport
     from fibaction_transports.ros2.ros2_transport import Ros2Transport
+    from fibaction_transports.ros2.zenoh_transport import ZenohTransport
 
-__all__ = ["DdsTransport", "Ros2Transport"]
+__all__ = ["DdsTransport", "Ros2Transport", "ZenohTransport"]
 
-_MODULES = {"DdsTransport": "dds_transport", "Ros2Transport": "ros2_transport"}
+_MODULES = {
+    "DdsTransport": "dds_transport",
+    "Ros2Transport": "ros2_transport",
+    "ZenohTransport": "zenoh_transport",
+}
 
 
 def __getattr__(name: str) -> Any:

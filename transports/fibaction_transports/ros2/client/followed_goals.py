@@ -96,7 +96,12 @@ class FollowedGoals:
         they wait."""
         self._ended: dict[bytes, _EndedGoal] = {}
         self.results = ros.caller(
-            service, service_type, qos, self._take_result, self._take_unreadable
+            service,
+            service_type,
+            qos,
+            self._take_result,
+            self._take_unreadable,
+            self._take_unanswered,
         )
         """The client of the service for results."""
 
@@ -122,6 +127,7 @@ class FollowedGoals:
         self._unfinished.pop(stream, None)
         for number in stream.requests:
             self._requested.pop(number, None)
+            self.results.forget(number)
         if not streams:
             self._streams.pop(stream.goal_id, None)
             self._overdue.pop(stream.goal_id, None)
@@ -283,6 +289,13 @@ class FollowedGoals:
             else:
                 patience = LATE if one.awaits_server else self._patience
                 self._unfinished.setdefault(one, current_time() + patience)
+
+    def _take_unanswered(self, number: int) -> None:
+        """Request a result again soon: the request has been lost, or its server has gone."""
+        stream = self._requested.pop(number, None)
+        if stream is not None:
+            stream.requests.remove(number)
+            self.expect_result(stream.goal_id, 0.0)
 
     def _take_unreadable(self, error: Exception) -> None:
         """Take a response that cannot be read, so that its request number is not known.

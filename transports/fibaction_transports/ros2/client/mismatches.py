@@ -96,18 +96,19 @@ def explain_versions(ros: RosNode, full: ActionNames, impl: Any) -> str:
     do; empty if there is none, or if hashes are not known. One server with the right versions is
     enough.
 
-    Two ends with another definition of a type match in DDS, and read each other's bytes wrongly.
-    The hashes that endpoints announce tell the versions apart.
+    Two ends with another definition of a type match in DDS, and read each other's bytes wrongly; in
+    Zenoh they do not hear each other. The hashes that ends announce tell the versions apart.
     """
     wrong: list[str] = []
-    for message_type, ends in (
-        (impl.SendGoalService.Request, ros.request_readers(full.send_goal)),
-        (impl.GetResultService.Response, ros.answer_writers(full.get_result)),
-        (impl.FeedbackMessage, ros.publishers(full.feedback)),
+    goals, results = impl.SendGoalService, impl.GetResultService
+    for message_type, service_type, ends in (
+        (goals.Request, goals, ros.request_readers(full.send_goal)),
+        (results.Response, results, ros.answer_writers(full.get_result)),
+        (impl.FeedbackMessage, None, ros.publishers(full.feedback)),
     ):
-        ours = ros.types.version(message_type)
+        ours = ros.types.version(message_type, service_type)
         theirs = {end.type_hash for end in ends}
-        if ours is not None and theirs and theirs.isdisjoint({ours.type_hash, ""}):
+        if ours is not None and theirs and theirs.isdisjoint({*ours[1:], ""}):
             there = ", ".join(_short(one) for one in sorted(theirs))
             wrong.append(f"{ours.type_name} is {there} there, and {_short(ours.type_hash)} here")
     if not wrong:

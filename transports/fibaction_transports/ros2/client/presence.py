@@ -173,18 +173,24 @@ class Presence:
         """
         servers = self.servers()
         if servers != self._checked:
-            if problem := explain_versions(self._ros, self._names, self._impl):
-                raise TransportError(f"cannot use the action {self._action!r} in ROS: {problem}")
+            if problem := self._other_versions():
+                raise TransportError(problem)
             self._checked = servers
         return servers
 
     def _why_not_found(self) -> str:
         if mismatch := self._mismatch():
             return f"cannot reach the action {self._action!r} in ROS: {mismatch}"
+        if problem := self._other_versions():
+            return problem
         return (
             f"no server of the action {self._action!r} in ROS: there is no service"
             f" {self._names.send_goal}; start the server, or wait for it with wait_for_server()"
         )
+
+    def _other_versions(self) -> str:
+        problem = explain_versions(self._ros, self._names, self._impl)
+        return f"cannot use the action {self._action!r} in ROS: {problem}" if problem else ""
 
     def _mismatch(self) -> str:
         return explain_mismatch(self._ros, self._names, self._settings)
@@ -198,11 +204,11 @@ class Presence:
         with anyio.move_on_after(MATCH_TIME) as scope:
             await self._come()
         if scope.cancelled_caught:
-            if mismatch := self._mismatch():
+            if mismatch := self._mismatch() or self._other_versions():
                 logger.warning("%s cannot be reached yet: %s", self._action, mismatch)
             await self._come()
-        if problem := explain_versions(self._ros, self._names, self._impl):
-            logger.warning("%s cannot be used: %s", self._action, problem)
+        if problem := self._other_versions():
+            logger.warning("%s", problem)
 
     async def _come(self) -> None:
         while not self.is_there():

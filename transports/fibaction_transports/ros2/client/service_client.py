@@ -1,7 +1,8 @@
 """A client of one service of ROS, with the retry of a call.
 
-DDS drops requests that a full queue cannot take, without an error. So only a few calls
-wait for an answer at a time, and a request is sent again if its answer does not arrive in time.
+Full queues of ROS drop requests, without an error. So only a few calls wait for an answer at a
+time, and a request is sent again if its answer does not arrive in time, or as soon as the
+middleware tells that there will be none.
 """
 
 from __future__ import annotations
@@ -28,6 +29,11 @@ LISTED = 0.3
 Fast DDS drop an answer after 0.1 s if they have not found the reader of the client by then."""
 
 
+FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
+"""Seconds until a request is sent again that the server has not taken: the first time, and at most.
+"""
+
+
 class ServiceCall:
     """One call of a service: a request, sent once or several times, and its latest answer."""
 
@@ -43,6 +49,7 @@ class ServiceCall:
         self._numbers: list[int] = []
         self._news = Notifier()
         self._timeout = FIRST_TIMEOUT
+        self._pause = FIRST_PAUSE
         self._is_due = False
         self._scope = anyio.CancelScope()
         self._error: ConnectionLost | None = None
@@ -89,6 +96,11 @@ class ServiceCall:
         """Wait no longer than `LISTED` seconds for the answer, because the request has arrived."""
         self._scope.deadline = min(self._scope.deadline, current_time() + LISTED)
 
+    def note_unanswered(self) -> None:
+        """Send the request again after a pause: it has been lost."""
+        self._scope.deadline = min(self._scope.deadline, current_time() + self._pause)
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+
     def set_response(self, response: Any) -> None:
         """Store an answer. After a retry there may be several; the last one counts."""
         self.response = response
@@ -118,7 +130,9 @@ class ServiceClient:
         Raises:
             TransportError: ROS does not allow it.
         """
-        self.caller = ros.caller(service, service_type, qos, self._take)
+        self.caller = ros.caller(
+            service, service_type, qos, self._take, take_unanswered=self._take_unanswered
+        )
         self.turns = anyio.Semaphore(AT_ONCE, fast_acquire=True)
         """Limits the calls that wait for their first answer."""
         self.calls: set[ServiceCall] = set()
@@ -149,6 +163,7 @@ class ServiceClient:
     def forget(self, number: int) -> None:
         """Ignore the answer to this request from now on."""
         self._open.pop(number, None)
+        self.caller.forget(number)
 
     def resume(self) -> None:
         """Send all requests again that wait for their answers."""
@@ -164,3 +179,8 @@ class ServiceClient:
         call = self._open.get(number)
         if call is not None:
             call.set_response(response)
+
+    def _take_unanswered(self, number: int) -> None:
+        call = self._open.get(number)
+        if call is not None:
+            call.note_unanswered()

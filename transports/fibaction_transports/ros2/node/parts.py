@@ -21,6 +21,8 @@ AnswerSink: TypeAlias = Callable[[int, Any], None]
 """Takes the number of a request, and the answer to it."""
 ErrorSink: TypeAlias = Callable[[Exception], None]
 """Takes the reason why something that has arrived cannot be read."""
+UnansweredSink: TypeAlias = Callable[[int], None]
+"""Takes the number of a request that will have no answer."""
 
 
 class EndInfo(NamedTuple):
@@ -96,6 +98,10 @@ class ServiceCaller(ABC):
     @abstractmethod
     def is_available(self) -> bool:
         """Return whether a server of the service is connected."""
+
+    @abstractmethod
+    def forget(self, number: int) -> None:
+        """Wait no more for the answer to a request, which may have come."""
 
 
 class ServiceProvider(ABC):

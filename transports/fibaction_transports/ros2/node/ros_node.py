@@ -24,6 +24,7 @@ from fibaction_transports.ros2.node.parts import (
     ServiceProvider,
     TopicPublisher,
     TopicSubscription,
+    UnansweredSink,
 )
 from fibaction_transports.ros2.qos import EndQos
 
@@ -50,6 +51,8 @@ class TypeVersion(NamedTuple):
 
     type_name: str
     type_hash: str
+    service_hash: str = ""
+    """The hash of its service, which some middlewares announce instead; empty for other types."""
 
 
 class RosTypes(ABC):
@@ -93,8 +96,10 @@ class RosTypes(ABC):
             TransportError: As for `find`, or the type is known in part only.
         """
 
-    def version(self, message_type: Any) -> TypeVersion | None:
-        """Return the version of a type of messages; None if the middleware does not tell it."""
+    def version(self, message_type: Any, service_type: Any = None) -> TypeVersion | None:
+        """Return the version of a type of messages, which may be of a service; None if the
+        middleware does not tell it.
+        """
         return None
 
     @abstractmethod
@@ -209,8 +214,11 @@ class RosNode(RosGraph):
         qos: EndQos,
         take: AnswerSink,
         take_unreadable: ErrorSink | None = None,
+        take_unanswered: UnansweredSink | None = None,
     ) -> ServiceCaller:
-        """Make a client of a service."""
+        """Make a client of a service. A middleware that cannot tell what has no answer never calls
+        `take_unanswered`.
+        """
 
     @abstractmethod
     def provider(

@@ -20,6 +20,7 @@ from fibaction_transports.ros2.node.parts import (
     MessageSink,
     RequestSink,
     ServiceCaller,
+    UnansweredSink,
 )
 from fibaction_transports.ros2.on_dds.graph import DdsGraph, dds_qos
 from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds
@@ -131,6 +132,7 @@ class DdsNode(OwnNode):
         qos: EndQos,
         take: AnswerSink,
         take_unreadable: ErrorSink | None = None,
+        take_unanswered: UnansweredSink | None = None,
     ) -> DdsCaller:
         # The reader first, so that a server that knows the writer knows where its answers go.
         reader = self._reader(reply_topic(service), service_type.Response, qos)

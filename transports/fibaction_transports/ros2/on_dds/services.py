@@ -207,6 +207,9 @@ class DdsCaller(ServiceCaller):
                     return True
         return False
 
+    def forget(self, number: int) -> None:
+        self._open.pop(number, None)
+
     def receive(self, sample: Sample) -> None:
         """Take an answer, which may be for another client."""
         found = self._call_of(sample)

@@ -49,7 +49,9 @@ class TypeQuestions(ActionQuestions):
         type_ids = {one.type_id for one in ends}
         return len(type_ids) == len(ends) and b"" not in type_ids
 
-    async def look_up(self, ends: Sequence[EndInfo]) -> dict[str, IndividualTypeDescription]:
+    async def look_up(
+        self, ends: Sequence[EndInfo], type_name: str
+    ) -> dict[str, IndividualTypeDescription]:
         prefix = ends[0].gid[PARTICIPANT]
         known: dict[bytes, TypeObject] = {}
         wanted = dict.fromkeys(one.type_id for one in ends)

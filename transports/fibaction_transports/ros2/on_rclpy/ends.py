@@ -75,6 +75,9 @@ class RclpyCaller(_RclpyEnd, ServiceCaller):
         there: bool = self._attempt(self.handle.service_server_is_available, otherwise=False)
         return there
 
+    def forget(self, number: int) -> None:
+        """See `ServiceCaller.forget`. A client of rclpy waits for nothing."""
+
 
 class RclpyProvider(_RclpyEnd, ServiceProvider):
     """A server of a service."""

@@ -19,6 +19,7 @@ from fibaction_transports.ros2.node.graph_view import (
     no_scout,
     scouted_view,
 )
+from fibaction_transports.ros2.node.mailbox import Mailbox, Sink
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
@@ -27,6 +28,7 @@ from fibaction_transports.ros2.node.parts import (
     RequestSink,
     ServiceCaller,
     ServiceProvider,
+    UnansweredSink,
 )
 from fibaction_transports.ros2.node.ros_node import RosClock, RosNode
 from fibaction_transports.ros2.on_rclpy.ends import (
@@ -52,12 +54,10 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.waitable import (
-    Mailbox,
     Messages,
     Requests,
     Responses,
     RosWaitable,
-    Sink,
     Source,
 )
 from fibaction_transports.ros2.qos import EndQos
@@ -199,6 +199,7 @@ class RclpyNode(RosNode):
         qos: EndQos,
         take: AnswerSink,
         take_unreadable: ErrorSink | None = None,
+        take_unanswered: UnansweredSink | None = None,
     ) -> RclpyCaller:
         handle = self._make(raw.Client, service_type, service, qos)
         self.listen(Responses(handle, service_type, _each(take), take_unreadable))

@@ -8,94 +8,16 @@ nothing: an exception would end the spinning.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from threading import Lock
 from types import TracebackType
-from typing import Any, TypeAlias
+from typing import Any
 
-import anyio
-from anyio.lowlevel import EventLoopToken, current_token
-
-from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
+from fibaction_transports.ros2.node.mailbox import MAILBOX, TURN, Mailbox, Sink
 from fibaction_transports.ros2.on_rclpy.rcl import InvalidHandle, ReentrantCallbackGroup, waitable
 
-MAILBOX = 20_000
-"""Items that may wait for the event loop. With more, nothing is taken, and messages wait in the
-middleware, whose queues have depths of their own."""
-TURN = 64
-"""Items that are handled before other tasks get their turn on the event loop."""
-
-Sink: TypeAlias = Callable[[Any], None]
-"""Handles an item on the event loop, without waiting."""
-
 logger = clean_logger("fibaction.ros2")
-
-
-class Mailbox:
-    """A queue of items for the event loop, filled by any thread.
-
-    The event loop is woken once for all items that wait, be it asyncio's or trio's.
-    """
-
-    def __init__(self, room: Callable[[], None]) -> None:
-        """`room` is called on the event loop when the mailbox is no longer full."""
-        self._room = room
-        self._items: deque[tuple[Sink, Any]] = deque()
-        self._lock = Lock()
-        self._news = Notifier()
-        self._token: EventLoopToken | None = None
-        """The event loop while it sleeps until there are items; None otherwise."""
-        self._full = False
-
-    @property
-    def is_full(self) -> bool:
-        """True if nothing more is to be put in for now; `room` will be called."""
-        self._full = len(self._items) >= MAILBOX
-        # The loop may have emptied it between this look and this note, without calling `room`.
-        return self._full and len(self._items) >= MAILBOX
-
-    def put(self, items: list[tuple[Sink, Any]]) -> None:
-        """Add items, from any thread."""
-        self._items.extend(items)
-        with self._lock:
-            token, self._token = self._token, None
-            if token is not None:
-                with suppress(RuntimeError):  # the event loop has ended
-                    token.backend_class.run_sync_soon(self._news.notify, (), token.native_token)
-
-    async def run(self) -> None:
-        """Handle items until canceled."""
-        here = current_token()
-        while True:
-            while self._items:
-                self._handle_some()
-                if self._full and len(self._items) < MAILBOX // 2:
-                    self._full = False
-                    self._room()
-                if self._items:
-                    await anyio.lowlevel.checkpoint()
-            with self._lock:
-                if self._items:
-                    continue  # they were added just now
-                self._token = here
-            await self._news.wait()
-
-    def _handle_some(self) -> None:
-        for _ in range(min(len(self._items), TURN)):
-            sink, item = self._items.popleft()
-            try:
-                sink(item)
-            except Exception:
-                logger.exception("a message was dropped, because it could not be handled")
-
-    def close(self) -> None:
-        """Drop all items, and handle no more."""
-        with self._lock:
-            self._token = None
-        self._items.clear()
 
 
 class Source(ABC):

@@ -33,7 +33,13 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
-from fibaction_transports.ros2.node.parts import AnswerSink, EndInfo, ErrorSink, ServiceCaller
+from fibaction_transports.ros2.node.parts import (
+    AnswerSink,
+    EndInfo,
+    ErrorSink,
+    ServiceCaller,
+    UnansweredSink,
+)
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (
@@ -76,8 +82,11 @@ class ActionQuestions(Protocol):
         """
 
     @abstractmethod
-    async def look_up(self, ends: Sequence[EndInfo]) -> dict[str, IndividualTypeDescription]:
-        """Return the types of these ends with all that they nest, by their names.
+    async def look_up(
+        self, ends: Sequence[EndInfo], type_name: str
+    ) -> dict[str, IndividualTypeDescription]:
+        """Return the types of these ends, and all that they nest, by their names. `type_name` is
+        that of the action.
 
         Raises:
             UnusableDescription: The server does not tell them.
@@ -107,6 +116,7 @@ class AskingNode(Protocol):
         qos: EndQos,
         take: AnswerSink,
         take_unreadable: ErrorSink | None = None,
+        take_unanswered: UnansweredSink | None = None,
     ) -> ServiceCaller:
         """See `RosNode.caller`."""
 
@@ -181,7 +191,7 @@ class TypeLearner:
         self._do_not_ask(_TYPES + end.gid, SILENCE)
         with anyio.move_on_after(ASK_TIME / 2):
             try:
-                found = await self._questions.look_up(messages)
+                found = await self._questions.look_up(messages, type_name)
                 file = looked_up_action(found, type_name)
                 if not version.is_of(action_of(file)):
                     raise UnusableDescription("it has another hash")
@@ -210,7 +220,7 @@ class TypeLearner:
             if self._types.has_learned(type_name, type_hash):
                 return True
             self._do_not_ask(end.gid, SILENCE)
-            response = await self._ask(end.node, DescriptionRequest(name, type_hash))
+            response = await ask_node(self._node, end.node, DescriptionRequest(name, type_hash))
             try:
                 file = described_action(response, type_name, **{part: type_hash})
             except UnusableDescription as exc:
@@ -222,34 +232,37 @@ class TypeLearner:
             return True
         return False
 
-    async def _ask(self, node: str, request: DescriptionRequest) -> DescriptionResponse:
-        """Ask a node, and wait for the answer as long as it takes."""
-        response = DescriptionResponse(failure_reason="the answer cannot be read")
-        is_answered = anyio.Event()
-
-        def take(number: int, answer: Any) -> None:
-            nonlocal response
-            response = answer
-            is_answered.set()
-
-        caller = self._node.caller(
-            f"{node}/get_type_description",
-            GET_TYPE_DESCRIPTION,
-            qos.services(),
-            take,
-            lambda error: is_answered.set(),
-        )
-        try:
-            while not caller.is_available():  # noqa: ASYNC110 - nothing tells of it
-                await anyio.sleep(LOOK_PAUSE)
-            caller.send(request)
-            await is_answered.wait()
-        except ConnectionLost as exc:
-            return DescriptionResponse(failure_reason=str(exc))
-        finally:
-            self._node.remove_caller(caller)
-        return response
-
 
 def _hashes(ends: Sequence[EndInfo]) -> frozenset[str]:
     return frozenset(end.type_hash for end in ends) - {""}
+
+
+async def ask_node(
+    asking: AskingNode, node: str, request: DescriptionRequest
+) -> DescriptionResponse:
+    """Ask a node, and wait for the answer as long as it takes."""
+    response = DescriptionResponse(failure_reason="the answer cannot be read")
+    is_answered = anyio.Event()
+
+    def take(number: int, answer: Any) -> None:
+        nonlocal response
+        response = answer
+        is_answered.set()
+
+    caller = asking.caller(
+        f"{node}/get_type_description",
+        GET_TYPE_DESCRIPTION,
+        qos.services(),
+        take,
+        lambda error: is_answered.set(),
+    )
+    try:
+        while not caller.is_available():  # noqa: ASYNC110 - nothing tells of it
+            await anyio.sleep(LOOK_PAUSE)
+        caller.send(request)
+        await is_answered.wait()
+    except ConnectionLost as exc:
+        return DescriptionResponse(failure_reason=str(exc))
+    finally:
+        asking.remove_caller(caller)
+    return response

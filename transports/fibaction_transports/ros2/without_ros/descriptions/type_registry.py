@@ -43,7 +43,7 @@ class TypeRegistry:
 
     def add_service(self, service_type: ServiceType) -> None:
         """Add the type of a service."""
-        if service_type.Request.is_known and service_type.Response.is_known:
+        if service_type.is_known:
             self._add(service_type.definition)
 
     def _add(self, definition: InterfaceMessage) -> None:

@@ -26,7 +26,7 @@ from fibaction_transports.ros2.without_ros.messages.action_types import (
     action_of,
     unknown_action,
 )
-from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
 from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER
 
 FOLDERS: Final = "FIBACTION_SEARCH"
@@ -130,17 +130,18 @@ class ServerVersion(NamedTuple):
     """The hashes that the servers of an action announce; empty if they announce none."""
 
     goal: frozenset[str]
-    """Those of the requests that send goals; `result` and `feedback` likewise."""
+    """Those of the requests that send goals, or of their service; `result` and `feedback`
+    likewise."""
     result: frozenset[str]
     feedback: frozenset[str]
 
     def is_of(self, action: RosAction) -> bool:
         """Return whether an action has these hashes, as far as they are announced."""
-        impl = action.impl
-        types = impl.SendGoalService.Request, impl.GetResultService.Response, impl.FeedbackMessage
+        goals, results = action.impl.SendGoalService, action.impl.GetResultService
+        ours = (goals.Request, goals), (results.Response, results), (action.impl.FeedbackMessage,)
         return all(
-            not theirs or message_type.type_hash in theirs
-            for message_type, theirs in zip(types, self, strict=True)
+            not theirs or any(one.type_hash in theirs for one in types)
+            for types, theirs in zip(ours, self, strict=True)
         )
 
 
@@ -241,10 +242,13 @@ class FileTypes(RosTypes):
         if len(self._learned) > MOST_LEARNED:
             self._learned.popitem(last=False)
 
-    def version(self, message_type: MessageType) -> TypeVersion | None:
-        if not message_type.is_known:
+    def version(
+        self, message_type: MessageType, service_type: ServiceType | None = None
+    ) -> TypeVersion | None:
+        if not message_type.is_known or (service_type is not None and not service_type.is_known):
             return None
-        return TypeVersion(message_type.name, message_type.type_hash)
+        service = "" if service_type is None else service_type.type_hash
+        return TypeVersion(message_type.name, message_type.type_hash, service)
 
     def uuid(self, goal_id: bytes) -> bytes:
         return bytes(goal_id)

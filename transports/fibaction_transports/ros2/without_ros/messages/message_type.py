@@ -110,7 +110,21 @@ class ServiceType:
         self.Response = response
 
     @property
+    def name(self) -> str:
+        """The name in ROS, for example `std_srvs/srv/Trigger`."""
+        return self.Request.name.removesuffix(_REQUEST)
+
+    @property
+    def is_known(self) -> bool:
+        """False if a definition is not the whole one."""
+        return self.Request.is_known and self.Response.is_known
+
+    @property
     def definition(self) -> InterfaceMessage:
         """The definition of the service."""
-        request, response = self.Request.definition, self.Response.definition
-        return service_interface(request.type_name.removesuffix(_REQUEST), request, response)
+        return service_interface(self.name, self.Request.definition, self.Response.definition)
+
+    @cached_property
+    def type_hash(self) -> str:
+        """The hash of the definition."""
+        return type_hash(self.definition)

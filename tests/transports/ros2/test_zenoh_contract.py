@@ -1,0 +1,10 @@
+"""The contract of all transports, over Zenoh without ROS, with fibaction at both ends."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.contract_over_ros import contract_over
+
+globals().update(contract_over("zenoh"))
+pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]

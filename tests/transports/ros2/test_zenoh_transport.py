@@ -1,0 +1,297 @@
+"""`zenoh://` as users meet it: its URLs, its errors, and servers that come and go."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction import (
+    Action,
+    ActionServer,
+    ConnectionLost,
+    GoalHandle,
+    InvalidURL,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.border.urls import transport_for
+from fibaction.types.action import ActionInfo
+from fibaction_transports.ros2 import ZenohTransport
+from fibaction_transports.ros2.on_zenoh import zenoh_adapter
+from fibaction_transports.ros2.on_zenoh.config import FILE, OVERRIDE
+from fibaction_transports.ros2.on_zenoh.node import ZenohNode, open_node
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.ports import free_port
+from tests.support.zenoh_router import start_router
+
+pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
+
+PATIENCE = 30.0
+
+
+def new_url() -> str:
+    return f"zenoh://?namespace=/t{uuid.uuid4().hex}"
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("zenoh://robot/a/b", "zenoh://robot/a/b: its path has several names"),
+        ("zenoh://robot:x", "zenoh://robot:x"),
+        ("zenoh://?color=red", "has no setting 'color'; its settings are namespace, domain_id"),
+        ("zenoh://?introspection=contents", "introspection needs rclpy"),
+        ("zenoh://?mode=router", "mode"),
+        ("zenoh://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
+    ],
+)
+def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:
+    with pytest.raises(InvalidURL) as caught:
+        transport_for(url)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mode_that_there_is_not_is_an_error() -> None:
+    with pytest.raises(ValueError, match="mode is peer or client, not 'router'"):
+        ZenohTransport(mode="router")  # type: ignore[arg-type]  # as a program without types
+
+
+def test_the_url_has_the_router_and_the_settings_that_a_client_must_share() -> None:
+    for url, expected in {
+        "zenoh://": "zenoh://",
+        "zenoh://robot.local": "zenoh://?locators=tcp/robot.local%3A7447",
+        "zenoh://robot.local:1/arm?namespace=/a": "zenoh://?namespace=/a"
+        "&locators=tcp/robot.local%3A1",
+        "zenoh://[::1]:7/arm?mode=client": "zenoh://?locators=tcp/%5B%3A%3A1%5D%3A7",
+        "zenoh://?locators=tls/a:1,tcp/b:2": "zenoh://?locators=tls/a%3A1,tcp/b%3A2",
+    }.items():
+        made = transport_for(url)
+        assert isinstance(made, ZenohTransport)
+        assert made.url == expected
+        again = transport_for(made.url)
+        assert isinstance(again, ZenohTransport)
+        assert again.url == expected
+
+
+@pytest.mark.parametrize(
+    ("url", "environment", "text"),
+    [
+        ("zenoh:///1st", {}, "invalid node_name '1st'"),
+        ("zenoh://?locators=nothing", {}, "is not valid in Zenoh"),
+        ("zenoh://", {"ROS_DOMAIN_ID": "x"}, "'x' is not a number from 0 to 232"),
+        ("zenoh://", {FILE: "/nowhere"}, f"{FILE}=/nowhere: "),
+        ("zenoh://127.0.0.1:1?mode=client", {}, "is a router there?"),
+    ],
+)
+async def test_a_node_that_cannot_be_made_is_an_error_of_one_sentence(
+    url: str, environment: dict[str, str], text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(TransportError) as caught:
+        async with connect(url):
+            pass  # pragma: no cover
+    assert text in str(caught.value)
+
+
+async def test_a_configuration_of_ros_is_followed(
+    router: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "session.json5"
+    file.write_text('{mode: "peer", scouting: {multicast: {enabled: false}}}')
+    monkeypatch.setenv(FILE, str(file))
+    monkeypatch.setenv(
+        OVERRIDE, f'mode="client";no/such/key=1;connect/endpoints=["tcp/127.0.0.1:{router}"]'
+    )
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), new_url()) as (url,),
+            connect(url, FIBONACCI) as client,
+        ):
+            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+    assert f"{OVERRIDE}: no/such/key=1 is not valid, and ignored" in caplog.text
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+async def test_both_modes_reach_the_same_graph(router: int, mode: str) -> None:
+    where = f"zenoh://127.0.0.1:{router}/arm?namespace=/t{uuid.uuid4().hex}&mode={mode}&domain_id=7"
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), where) as (url,),
+            connect(url) as connection,
+        ):
+            (info,) = [one for one in await connection.actions() if one.name == "fibonacci"]
+            assert info.type_name == FIBONACCI.type_name
+            assert info.goal["$defs"]
+            (server,) = (await connection.peers("fibonacci")).servers
+            assert server.endswith("/arm")
+            assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
+
+
+async def test_names_can_be_remapped_and_parameters_given() -> None:
+    space = f"/t{uuid.uuid4().hex}"
+    arguments = ["--ros-args", "-r", f"__ns:={space}", "-r", "fibonacci:=sequence"]
+    arguments += ["-p", "use_sim_time:=true"]
+    action = Action(
+        "sequence", goal=Goal, feedback=Feedback, result=Result, type_name=FIBONACCI.type_name
+    )
+    transport = ZenohTransport(arguments=arguments)
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), transport) as (url,),
+            connect(url, action) as client,
+        ):
+            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+
+
+async def test_an_action_without_a_server_is_not_found() -> None:
+    with anyio.fail_after(PATIENCE):
+        async with connect(f"{new_url()}&discovery_timeout=0.1", FIBONACCI) as client:
+            with pytest.raises(ServerNotFound, match="no server of the action 'fibonacci'"):
+                await client.call(Goal(1))
+
+
+class Content(msgspec.Struct):
+    data: bytes
+
+
+class Seen(msgspec.Struct):
+    data: bytes
+
+
+class Answer(msgspec.Struct):
+    data: bytes
+
+
+async def test_goals_feedback_and_results_may_be_large(tmp_path: Path) -> None:
+    path = tmp_path / "big_msgs/action/Big.action"
+    path.parent.mkdir(parents=True)
+    path.write_text("uint8[] data\n---\nuint8[] data\n---\nuint8[] data\n")
+    big = Action("big", goal=Content, feedback=Seen, result=Answer, type_name="big_msgs/action/Big")
+    content = os.urandom(8_000_000)
+
+    async def execute(goal: Any) -> Any:
+        yield Seen(goal.request.data)
+        yield Answer(goal.request.data)
+
+    heard: list[bool] = []
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(big, execute), new_url(), search=[str(tmp_path)]) as (url,),
+            connect(url, big, search=[str(tmp_path)]) as client,
+        ):
+            result = await client.call(
+                Content(content), on_feedback=lambda one: heard.append(one.data == content)
+            )
+    assert heard == [True]
+    assert result == Answer(content)
+
+
+async def test_other_versions_of_the_types_are_told_before_the_first_goal(tmp_path: Path) -> None:
+    path = tmp_path / "arduinobot_msgs/action/Fibonacci.action"
+    path.parent.mkdir(parents=True)
+    path.write_text("int32 order\n---\nint32[] sequence\n---\nint64[] partial_sequence\n")
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), new_url(), search=[str(tmp_path)]) as (url,),
+            connect(f"{url}&discovery_timeout=0.5", FIBONACCI) as client,
+        ):
+            with pytest.raises(TransportError, match="another version of the types"):
+                await client.call(Goal(1))
+
+
+async def test_types_that_no_file_has_are_learned_from_the_server(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with anyio.fail_after(PATIENCE):
+        async with serve(ActionServer(FIBONACCI, fibonacci), new_url()) as (url,):
+            monkeypatch.delenv("FIBACTION_SEARCH")
+            async with connect(url) as connection:
+                (info,) = [one for one in await connection.actions() if one.name == "fibonacci"]
+                assert info.result["$defs"]
+                assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
+
+
+async def test_goals_of_a_type_that_is_not_known_can_be_followed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    go_on = anyio.Event()
+
+    async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        yield Feedback([0])
+        await go_on.wait()
+        yield Result([0])
+
+    untyped = Action.untyped(ActionInfo("fibonacci"))
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, execute), new_url()) as (url,),
+            connect(url, FIBONACCI) as client,
+        ):
+            goal = await client.send_goal(Goal(1))
+            monkeypatch.delenv("FIBACTION_SEARCH")
+            async with connect(url) as connection:
+                await connection.actions()
+                followed = await connection.client(untyped).attach(goal.goal_id)
+                go_on.set()
+                assert (await followed.outcome()).status.name == "SUCCEEDED"
+                assert await goal.result() == Result([0])
+
+
+async def test_a_server_that_has_gone_ends_its_goals(monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes: list[ZenohNode] = []
+
+    @asynccontextmanager
+    async def open_noted(*arguments: Any) -> AsyncGenerator[ZenohNode, None]:
+        async with open_node(*arguments) as node:
+            nodes.append(node)
+            yield node
+
+    async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        yield Feedback([0])
+        await anyio.sleep_forever()
+
+    with anyio.fail_after(PATIENCE):
+        with monkeypatch.context() as patch:
+            patch.setattr(zenoh_adapter, "open_node", open_noted)
+            serving = serve(ActionServer(FIBONACCI, execute), new_url())
+            (url,) = await serving.__aenter__()
+        try:
+            async with connect(url, FIBONACCI) as client:
+                goal = await client.send_goal(Goal(1))
+                await anyio.to_thread.run_sync(nodes[0].session.session.close)  # as if killed
+                with pytest.raises(ConnectionLost, match="the server of 'fibonacci' has gone away"):
+                    await goal.result()
+        finally:
+            await serving.__aexit__(None, None, None)
+
+
+async def test_peers_go_on_while_their_router_is_away_and_after_it_is_back() -> None:
+    port = free_port()
+    where = f"zenoh://127.0.0.1:{port}?namespace=/t{uuid.uuid4().hex}"
+    with anyio.fail_after(PATIENCE):
+        first = start_router(port)
+        try:
+            async with (
+                serve(ActionServer(FIBONACCI, fibonacci), where) as (url,),
+                connect(url, FIBONACCI) as client,
+            ):
+                assert await client.call(Goal(1)) == Result([0, 1])
+                await anyio.sleep(0.3)  # until the peers are connected, which nothing tells
+                await anyio.to_thread.run_sync(first.close)
+                assert await client.call(Goal(2)) == Result([0, 1, 1])
+                first = start_router(port)
+                assert await client.call(Goal(1)) == Result([0, 1])
+        finally:
+            await anyio.to_thread.run_sync(first.close)

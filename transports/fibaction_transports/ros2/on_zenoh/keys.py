@@ -1,0 +1,228 @@
+"""The names of topics, services and nodes in Zenoh, as `rmw_zenoh_cpp` makes them.
+
+A topic, and a service, has one key; the hash of the type is a part of it. So ends with other
+versions of a type do not hear each other, and no error says so.
+
+A node, and each of its ends, has a liveliness token, which is there as long as its session. The
+graph of ROS is made of them: https://github.com/ros2/rmw_zenoh/blob/rolling/docs/design.md
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from functools import cached_property
+from typing import Final, NamedTuple
+
+from msgspec import Struct
+from xxhash import xxh3_128_digest
+
+from fibaction_transports.ros2.node.rivals import PARTICIPANT
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.message_type import (
+    MessageType,
+    ServiceType,
+    dds_type,
+    ros_type,
+)
+
+NODE: Final = "NN"
+PUBLISHER: Final = "MP"
+SUBSCRIPTION: Final = "MS"
+SERVER: Final = "SS"
+CLIENT: Final = "SC"
+KINDS: Final = (PUBLISHER, SUBSCRIPTION, SERVER, CLIENT)
+
+_SPACE = "@ros2_lv"
+_DEFAULT_DEPTH = 42
+_NODE_PARTS, _END_PARTS = 9, 13
+_RELIABILITIES = {"1": "reliable", "2": "best_effort"}
+_DURABILITIES = {"1": "transient_local", "2": "volatile"}
+_ATTACHMENT = struct.Struct("<qqB16s")
+_GID_SIZE = 16
+MOST_CHARACTERS: Final = 4_096
+"""Characters of a token; a longer one is ignored."""
+
+
+def key_of(domain: int, name: str, type_name: str, type_hash: str) -> str:
+    """Return the key of a topic or a service, which is given by its full name."""
+    return f"{domain}/{name.strip('/')}/{dds_type(type_name)}/{type_hash}"
+
+
+ANY_HASH: Final = "*"
+"""In a key: any version of a type. In a token there is `NO_HASH` instead."""
+NO_HASH: Final = "TypeHashNotSupported"
+
+
+def hash_of(of: MessageType | ServiceType) -> str:
+    """Return the hash of a type for a key; `ANY_HASH` if the type is known in part only."""
+    return of.type_hash if of.is_known else ANY_HASH
+
+
+def all_tokens(domain: int) -> str:
+    """Return the expression of the tokens of a domain."""
+    return f"{_SPACE}/{domain}/**"
+
+
+def wire_gid(token: str) -> bytes:
+    """Return the ID (GID) of an end in messages."""
+    return xxh3_128_digest(token.encode())[::-1]
+
+
+class Entity(Struct, frozen=True, kw_only=True, dict=True):
+    """A node, or one of its ends, as its token tells of it."""
+
+    token: str
+    domain: str
+    session: str
+    """The ID of its session."""
+    node_number: str
+    kind: str
+    node: str
+    """The full name of the node."""
+    topic: str = ""
+    """The full name of the topic or the service; empty for a node."""
+    type_name: str = ""
+    """The name of the type in ROS."""
+    type_hash: str = ""
+    qos: EndQos = EndQos()
+
+    @property
+    def key(self) -> str:
+        """The key of the topic or the service."""
+        return key_of(int(self.domain), self.topic, self.type_name, self.type_hash)
+
+    @cached_property
+    def wire_gid(self) -> bytes:
+        """The ID (GID) of the end in messages."""
+        return wire_gid(self.token)
+
+    @cached_property
+    def gid(self) -> bytes:
+        """The ID of the end in the graph, of which a part is the same for all ends of a node."""
+        node = xxh3_128_digest(f"{self.session}/{self.node_number}".encode())[PARTICIPANT]
+        return node + self.wire_gid[: _GID_SIZE - len(node)]
+
+
+class NodeTokens:
+    """Makes the tokens of one node, the only one of its session."""
+
+    def __init__(self, domain: int, session: str, namespace: str, name: str) -> None:
+        self._head = f"{_SPACE}/{domain}/{session}/0"
+        self._tail = f"%/{_escaped(namespace)}/{name}"
+        self._count = 0
+
+    def node(self) -> str:
+        """Return the token of the node itself."""
+        return f"{self._head}/0/{NODE}/{self._tail}"
+
+    def end(self, kind: str, topic: str, type_name: str, type_hash: str, qos: EndQos) -> str:
+        """Return a new token for an end."""
+        self._count += 1
+        told = NO_HASH if type_hash == ANY_HASH else type_hash
+        words = f"{_escaped(topic)}/{dds_type(type_name)}/{told}/{_qos_text(qos)}"
+        return f"{self._head}/{self._count}/{kind}/{self._tail}/{words}"
+
+
+def read_token(token: str) -> Entity | None:
+    """Read a token; None if it is not one of a node or an end of ROS."""
+    parts = token.split("/")
+    if len(parts) < _NODE_PARTS or len(token) > MOST_CHARACTERS or parts[0] != _SPACE:
+        return None
+    _, domain, session, node_number, _, kind, _, namespace, name = parts[:_NODE_PARTS]
+    if not (domain.isascii() and domain.isdecimal() and len(domain) < 10):
+        return None
+    node = f"{_plain(namespace).rstrip('/')}/{name}"
+    if kind == NODE:
+        return Entity(
+            token=token,
+            domain=domain,
+            session=session,
+            node_number=node_number,
+            kind=kind,
+            node=node,
+        )
+    if kind not in KINDS or len(parts) < _END_PARTS:
+        return None
+    topic, type_name, type_hash, words = parts[_NODE_PARTS:_END_PARTS]
+    qos = _read_qos(words)
+    if qos is None:
+        return None
+    return Entity(
+        token=token,
+        domain=domain,
+        session=session,
+        node_number=node_number,
+        kind=kind,
+        node=node,
+        topic=_plain(topic),
+        type_name=ros_type(type_name),
+        type_hash=type_hash,
+        qos=qos,
+    )
+
+
+def _escaped(name: str) -> str:
+    return name.replace("/", "%")
+
+
+def _plain(name: str) -> str:
+    return name.replace("%", "/")
+
+
+def _qos_text(qos: EndQos) -> str:
+    """Return a quality of service; what is the default of ROS is left empty."""
+    reliability = "" if qos.reliability == "reliable" else "2"
+    durability = "" if qos.durability == "volatile" else "1"
+    return f"{reliability}:{durability}:,{qos.depth}:,:,:,,"
+
+
+def _read_qos(words: str) -> EndQos | None:
+    reliability, *rest = words.split(":")
+    if len(rest) < 2:
+        return None
+    durability, history = rest[:2]
+    depth = history.partition(",")[2] or str(_DEFAULT_DEPTH)
+    if not (depth.isascii() and depth.isdecimal() and len(depth) < 20):
+        return None
+    return EndQos(
+        reliability=_RELIABILITIES.get(reliability, "reliable"),
+        durability=_DURABILITIES.get(durability, "volatile"),
+        depth=int(depth),
+    )
+
+
+class OwnEnd(NamedTuple):
+    """An end of this node."""
+
+    name: str
+    """The full name of its topic or service."""
+    key: str
+    token: str
+
+    @property
+    def gid(self) -> bytes:
+        """The ID of the end in messages."""
+        return wire_gid(self.token)
+
+
+class Attachment(NamedTuple):
+    """The words that go with each message, request and answer."""
+
+    number: int
+    """The number of the message; of a request, also of the answer to it."""
+    gid: bytes
+    """The ID of the publisher, or of the client."""
+
+
+def attachment(number: int, gid: bytes) -> bytes:
+    """Return the attachment of a message that is sent now."""
+    return _ATTACHMENT.pack(number, time.time_ns(), _GID_SIZE, gid)
+
+
+def read_attachment(data: bytes) -> Attachment | None:
+    """Read an attachment; None if it is not one of ROS."""
+    if len(data) != _ATTACHMENT.size:
+        return None
+    number, _, size, gid = _ATTACHMENT.unpack(data)
+    return Attachment(number, gid) if size == _GID_SIZE else None

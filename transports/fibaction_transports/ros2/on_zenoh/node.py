@@ -1,0 +1,193 @@
+"""A node of ROS over Zenoh, without ROS: a session, and the ends of its topics and services."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import TypeVar
+
+import zenoh
+from anyio.abc import TaskGroup
+
+from fibaction.border.event_loop import Background
+from fibaction.words.errors import TransportError, text_of
+from fibaction_transports.ros2.node.parts import (
+    AnswerSink,
+    ErrorSink,
+    MessageSink,
+    RequestSink,
+    ServiceCaller,
+    UnansweredSink,
+)
+from fibaction_transports.ros2.on_zenoh.config import Configuration
+from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
+from fibaction_transports.ros2.on_zenoh.keys import (
+    CLIENT,
+    PUBLISHER,
+    SERVER,
+    SUBSCRIPTION,
+    NodeTokens,
+    OwnEnd,
+    all_tokens,
+    hash_of,
+    key_of,
+)
+from fibaction_transports.ros2.on_zenoh.questions import ServiceQuestions
+from fibaction_transports.ros2.on_zenoh.services import ZenohCaller, ZenohProvider
+from fibaction_transports.ros2.on_zenoh.session import ZenohSession, open_session
+from fibaction_transports.ros2.on_zenoh.topics import (
+    NoLifeWatch,
+    ZenohPublisher,
+    ZenohSubscription,
+)
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
+from fibaction_transports.ros2.without_ros.node_start import NodeStart
+from fibaction_transports.ros2.without_ros.own_node import OwnNode
+
+EndT = TypeVar("EndT")
+
+
+class ZenohNode(OwnNode):
+    """A node over Zenoh."""
+
+    tells_signs = False
+    scheme = "zenoh"
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        domain: int,
+        start: NodeStart,
+        types: FileTypes,
+        tasks: TaskGroup,
+    ) -> None:
+        self.session = session
+        self._domain = domain
+        self._tasks = tasks
+        self.graph = ZenohGraph()
+        self._tokens = NodeTokens(domain, session.zid, start.name.namespace, start.name.name)
+        self._open_tokens: dict[ServiceCaller, zenoh.LivelinessToken] = {}
+        self._hear_tokens()
+        self._announce(self._tokens.node())
+        questions = ServiceQuestions(self)
+        super().__init__(
+            self.graph, start.name, start.resolver, types, questions, has_rosout=start.has_rosout
+        )
+
+    def _hear_tokens(self) -> None:
+        session, everything = self.session, all_tokens(self._domain)
+        liveliness = session.session.liveliness()
+
+        def changed(sample: zenoh.Sample) -> None:
+            change = self.graph.add if sample.kind == zenoh.SampleKind.PUT else self.graph.remove
+            change(str(sample.key_expr))
+
+        session.keep(
+            liveliness.declare_subscriber(everything, session.handler(changed), history=True)
+        )
+
+        def found(reply: zenoh.Reply) -> None:
+            self.graph.add(str(reply.ok.key_expr) if reply.ok else "")
+
+        # The subscription does not say when it has told all that was there; a query does.
+        handler = session.handler(found, self.graph.note_complete)
+        liveliness.get(everything, handler)
+
+    def _announce(self, token: str) -> zenoh.LivelinessToken:
+        declared = self.session.session.liveliness().declare_token(token)
+        self.session.keep(declared)
+        self.graph.add(token)
+        return declared
+
+    # Parts
+
+    def publisher(self, topic: str, message_type: MessageType, qos: EndQos) -> ZenohPublisher:
+        end = self._end(PUBLISHER, topic, message_type, qos)
+        self.in_use.add_messages(message_type)
+        return self._declared(
+            end, lambda: ZenohPublisher(self.session, self.graph, end, message_type, qos)
+        )
+
+    def subscription(
+        self,
+        topic: str,
+        message_type: MessageType,
+        qos: EndQos,
+        take: MessageSink,
+        *,
+        is_first: bool = False,
+    ) -> ZenohSubscription:
+        end = self._end(SUBSCRIPTION, topic, message_type, qos)
+        self.in_use.add_messages(message_type)
+        return self._declared(
+            end, lambda: ZenohSubscription(self.session, self.graph, end, message_type, qos, take)
+        )
+
+    def caller(
+        self,
+        service: str,
+        service_type: ServiceType,
+        qos: EndQos,
+        take: AnswerSink,
+        take_unreadable: ErrorSink | None = None,
+        take_unanswered: UnansweredSink | None = None,
+    ) -> ZenohCaller:
+        end = self._end(CLIENT, service, service_type, qos)
+        self.in_use.add_service(service_type)
+        caller = ZenohCaller(
+            self.session,
+            self.graph,
+            end,
+            service_type,
+            take,
+            take_unreadable,
+            take_unanswered,
+        )
+        self._open_tokens[caller] = self._announce(end.token)
+        self._tasks.start_soon(caller.run, name=f"client of {service}")
+        return caller
+
+    def remove_caller(self, caller: ServiceCaller) -> None:
+        assert isinstance(caller, ZenohCaller)
+        caller.close()
+        self._open_tokens.pop(caller).undeclare()
+
+    def provider(
+        self, service: str, service_type: ServiceType, qos: EndQos, take: RequestSink
+    ) -> ZenohProvider:
+        end = self._end(SERVER, service, service_type, qos)
+        self.in_use.add_service(service_type)
+        return self._declared(end, lambda: ZenohProvider(self.session, end, service_type, take))
+
+    def life_watch(self, topic: str, message_type: MessageType, qos: EndQos) -> NoLifeWatch:
+        return NoLifeWatch()
+
+    def _end(self, kind: str, name: str, of: MessageType | ServiceType, qos: EndQos) -> OwnEnd:
+        """Return a new end."""
+        type_hash = hash_of(of)
+        key = key_of(self._domain, name, of.name, type_hash)
+        return OwnEnd(name, key, self._tokens.end(kind, name, of.name, type_hash, qos))
+
+    def _declared(self, end: OwnEnd, make: Callable[[], EndT]) -> EndT:
+        """Make an end, and announce it: others use it as soon as they see its token."""
+        try:
+            made = make()
+            self._announce(end.token)
+        except zenoh.ZError as exc:
+            raise TransportError(f"Zenoh does not allow it: {text_of(exc)}") from exc
+        return made
+
+
+@asynccontextmanager
+async def open_node(
+    configuration: Configuration, domain: int, start: NodeStart, types: FileTypes
+) -> AsyncGenerator[ZenohNode, None]:
+    """Open a node, and run it while the block is open.
+
+    Raises:
+        TransportError: The session cannot be opened.
+    """
+    async with open_session(configuration) as session, Background() as tasks:
+        yield ZenohNode(session, domain, start, types, tasks)

@@ -1,0 +1,279 @@
+"""The ends of services over Zenoh: a request is a query, which ends with its answer.
+
+A query ends without one, too, and that is told at once: if no server has been found yet, if the
+server has thrown it away because its queue of ten was full, and if the server has died. The caller
+sends the request again then, or learns that the server has gone.
+
+Released servers of `rmw_zenoh_cpp` forget to look at a request now and then, until something else
+wakes them (https://github.com/ros2/rmw_zenoh/issues/1032): a nudge does, which is a request to
+another service of the same node, without effect.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import anyio
+import zenoh
+from anyio import current_time
+
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
+from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction_transports.ros2.node.parts import (
+    AnswerSink,
+    ErrorSink,
+    RequestSink,
+    ServiceCaller,
+    ServiceProvider,
+    UnansweredSink,
+)
+from fibaction_transports.ros2.on_zenoh.config import QUERIES_TIMEOUT
+from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
+from fibaction_transports.ros2.on_zenoh.keys import (
+    ANY_HASH,
+    SERVER,
+    OwnEnd,
+    attachment,
+    hash_of,
+    read_attachment,
+)
+from fibaction_transports.ros2.on_zenoh.session import ZenohSession
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
+
+LONGEST: Final = 10.0**9
+"""Seconds for which a request for a result waits: as long as its goal runs."""
+OPEN_REQUESTS: Final = 10_000
+"""Requests whose answers a client still knows; then the oldest is forgotten."""
+FIRST_NUDGE: Final = 0.06
+"""Seconds without an answer after which a server is nudged; each further nudge waits twice as long
+as the one before."""
+NUDGES: Final = 5
+"""Nudges for one request."""
+SHORT_QUEUE: Final = 10
+"""The depth of the queues of rclpy and rclcpp: servers with longer ones need no nudge."""
+_COMPLETE, _ALL = zenoh.QueryTarget.ALL_COMPLETE, zenoh.QueryTarget.ALL
+"""The servers of a request: those of ROS; no server is complete for a key with any hash."""
+_NOTHING: Final = bytes((0, 1, 0, 0, 0, 0, 0, 0))
+"""A request about no parameters."""
+
+logger = clean_logger("fibaction.ros2")
+
+
+class Querier:
+    """Sends requests in a session."""
+
+    def __init__(self, session: ZenohSession) -> None:
+        self._session = session
+
+    def ask(
+        self,
+        key: str,
+        payload: bytes,
+        words: bytes,
+        handler: zenoh.handlers.Callback[zenoh.Reply],
+        seconds: float,
+    ) -> None:
+        """Send a request."""
+        self._session.sender.send(
+            partial(
+                self._session.session.get,
+                key,
+                handler,
+                target=_ALL if key.endswith(ANY_HASH) else _COMPLETE,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                timeout=seconds,
+                payload=payload,
+                attachment=words,
+            ),
+            len(payload),
+        )
+
+
+class _OpenRequest(NamedTuple):
+    """A request that has no answer yet."""
+
+    due: float
+    """The time of the next nudge."""
+    nudges: int
+
+
+class ZenohCaller(ServiceCaller):
+    """A client of a service."""
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        graph: ZenohGraph,
+        end: OwnEnd,
+        service_type: ServiceType,
+        take: AnswerSink,
+        take_unreadable: ErrorSink | None,
+        take_unanswered: UnansweredSink | None,
+    ) -> None:
+        self._session = session
+        self._querier = Querier(session)
+        self._graph = graph
+        self._key = end.key
+        self._gid = end.gid
+        self._service = end.name
+        self._hash = hash_of(service_type)
+        self._encode = service_type.Request.codec.encode
+        self._decode = service_type.Response.codec.decode
+        self._take = take
+        self._take_unreadable = take_unreadable
+        self._take_unanswered = take_unanswered
+        self._number = 0
+        self._open: OrderedDict[int, _OpenRequest] = OrderedDict()
+        self._sent = Notifier()
+        self._timeout = LONGEST if end.name.endswith("/_action/get_result") else QUERIES_TIMEOUT
+
+    def send(self, request: Any) -> int:
+        if self._session.is_closed:
+            raise ConnectionLost("the session of Zenoh is closed")
+        self._number += 1
+        number = self._number
+        self._open[number] = _OpenRequest(current_time() + FIRST_NUDGE, 0)
+        if len(self._open) > OPEN_REQUESTS:
+            self._open.popitem(last=False)
+        handler = self._session.handler(
+            partial(self._receive, number), partial(self._note_end, number)
+        )
+        words = attachment(number, self._gid)
+        self._querier.ask(self._key, self._encode(request), words, handler, self._timeout)
+        self._sent.notify()
+        return number
+
+    def forget(self, number: int) -> None:
+        self._open.pop(number, None)
+
+    def close(self) -> None:
+        """Wait for no answer any more."""
+        self._open.clear()
+
+    def is_available(self) -> bool:
+        return self._graph.count_connected(SERVER, self._service, self._hash) > 0
+
+    def _receive(self, number: int, reply: zenoh.Reply) -> None:
+        if number not in self._open:
+            return  # another server has answered
+        if reply.ok is None:
+            logger.info("%s: a request failed at the server, or has timed out", self._service)
+            return  # its end follows
+        del self._open[number]
+        try:
+            response = self._decode(reply.ok.payload.to_bytes())
+        except ProtocolError as exc:
+            logger.error("an answer of %s cannot be read: %s", self._service, exc)
+            if self._take_unreadable is not None:
+                self._take_unreadable(exc)
+        else:
+            self._take(number, response)
+
+    def _note_end(self, number: int) -> None:
+        if self._open.pop(number, None) is not None and self._take_unanswered is not None:
+            self._take_unanswered(number)
+
+    # Nudges
+
+    async def run(self) -> None:
+        """Nudge servers that do not look at their requests, until canceled."""
+        while True:
+            due = min((one.due for one in self._open.values()), default=None)
+            if due is None or not (servers := self._forgetful()):
+                await self._sent.wait()
+                continue
+            await anyio.sleep_until(due)
+            now = current_time()
+            late = {number: one for number, one in self._open.items() if one.due <= now}
+            for number, one in late.items():
+                pause = FIRST_NUDGE * 2 ** (one.nudges + 1)
+                due = now + pause if one.nudges + 1 < NUDGES else float("inf")
+                self._open[number] = _OpenRequest(due, one.nudges + 1)
+            for key in servers if late else ():
+                self._nudge(key)
+
+    def _forgetful(self) -> list[str]:
+        """Return the keys of services that wake the servers with short queues."""
+        found: list[str] = []
+        for server in self._graph.ends(SERVER, self._service):
+            if server.qos.depth <= SHORT_QUEUE:
+                wakers = self._graph.ends(SERVER, f"{server.node}/get_parameter_types")
+                found += [one.key for one in wakers if one.session == server.session]
+        return found
+
+    def _nudge(self, key: str) -> None:
+        self._number += 1
+        handler = zenoh.handlers.Callback(_ignore, indirect=False)
+        words = attachment(self._number, self._gid)
+        self._querier.ask(key, _NOTHING, words, handler, QUERIES_TIMEOUT)
+
+
+def _ignore(reply: zenoh.Reply) -> None:
+    """Take the answer to a nudge."""
+
+
+class QueryHeader(NamedTuple):
+    """A query that waits for its answer."""
+
+    query: zenoh.Query
+    number: int
+    client: bytes
+
+
+class ZenohProvider(ServiceProvider):
+    """A server of a service."""
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        end: OwnEnd,
+        service_type: ServiceType,
+        take: RequestSink,
+    ) -> None:
+        self._session = session
+        self._key = end.key
+        self._service = end.name
+        self._decode = service_type.Request.codec.decode
+        self._encode = service_type.Response.codec.encode
+        self._take = take
+        made = session.session.declare_queryable(
+            end.key, session.query_handler(self._receive), complete=True
+        )
+        session.keep(made)
+
+    def _receive(self, query: zenoh.Query) -> None:
+        payload, words = query.payload, query.attachment
+        read = None if words is None else read_attachment(words.to_bytes())
+        if payload is None or read is None:
+            return self._reject(query, "it does not name its client")
+        try:
+            request = self._decode(payload.to_bytes())
+        except ProtocolError as exc:
+            return self._reject(query, f"it cannot be read: {exc}")
+        return self._take(QueryHeader(query, read.number, read.gid), request)
+
+    def _reject(self, query: zenoh.Query, problem: str) -> None:
+        logger.error("a request to %s was dropped: %s", self._service, problem)
+        self._session.sender.send(partial(_reply_error, query, problem), len(problem))
+
+    def answer(self, header: QueryHeader, response: Any) -> bool:
+        payload = self._encode(response)
+        words = attachment(header.number, header.client)
+        self._session.sender.send(
+            partial(_reply, header.query, self._key, payload, words), len(payload)
+        )
+        return True
+
+
+def _reply(query: zenoh.Query, key: str, payload: bytes, words: bytes) -> None:
+    query.reply(key, payload, attachment=words)
+    query.drop()
+
+
+def _reply_error(query: zenoh.Query, problem: str) -> None:
+    query.reply_err(problem)
+    query.drop()

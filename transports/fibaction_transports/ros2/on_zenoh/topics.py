@@ -1,0 +1,139 @@
+"""The ends of topics over Zenoh."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from fibaction.border.peer_text import clean_logger
+from fibaction_transports.ros2.node.parts import (
+    LifeSigns,
+    LifeWatch,
+    MessageSink,
+    TopicPublisher,
+    TopicSubscription,
+)
+from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
+from fibaction_transports.ros2.on_zenoh.keys import (
+    PUBLISHER,
+    SUBSCRIPTION,
+    OwnEnd,
+    attachment,
+    hash_of,
+    read_attachment,
+)
+from fibaction_transports.ros2.on_zenoh.session import ZenohSession
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
+
+logger = clean_logger("fibaction.ros2")
+
+
+class ZenohPublisher(TopicPublisher):
+    """A publisher of a topic."""
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        graph: ZenohGraph,
+        end: OwnEnd,
+        message_type: MessageType,
+        qos: EndQos,
+    ) -> None:
+        self._sender = session.sender
+        self._graph = graph
+        self._gid = end.gid
+        self._topic = end.name
+        self._hash = hash_of(message_type)
+        self._encode = message_type.codec.encode
+        self._number = 0
+        self._sent = 0
+        is_reliable = qos.reliability == "reliable"
+        block, drop = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
+        congestion = block if is_reliable else drop
+        if qos.durability == "transient_local":
+            # Without heartbeats, which tell that the last message was lost: none is lost, and a
+            # publisher with heartbeats holds the garbage collector up for ten seconds now and then.
+            self._put = ext.declare_advanced_publisher(
+                session.session,
+                end.key,
+                congestion_control=congestion,
+                cache=ext.CacheConfig(max_samples=qos.depth),
+                publisher_detection=True,
+            ).put
+        else:
+            self._put = session.session.declare_publisher(
+                end.key, congestion_control=congestion
+            ).put
+
+    def publish(self, message: Any) -> None:
+        self.publish_bytes(self._encode(message))
+
+    def publish_bytes(self, message: bytes) -> None:
+        if self._sender.held.has_room():
+            self._number += 1
+            self._sender.send(partial(self._write, message, self._number), len(message))
+
+    def _write(self, message: bytes, number: int) -> None:
+        self._sent = number
+        self._put(message, attachment=attachment(number, self._gid))
+
+    def reader_count(self) -> int:
+        return self._graph.count_connected(SUBSCRIPTION, self._topic, self._hash)
+
+    def has_arrived(self, margin: int) -> bool:
+        # Zenoh waits until each message is in the queue of its link, which is short.
+        return self._number - self._sent <= margin
+
+
+class ZenohSubscription(TopicSubscription):
+    """A subscription to a topic."""
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        graph: ZenohGraph,
+        end: OwnEnd,
+        message_type: MessageType,
+        qos: EndQos,
+        take: MessageSink,
+    ) -> None:
+        self._graph = graph
+        self._topic = end.name
+        self._hash = hash_of(message_type)
+        self._take = take
+        handler = session.message_handler(self._receive)
+        if qos.durability == "transient_local":
+            history = ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)
+            made = ext.declare_advanced_subscriber(
+                session.session,
+                end.key,
+                handler,
+                history=history,
+                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+                subscriber_detection=True,
+            )
+            session.keep(made)
+        else:
+            session.keep(session.session.declare_subscriber(end.key, handler))
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        words = sample.attachment
+        read = None if words is None else read_attachment(words.to_bytes())
+        if read is None:
+            logger.info("a message on %s was dropped: it has no attachment of ROS", self._topic)
+        else:
+            self._take(sample.payload.to_bytes(), self._graph.publisher(read.gid))
+
+    def publisher_count(self) -> int:
+        return self._graph.count_connected(PUBLISHER, self._topic, self._hash)
+
+
+class NoLifeWatch(LifeWatch):
+    """A look-out that sees nothing: a server lives as long as its tokens are there."""
+
+    def news(self) -> LifeSigns | None:
+        return None

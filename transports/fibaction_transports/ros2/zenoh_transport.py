@@ -1,0 +1,64 @@
+"""`zenoh://host:port/node_name`: actions of ROS 2 over Zenoh where no ROS is installed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Unpack
+from urllib.parse import SplitResult
+
+from fibaction.border.settings import TransportSettings
+from fibaction.words.extras import NeedsExtra
+from fibaction_transports.ros2.ros_transport import RosTransport
+from fibaction_transports.ros2.settings import NodeSettings
+
+with NeedsExtra("zenoh://", "fibaction[zenoh]"):
+    from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import ZenohKeywords
+
+ROUTER_PORT: Final = 7447
+"""The port of a router of Zenoh."""
+
+
+class ZenohTransport(RosTransport):
+    """The actions of a ROS graph whose nodes run on `rmw_zenoh_cpp`."""
+
+    settings_type: ClassVar[type[TransportSettings]] = ZenohSettings
+    scheme = "zenoh"
+
+    def __init__(
+        self,
+        node_name: str | None = None,
+        **settings: Unpack[ZenohKeywords],
+    ) -> None:
+        """Describe the node; nothing is made yet. Each `serve` and `connect` makes its own.
+
+        Args:
+            node_name: The name of the node; None makes a unique name.
+            settings: See the table of settings.
+
+        Raises:
+            ValueError: A number is out of range, or a word is not valid.
+        """
+        made = ZenohSettings.of(self, settings)
+        node = NodeSettings(node_name or "", made.namespace, made.domain_id, made.arguments)
+        super().__init__(ZenohAdapter(node, made), made)
+
+    @classmethod
+    def address_of(cls, parts: SplitResult) -> dict[str, Any]:
+        """Return the router, and the name of the node, in a URL.
+
+        Raises:
+            ValueError: The port is not a number, or the path has several names.
+        """
+        host, port, name = parts.hostname, parts.port, parts.path.strip("/")
+        if "/" in name:
+            raise ValueError(
+                "its path has several names; a URL of ROS over Zenoh is, for example,"
+                f" {cls.scheme}://robot.local:7447/node_name?namespace=/robot1"
+            )
+        address: dict[str, Any] = {"node_name": name or None}
+        if host:
+            host = f"[{host}]" if ":" in host else host
+            address["locators"] = (f"tcp/{host}:{ROUTER_PORT if port is None else port}",)
+        return address
