@@ -33,7 +33,7 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     key_of,
 )
 from fibaction_transports.ros2.on_zenoh.questions import ServiceQuestions
-from fibaction_transports.ros2.on_zenoh.services import ZenohCaller, ZenohProvider
+from fibaction_transports.ros2.on_zenoh.services import ZenohCaller, ZenohProvider, ignore_reply
 from fibaction_transports.ros2.on_zenoh.session import ZenohSession, open_session
 from fibaction_transports.ros2.on_zenoh.topics import (
     NoLifeWatch,
@@ -88,11 +88,8 @@ class ZenohNode(OwnNode):
             liveliness.declare_subscriber(everything, session.handler(changed), history=True)
         )
 
-        def found(reply: zenoh.Reply) -> None:
-            self.graph.add(str(reply.ok.key_expr) if reply.ok else "")
-
-        # The subscription does not say when it has told all that was there; a query does.
-        handler = session.handler(found, self.graph.note_complete)
+        # The subscription does not say when it has told all that was there; a query after it does.
+        handler = session.handler(ignore_reply, self.graph.note_complete)
         liveliness.get(everything, handler)
 
     def _announce(self, token: str) -> zenoh.LivelinessToken:

@@ -207,13 +207,13 @@ class ZenohCaller(ServiceCaller):
 
     def _nudge(self, key: str) -> None:
         self._number += 1
-        handler = zenoh.handlers.Callback(_ignore, indirect=False)
+        handler = zenoh.handlers.Callback(ignore_reply, indirect=False)
         words = attachment(self._number, self._gid)
         self._querier.ask(key, _NOTHING, words, handler, QUERIES_TIMEOUT)
 
 
-def _ignore(reply: zenoh.Reply) -> None:
-    """Take the answer to a nudge."""
+def ignore_reply(reply: zenoh.Reply) -> None:
+    """Take an answer of which only the end counts."""
 
 
 class QueryHeader(NamedTuple):
