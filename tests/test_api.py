@@ -498,6 +498,12 @@ async def cook(minutes: int, timeout: float = 1.0) -> float:
     return minutes + timeout
 
 
+@action
+async def log_in(token: str) -> str:
+    return token
+
+
+ANY_LOG_IN = cast("Any", log_in)
 PLAIN: Any = Action("plain", goal=int, feedback=int, result=str)
 ANY_COOK, ANY_DRIVE, ANY_HOME = (cast("Any", one) for one in (cook, drive, home))
 
@@ -510,6 +516,8 @@ ANY_COOK, ANY_DRIVE, ANY_HOME = (cast("Any", one) for one in (cook, drive, home)
         (ANY_DRIVE, (1, 2), {}, "drive(meters: int): too many positional arguments"),
         (ANY_DRIVE, (1,), {"sped": 2}, "; the parameters of 'drive' are meters"),
         (ANY_HOME, (1,), {}, "home(): too many positional arguments"),
+        (ANY_DRIVE, (drive.goal_of(1), 2), {}, "is a whole goal of 'drive', and stands alone"),
+        (ANY_LOG_IN, (), {"token": "x"}, "'token' is a setting of connections, and a parameter"),
         (PLAIN, (), {"a": 2}, "; the goal of 'plain' is one value, given as one argument"),
         (PLAIN, (1, 2), {}, "is one value, and is given as one argument: there are several"),
     ],

@@ -102,7 +102,17 @@ def goal_and_connection(
         TypeError: Something is neither an argument, nor an option, nor a setting.
     """
     others = {name: given.pop(name) for name in given.keys() - CALL_OPTIONS}
-    fields = {name: others.pop(name) for name in others.keys() & action.parameters}
+    fields: dict[str, Any] = {}
+    if not (args and action.goal.holds(args[0])):
+        fields = {name: others.pop(name) for name in others.keys() & action.parameters}
+    if fields:
+        from fibaction_transports.keywords import ConnectKeywords  # here, since few calls need it
+
+        for name in fields.keys() & ConnectKeywords.__annotations__.keys():
+            raise TypeError(
+                f"{name!r} is a setting of connections, and a parameter of {action.name!r}: give it"
+                f" to goal_of for the parameter, or to connect() for the setting"
+            )
     goal = goal_of(action, args, fields, **given)
     try:
         return goal, connecting(where, action, **others)

@@ -200,7 +200,8 @@ def _chosen(endpoints: Served | Iterable[Served]) -> tuple[Endpoint, ...]:
     from fibaction.server import ActionServer, FunctionAction, actions_of  # as above
 
     given: Iterable[Any] = (endpoints,)
-    if isinstance(endpoints, Iterable) and not isinstance(endpoints, Endpoint | str):
+    is_one = isinstance(endpoints, Endpoint | str) or actions_of(endpoints)
+    if isinstance(endpoints, Iterable) and not is_one:
         given = cast("Iterable[Any]", endpoints)
     chosen: list[Endpoint] = []
     one: Any

@@ -72,12 +72,19 @@ def goal_of(
         TypeError: The arguments do not fit the action, or a name is that of an option and that of
             a parameter.
     """
-    if len(args) == 1 and not fields and action.goal.holds(args[0]):
-        return args[0]
+    if args and action.goal.holds(args[0]):
+        if len(args) == 1 and not fields:
+            return args[0]
+        if action.parameters:
+            raise TypeError(
+                f"{args[0]!r} is a whole goal of {action.name!r}, and stands alone: give the other"
+                f" arguments to what made it"
+            )
     for name, value in options.items():
         if value is not None and name in action.parameters:
+            made = f"{getattr(action, '__qualname__', action.name)}.goal_of({name}=...)"
             raise TypeError(
                 f"{name!r} is an option of the call, and a parameter of {action.name!r}: make the"
-                f" goal with `{action.name}.goal_of({name}=...)`, and give options beside it"
+                f" goal with `{made}`, and give options beside it"
             )
     return action.goal_from(args, fields)

@@ -87,6 +87,8 @@ async def run_executor(  # type: ignore[misc]  # an argument with the name of an
             field. A server does not check this; its clients raise this error.
         GoalRejected: The goal is not of its type.
     """
+    if not issubclass(type(action), Action):  # `isinstance` would leave its types unknown
+        raise TypeError(f"run_executor() takes an action, not {action!r}: make one with @action")
     executor: Any = None
     if args and callable(args[0]):  # which no goal is
         executor, args = args[0], args[1:]

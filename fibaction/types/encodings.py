@@ -104,14 +104,15 @@ _SPECIAL = {"types", "typing", "typing_extensions"}
 """The modules of the classes of types that are not classes, such as `list[int]`."""
 
 
-def has_pydantic(kind: Any, seen: frozenset[int] = frozenset()) -> bool:
+def has_pydantic(kind: Any, seen: set[int] | None = None) -> bool:
     """Return whether a type is a model or a dataclass of pydantic, or has one in it.
 
-    `seen` are the types, by their identity, that have this one in them.
+    `seen` are the types, by their identity, that need not be looked at again.
     """
+    seen = set() if seen is None else seen
     if id(kind) in seen:  # a type may contain itself
         return False
-    seen |= {id(kind)}
+    seen.add(id(kind))
     if isinstance(kind, type) and hasattr(kind, "__pydantic_serializer__"):
         return True
     # A `NewType` and a type alias name another type.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import inspect
 import threading
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
 from functools import partial
@@ -130,7 +132,7 @@ def test_a_single_parameter_that_has_fields_is_the_goal_itself(function: Any, go
     made = action("go")(function)
     assert made.goal.decode(made.goal.encode(goal)) == goal
     assert made.goal_of(goal) is made.goal_of(goal=goal) is goal
-    assert made.parameters == frozenset()
+    assert made.parameters == {"goal"}
 
 
 async def of_a_union(goal: Pose | None = None) -> None: ...
@@ -210,7 +212,9 @@ def of_names(**meters: int) -> None: ...
 def of_perhaps_a_report(meters: int, report: Report[int] | None = None) -> None: ...
 def of_a_function(meters: int, report: Callable[[int], None]) -> None: ...
 def of_what_is_not_defined(meters: Metres) -> None: ...  # type: ignore[name-defined]  # noqa: F821  # pyright: ignore[reportUndefinedVariable]  # as above
-def of_a_changeable_default(meters: int, way: list[int] = [1]) -> None: ...  # noqa: B006  # as above
+def of_a_wrong_default(meters: int = cast("int", "one")) -> None: ...
+def of_a_default_of_all(pose: Pose = Pose(1)) -> None: ...  # noqa: B008  # it is rejected for that
+def of_a_typo(meters: "int | ") -> None: ...  # type: ignore[valid-type]  # noqa: F722  # as above
 def of_a_thread(thread: threading.Thread) -> None: ...
 async def yields(goal: GoalHandle[int]) -> AsyncIterator[int]:
     yield 1
@@ -251,7 +255,16 @@ class Yields:
         ),
         (staticmethod(of_many), "is a staticmethod: write @action below @staticmethod"),
         (classmethod(cast("Any", of_many)), "is a classmethod: an action is a method of an object"),
-        (of_a_changeable_default, "cannot have its parameters as fields of a goal: "),
+        (
+            of_a_wrong_default,
+            "cannot have its parameters as fields of a goal: the default of 'meters', 'one', is",
+        ),
+        (
+            of_a_default_of_all,
+            "cannot have its parameters as fields of a goal: 'pose' is the goal itself, and has",
+        ),
+        (of_a_typo, "has a type that cannot be read: "),
+        (Pose, "is a class: write @action above its methods"),
         (yields, "is a generator function, and @action is for functions that report and return"),
         (yields_without_async, "is a generator function, and @action is for functions"),
         (Yields(), "is a generator function, and @action is for functions"),
@@ -578,3 +591,68 @@ async def test_a_function_takes_and_returns_paths() -> None:
     path = {"type": "string", "format": "path"}
     properties = backup.info.goal["$defs"]["BackupGoal"]["properties"]
     assert properties == {"source": path, "into": {**path, "default": "/backup"}}
+
+
+# What strangers do
+
+
+async def test_a_default_that_can_be_changed_is_one_of_each_goal() -> None:
+    @action
+    async def collect(n: int, way: list[int] = [0], more: list[int] = []) -> list[int]:  # noqa: B006  # that is shown
+        way.append(n)
+        return way + more
+
+    @action
+    async def with_a_model(n: int, place: Place = Place(x=1), way: list[int] = [0]) -> float:  # noqa: B006, B008  # as above
+        way.append(n)
+        place.x += len(way)
+        return place.x
+
+    for _ in range(2):
+        assert (await outcome_of(collect, 1)).result == [0, 1]
+        assert (await outcome_of(with_a_model, 1)).result == 3.0
+
+
+def test_an_attribute_of_the_function_is_none_of_its_action() -> None:
+    async def drive(meters: int) -> None: ...
+
+    marked: Any = drive
+    marked.name, marked.run, marked.goal = "other", 3, (1, 2)
+    made = action(drive)
+    assert (made.name, callable(made.run), *made.parameters) == ("drive", True, "meters")
+
+
+async def test_a_wrapper_of_an_async_function_is_awaited() -> None:
+    def logged(function: Any) -> Any:
+        @functools.wraps(function)
+        def inner(*args: Any, **kwargs: Any) -> Any:
+            return function(*args, **kwargs)
+
+        return inner
+
+    made = action(logged(drive._function))
+    assert (await run_executor(made, meters=2)).outcome.result == "drove 2 m"
+
+
+def test_a_method_without_the_decorator_does_not_hide_an_action() -> None:
+    class Hidden(Rover):
+        async def move(self, report: Report[float], x: float) -> float:  # type: ignore[override]  # that is shown
+            return x
+
+    with pytest.raises(
+        TypeError, match=r"^Hidden\.move takes the place of the action Rover\.move: "
+    ):
+        actions_of(Hidden(1))
+
+
+def test_the_types_of_a_method_may_be_those_around_its_class() -> None:
+    class Local(msgspec.Struct):
+        x: int
+
+    class Inner:
+        @action
+        async def move(self: Inner, to: Local) -> None: ...
+
+    made: Any = Inner.move
+    assert made.goal.type is Local
+    assert [*inspect.signature(Inner().move).parameters] == ["to"]

@@ -64,7 +64,10 @@ def import_servers(target: str) -> list[AnyServer]:
     value = _call(found, module, _attribute(found, module))
     several = issubclass(type(value), list | tuple)
     given: list[Any] = list(value) if several else [value]
-    servers = [server for one in given for server in _servers_of_one(one)]
+    try:
+        servers = [server for one in given for server in _servers_of_one(one)]
+    except TypeError as exc:
+        raise Failure(f"{target}: {exc}") from exc
     wrong = [type(one).__name__ for one in servers if not isinstance(one, ActionServer)]
     if wrong or not servers:
         place = "in the list " if several else ""
@@ -118,7 +121,8 @@ def _attribute(target: Target, module: ModuleType) -> Any:
 
 def _call(target: Target, module: ModuleType, value: Any) -> Any:
     """Return what the user's function returns; anything else as it is."""
-    if issubclass(type(value), ActionServer | FunctionAction) or not callable(value):
+    is_server = issubclass(type(value), ActionServer | FunctionAction) or actions_of(value)
+    if is_server or not callable(value):
         return value
     if inspect.iscoroutinefunction(value) or inspect.isasyncgenfunction(value):
         text = "is an async function, and not an ActionServer or what gives one"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable, Coroutine
+from types import FrameType
 from typing import Any, Concatenate, TypeAlias, TypeVar, overload
 
 from fibaction.server.functions.function_action import FunctionAction
 from fibaction.server.functions.report import Report
+from fibaction.server.functions.signature import innermost
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.types.action import FeedbackT, ResultT
 from fibaction.types.arguments import P
@@ -164,9 +167,24 @@ class ActionDecorator:
             function,
             checkpoint=self._checkpoint,
             type_name=self._type_name,
-            # Types may be names of the block that the function is defined in.
-            names=sys._getframe(1).f_locals,  # pyright: ignore[reportPrivateUsage]  # as for namedtuple
+            names=_names_around(function, sys._getframe(1)),  # pyright: ignore[reportPrivateUsage]  # as namedtuple does
         )
+
+
+def _names_around(function: Callable[..., Any], frame: FrameType | None) -> dict[str, Any]:
+    """Return the names of the block that a function is defined in, for its types.
+
+    They are those of a class and of the function around it, too. A function of another module has
+    its types there.
+    """
+    names: dict[str, Any] = {}
+    module = getattr(innermost(function), "__globals__", None)
+    while frame is not None and frame.f_globals is module:
+        names = {**frame.f_locals, **names}
+        if frame.f_code.co_flags & inspect.CO_OPTIMIZED:  # a function, and not the body of a class
+            break
+        frame = frame.f_back
+    return names
 
 
 action = ActionDecorator()

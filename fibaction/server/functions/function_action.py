@@ -14,7 +14,7 @@ from anyio.lowlevel import RunVar
 
 from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.functions.report import DONE, Report
-from fibaction.server.functions.signature import FunctionSignature, innermost
+from fibaction.server.functions.signature import FunctionSignature, innermost, is_async
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.types.action import Action, Codec, FeedbackT, ResultT
 from fibaction.types.arguments import Arguments, P
@@ -74,19 +74,15 @@ class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, Resu
             checkpoint=checkpoint,
             type_name=type_name,
         )
-        self.parameters = (
-            frozenset() if signature.goal.is_whole else frozenset(signature.goal.names)
-        )
+        self.parameters = frozenset(signature.fields)
         self.description = inspect.getdoc(innermost(function)) or ""
         self._function = function
-        self._call_text = f"{getattr(function, '__name__', name)}()"
-        self._is_async = inspect.iscoroutinefunction(function) or inspect.iscoroutinefunction(
-            type(function).__call__
-        )
+        self._call_text = f"{signature.name}()"
+        self._is_async = is_async(function)
         self._threads: RunVar[CapacityLimiter] = RunVar(f"threads of {self.name}")
         self.is_bound = not signature.is_method
         """False for a method whose object is not known; then it cannot be served."""
-        update_wrapper(self, function)
+        update_wrapper(self, function, updated=())
 
     # For type checkers. The last one is for those that cannot follow the first two.
 
@@ -113,6 +109,7 @@ class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, Resu
         bound = copy(self)
         bound._function = self._function.__get__(instance, owner)
         bound.is_bound = True
+        vars(bound)["__wrapped__"] = bound._function  # for `inspect.signature`
         return bound
 
     def __call__(self, *args: Any, **kwargs: Any) -> CallT:
@@ -140,7 +137,7 @@ class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, Resu
         bound = inspect.BoundArguments(called, OrderedDict(found, **{name: _as_report(given)}))
         return self._function(*bound.args, **bound.kwargs)
 
-    def goal_of(self, *args: P.args, **kwargs: P.kwargs) -> Arguments[P]:
+    def goal_of(self, /, *args: P.args, **kwargs: P.kwargs) -> Arguments[P]:
         """Return the goal with which a server calls the function with these arguments.
 
         It serves where options stand beside several arguments:
@@ -195,14 +192,25 @@ class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, Resu
 
 
 def actions_of(instance: object) -> list[FunctionAction[..., Any, Any, Any]]:
-    """Return the actions that are methods of an object, in the order of their definition."""
+    """Return the actions that are methods of an object, in the order of their definition.
+
+    Raises:
+        TypeError: Its class has a method without `@action` in place of an action of another class.
+    """
     cls = type(instance)
-    names = dict.fromkeys(name for one in reversed(cls.__mro__) for name in vars(one))
-    return [
-        getattr(instance, name)
-        for name in names
-        if issubclass(type(getattr(cls, name, None)), FunctionAction)
-    ]
+    found: list[FunctionAction[..., Any, Any, Any]] = []
+    for name in dict.fromkeys(name for one in reversed(cls.__mro__) for name in vars(one)):
+        method = getattr(cls, name, None)
+        if issubclass(type(method), FunctionAction):
+            found.append(getattr(instance, name))
+        elif inspect.isfunction(method):
+            for base in cls.__mro__:
+                if issubclass(type(vars(base).get(name)), FunctionAction):
+                    raise TypeError(
+                        f"{cls.__name__}.{name} takes the place of the action"
+                        f" {base.__name__}.{name}: write @action above it"
+                    )
+    return found
 
 
 def _as_report(given: Any) -> Any:

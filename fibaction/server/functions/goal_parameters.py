@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
+from copy import deepcopy
 from dataclasses import field, make_dataclass
 from functools import partial
 from inspect import Parameter, Signature
@@ -13,8 +13,9 @@ from typing import Annotated, Any, cast, get_args, get_origin
 
 import msgspec
 
-from fibaction.types.action import Codec
+from fibaction.types.action import EMPTY_MAP, Codec
 from fibaction.types.encodings import has_pydantic
+from fibaction.words.errors import ProtocolError
 
 
 class GoalParameters:
@@ -39,6 +40,8 @@ class GoalParameters:
         )
         self.names = [one.name for one in parameters]
         """The names of the parameters."""
+        for one in parameters:
+            self._check_default(one)
         self.type: Any = parameters[0].annotation if self.is_whole else self._made(parameters)
         """The type of the goal."""
 
@@ -68,9 +71,26 @@ class GoalParameters:
             return {self.names[0]: goal}
         return {name: getattr(goal, name) for name in self.names}
 
+    def _check_default(self, parameter: Parameter) -> None:
+        default, name = parameter.default, parameter.name
+        if default is Parameter.empty:
+            return
+        codec = Codec(parameter.annotation)
+        try:
+            codec.decode(codec.encode(default))
+            fits = codec.holds(default)
+        except Exception:  # a type may run code of its own
+            fits = False
+        if not fits:
+            raise TypeError(f"the default of {name!r}, {default!r}, is not {codec.type_text}")
+        if self.is_whole and default is not None and default != _without_fields(codec):
+            raise TypeError(
+                f"{name!r} is the goal itself, and has a default: give defaults to its fields"
+            )
+
     def _made(self, parameters: Sequence[Parameter]) -> Any:
         name = "".join(part.title() for part in self._function.split("_")) + "Goal"
-        if "pydantic" in sys.modules and any(has_pydantic(one.annotation) for one in parameters):
+        if "pydantic" in sys.modules and any(_is_of_pydantic(one.annotation) for one in parameters):
             return make_dataclass(name, _dataclass_fields(parameters), kw_only=True)
         is_ordered = all(one.kind is not Parameter.KEYWORD_ONLY for one in parameters)
         fields = list(_struct_fields(parameters))
@@ -94,15 +114,31 @@ def _has_fields(kind: Any) -> bool:
     return has_fields(schema)
 
 
+def _without_fields(codec: Codec[Any]) -> Any:
+    """Return the goal of a client that gives no fields; None if it needs some."""
+    try:
+        return codec.decode(EMPTY_MAP)
+    except ProtocolError:
+        return None
+
+
+def _is_of_pydantic(annotation: Any) -> bool:
+    """Return whether a type has a model in it, or a mark of pydantic."""
+    marks = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
+    return has_pydantic(annotation) or any(
+        type(mark).__module__.startswith("pydantic") for mark in marks
+    )
+
+
 def _struct_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
     for one in parameters:
         kind = _described(one.annotation, msgspec.Meta)
         if one.default is Parameter.empty:
             yield one.name, kind
-        elif isinstance(one.default, PurePath):  # of which msgspec has no schema
-            yield one.name, kind, msgspec.field(default_factory=partial(copy, one.default))
-        else:
+        elif _is_shared(one.default) or one.default in ([], {}):  # msgspec makes new ones
             yield one.name, kind, one.default
+        else:
+            yield one.name, kind, msgspec.field(default_factory=partial(deepcopy, one.default))
 
 
 def _dataclass_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
@@ -112,8 +148,19 @@ def _dataclass_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
         kind = _described(one.annotation, Field)
         if one.default is Parameter.empty:
             yield one.name, kind
-        else:
+        elif _is_shared(one.default):
             yield one.name, kind, field(default=one.default)
+        else:
+            yield one.name, kind, field(default_factory=partial(deepcopy, one.default))
+
+
+def _is_shared(default: Any) -> bool:
+    """Return whether all goals may have one object as their default: what cannot be changed."""
+    try:
+        hash(default)
+    except TypeError:
+        return False
+    return not isinstance(default, PurePath)  # of which msgspec has no schema
 
 
 def _described(annotation: Any, mark_of: Any) -> Any:

@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from inspect import Parameter
+from types import SimpleNamespace
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 from fibaction.server.functions.goal_parameters import GoalParameters
@@ -34,7 +35,7 @@ class FunctionSignature:
         """True if the first parameter is the object that the function is a method of."""
         if self.is_method:
             del parameters[next(iter(parameters))]
-        hints = self._hints_of(function, names)
+        hints = self._hints_of(function, parameters, names)
         if "return" not in hints:
             self._fail("has no type for what it returns: write `-> str`, or `-> None`")
         self.result: Any = hints["return"]
@@ -63,7 +64,8 @@ class FunctionSignature:
                 fields.append(parameter.replace(annotation=hint))
         self.goal = self._goal_of(fields, request)
         """The parameters that are the goal."""
-        self._takes_goal = bool(fields)
+        self.fields = [one.name for one in fields]
+        """The names of the parameters that a client gives."""
         self._positional = [
             name for name, one in parameters.items() if one.kind is Parameter.POSITIONAL_ONLY
         ]
@@ -72,7 +74,7 @@ class FunctionSignature:
         self, request: Any, handle: GoalHandle[Any], report: Report[Any]
     ) -> tuple[Sequence[Any], dict[str, Any]]:
         """Return the arguments with which the function is called for a goal."""
-        given = self.goal.arguments(request) if self._takes_goal else {}
+        given = self.goal.arguments(request) if self.fields else {}
         if self.report:
             given[self.report] = report
         if self._handle:
@@ -82,6 +84,8 @@ class FunctionSignature:
         return [given.pop(name) for name in self._positional], given
 
     def _check_kind(self, function: Callable[..., Any]) -> None:
+        if inspect.isclass(function):
+            self._fail("is a class: write @action above its methods")
         if isinstance(function, staticmethod):
             self._fail("is a staticmethod: write @action below @staticmethod, next to the function")
         if isinstance(function, classmethod):
@@ -95,15 +99,25 @@ class FunctionSignature:
                 )
 
     def _hints_of(
-        self, function: Callable[..., Any], names: Mapping[str, Any] | None
+        self,
+        function: Callable[..., Any],
+        parameters: Mapping[str, Parameter],
+        names: Mapping[str, Any] | None,
     ) -> dict[str, Any]:
         read: Any = innermost(function)
         if not hasattr(read, "__annotations__"):
             read = type(read).__call__
+        module: dict[str, Any] = getattr(inspect.unwrap(read), "__globals__", {})
+        given = inspect.get_annotations(read)
+        wanted = {name: given[name] for name in (*parameters, "return") if name in given}
         try:
-            return get_type_hints(read, localns=dict(names or {}), include_extras=True)
+            return get_type_hints(
+                SimpleNamespace(__annotations__=wanted), module, dict(names or {}), True
+            )
         except NameError as exc:
             self._fail(f"has a type that is not defined here: {exc}", exc)
+        except Exception as exc:  # evaluating a type runs whatever it says
+            self._fail(f"has a type that cannot be read: {exc}", exc)
 
     def _hint_of(self, name: str, parameter: Parameter, hints: dict[str, Any]) -> Any:
         if parameter.kind in NO_FIELDS:
@@ -157,6 +171,12 @@ def innermost(function: Callable[..., Any]) -> Callable[..., Any]:
     while isinstance(function, partial):
         function = function.func
     return function
+
+
+def is_async(function: Callable[..., Any]) -> bool:
+    """Return whether a call of a function is to be awaited, also behind a wrapper of it."""
+    read = inspect.unwrap(innermost(function))
+    return inspect.iscoroutinefunction(read) or inspect.iscoroutinefunction(type(read).__call__)
 
 
 def _parameters_of(function: Callable[..., Any]) -> dict[str, Parameter]:
