@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import AsyncGenerator, AsyncIterator, Generator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -218,15 +218,16 @@ async def run_broker(program: str, config: Path, data: str) -> int:
 
 @asynccontextmanager
 async def _stopped_after_a_kill(process: Process) -> AsyncGenerator[None, None]:
-    """Let a process be stopped if this one is killed in the block: by a shell that reads from it,
-    and comes to the end of its input then.
+    """Let a process be stopped if this one is killed in the block: by a shell that reads from it.
+
+    The end of its input says that this process is gone, and a line that the block has ended.
     """
     shell = shutil.which("sh")
     if shell is None:  # on Windows
         yield
         return
     guard = await anyio.open_process(
-        [shell, "-c", 'read line; kill "$0"', str(process.pid)],
+        [shell, "-c", 'read line || kill "$0"', str(process.pid)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -235,8 +236,10 @@ async def _stopped_after_a_kill(process: Process) -> AsyncGenerator[None, None]:
     try:
         yield
     finally:
-        guard.kill()
         with anyio.CancelScope(shield=True):
+            if guard.stdin is not None:
+                with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
+                    await guard.stdin.send(b"\n")
             await guard.aclose()
 
 
