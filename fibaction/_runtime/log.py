@@ -288,5 +288,5 @@ def _text(exc: BaseException) -> str:
     """Return the text of an error, cut."""
     try:
         return shortened(str(exc), REASON)
-    except Exception:
+    except (Exception, SystemExit):
         return f"(no text of a {type(exc).__name__})"

@@ -294,7 +294,7 @@ def text_of(exc: BaseException) -> str:
             return excerpt(f"sys.exit({code}) was called", REASON)
         text = str(exc)
         return excerpt(f"{type(exc).__name__}: {text}" if text else type(exc).__name__, REASON)
-    except Exception:
+    except FAILURES:
         return type(exc).__name__
 
 

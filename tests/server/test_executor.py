@@ -129,6 +129,21 @@ async def test_the_error_of_another_goal_that_passes_through_keeps_its_reason(
     assert f"{error.__name__}: {reason}" in caplog.text
 
 
+@pytest.mark.parametrize("said", [RuntimeError, SystemExit])
+async def test_an_error_that_cannot_say_what_it_is_ends_its_goal_alone(
+    said: type[BaseException],
+) -> None:
+    class Mute(TypeError):
+        def __str__(self) -> str:
+            raise said
+
+    async def raises(goal: GoalHandle[Goal]) -> Items:
+        raise Mute
+        yield Result([])
+
+    assert await Bench(raises).run() == Ending(EndKind.FAILED, None, "Mute")
+
+
 async def is_stuck(goal: GoalHandle[Goal]) -> Items:
     yield Feedback([1])
     raise ValueError("the arm is stuck")

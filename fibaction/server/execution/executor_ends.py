@@ -136,18 +136,21 @@ def failed(
     exc: BaseException, action: Action[Any, Any, Any], goal: GoalRecord, result: bytes | None = None
 ) -> Ending:
     """Return the end of an executor by another error, and log it."""
-    reason = str(exc) if isinstance(exc, Misuse) else text_of(exc) + _hint(exc, action)
+    if isinstance(exc, Misuse):
+        reason = str(exc)
+    else:
+        text = text_of(exc)  # what the user's class has as `__str__` may raise
+        reason = text + _hint(exc, text, action)
     _log_failure(reason, exc, action.name, goal)
     return Ending(EndKind.FAILED, result, reason)
 
 
-def _hint(exc: BaseException, action: Action[Any, Any, Any]) -> str:
+def _hint(exc: BaseException, text: str, action: Action[Any, Any, Any]) -> str:
     """Return what to write in place of what was probably meant; empty if it is not known."""
     if isinstance(exc, GoalRejected) and exc.goal_id is None:  # not of a goal that was sent
         return " (the goal is accepted by now: raise GoalAborted here, or reject it in on_goal)"
     if not isinstance(exc, TypeError):
         return ""
-    text = str(exc)
     if "'GoalHandle'" in text:
         return " (what the client sent is goal.request)"
     for kind in action.goal.classes:
