@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 import anyio
 import pytest
@@ -12,10 +13,10 @@ from anyio import current_time, sleep
 from anyio.lowlevel import current_token
 
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, PutError
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import LeaseEntry, encode
-from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
+from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.lease_thread import lease_thread
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers
 from tests.support.nats_server import NatsServer
@@ -70,6 +71,50 @@ async def test_a_lease_is_kept_after_a_renewal_whose_answer_the_event_loop_has_n
         shared.put(NAMES.worker("robot"), encode(entry), 1, LEASE)
         assert await help_for(2 * LEASE, member, shared.member())
         assert member.check()
+
+
+class _Overtaken(MemoryBroker):
+    """The connection of a thread whose event loop runs again before its first write arrives."""
+
+    act: Callable[[], Awaitable[object]] | None = None
+
+    async def put_and_wait(self, *args: Any, **options: Any) -> int | PutError:
+        if self.act is not None:
+            act, self.act = self.act, None
+            await act()
+        return await super().put_and_wait(*args, **options)
+
+
+async def overtaken_by(act: Callable[[Membership], Awaitable[object]]) -> BrokerRecord:
+    """Return the lease after a thread's renewal that the event loop has overtaken."""
+    async with MemoryBrokers() as shared:
+        member = await blocked(shared)
+        broker = _Overtaken(shared, "thread")
+        broker.act = lambda: act(member)
+        await member.renew_blocked(broker)
+        record = shared.newest(NAMES.worker("robot"))
+        assert record is not None
+        return record
+
+
+class _Room(MemberPart):
+    def describe(self, entry: LeaseEntry) -> None:
+        entry.has_room = True
+
+
+@virtual
+@pytest.mark.anyio
+async def test_a_thread_writes_no_older_lease_over_one_that_the_event_loop_has_stored() -> None:
+    async def make_room(member: Membership) -> None:
+        member.add(_Room())
+        assert await member._renewed(member.incarnation)
+
+    async def leave(member: Membership) -> None:
+        member.incarnation, again = b"", member.incarnation
+        await member._put(LeaseEntry("robot", again), member._sequence)
+
+    assert lease_entry((await overtaken_by(make_room)).data).has_room
+    assert (await overtaken_by(leave)).sequence == 2  # and nothing is written after it
 
 
 @virtual

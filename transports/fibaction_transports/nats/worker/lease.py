@@ -387,9 +387,12 @@ class Membership:
 
     async def renew_blocked(self, broker: Broker) -> None:
         """Store the lease again as it was stored last, by a connection of this thread's own."""
-        incarnation, data, sequence = self.incarnation, self._data, self._sequence
+        incarnation, sequence = self.incarnation, self._sequence
         while True:
-            sent = current_time()
+            # Always after the sequence: the event loop may run again, and have stored newer data.
+            data, sent = self._data, current_time()
+            if self.incarnation != incarnation:  # it was fenced, or leaves
+                return
             stored = await broker.put_and_wait(
                 self._subject, data, expected=sequence, ttl=self.lease
             )
