@@ -120,7 +120,8 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         It returns as soon as the server has accepted the goal. `with client.send_goal(...) as goal`
         cancels the goal at the end of the block, if it has not ended, unless `goal.detach()` was
         called. Without a block, the goal continues after the end of the block of `connect`, as in
-        asyncio. `goal_id`, `timeout` and `labels` are those of `ActionClient.send_goal`.
+        asyncio; but Ctrl-C in the main thread before the next call of the client cancels it.
+        `goal_id`, `timeout` and `labels` are those of `ActionClient.send_goal`.
 
         Raises:
             ActionError, TypeError, ValueError: As for `ActionClient.send_goal`.
