@@ -559,3 +559,9 @@ async def test_a_new_parameter_with_a_default_keeps_older_programs_working_both_
 
 async def new_home(within: float = 0.0) -> str:
     return f"at home in {within:g} s"
+
+
+async def test_an_address_that_is_none_is_told_without_the_parameters() -> None:
+    with pytest.raises(TypeError) as caught:
+        await call(cast("Any", 3), drive, 1)
+    assert "parameters" not in str(caught.value)

@@ -84,6 +84,10 @@ def test_a_function_that_is_an_action_is_a_server(folder: Path, invoke: Invoke) 
         "    async def close(self) -> None: ...\n"
         "robot = Robot()\n"
     )
+    with pytest.raises(
+        Failure, match=r"^functions:Robot.move: <Action 'move'> is a method, and runs"
+    ):
+        import_target.import_servers("functions:Robot.move")
     for target in ("functions:robot", "functions:Robot"):  # the class is called
         servers = import_target.import_servers(target)
         assert [server.action.name for server in servers] == ["move", "grip"]

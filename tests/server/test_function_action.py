@@ -319,7 +319,7 @@ async def test_the_arguments_are_the_fields_the_handle_and_the_report() -> None:
 
 
 async def test_a_report_may_be_given_by_its_name_only() -> None:
-    async def weigh(what: str, force: float = 1.0, *, report: Report[float]) -> float:
+    async def weigh(what: str, /, force: float = 1.0, *, report: Report[float]) -> float:
         await report(force)
         return force
 

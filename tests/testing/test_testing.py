@@ -151,3 +151,9 @@ async def test_a_script_that_waits_for_an_event_holds_the_goal() -> None:
 async def test_a_scripted_server_needs_a_script() -> None:
     with pytest.raises(ValueError, match="needs at least one script"):
         ScriptedServer(FIBONACCI)
+
+
+async def test_what_is_no_action_is_told_with_what_makes_one() -> None:
+    wrong: Any = len
+    with pytest.raises(TypeError, match="takes an action, not .*: make one with @action"):
+        await run_executor(wrong, 1)
