@@ -155,5 +155,5 @@ async def test_a_scripted_server_needs_a_script() -> None:
 
 async def test_what_is_no_action_is_told_with_what_makes_one() -> None:
     wrong: Any = len
-    with pytest.raises(TypeError, match="takes an action, not .*: make one with @action"):
+    with pytest.raises(TypeError, match=r"takes an action, not .*: make one with @action"):
         await run_executor(wrong, 1)
