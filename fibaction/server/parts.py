@@ -20,6 +20,7 @@ store, which the exit stack of `open` has.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AsyncExitStack
 from typing import Any, Generic
 
@@ -81,7 +82,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.keeper = keeper
         self.dispatcher = dispatcher
         self._callbacks = callbacks
-        registry = GoalRegistry(
+        self.registry = registry = GoalRegistry(
             result_timeout=settings.result_timeout,
             max_results=settings.max_results,
             max_goals=settings.max_goals,
@@ -157,11 +158,11 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             raise copy_of(self.keeper.failure)
         self.logs.ended.notify()  # some outcomes may have been found that expire
 
-    async def drain(self, timeout: float) -> None:
+    async def drain(self, timeout: float, together: Sequence[GoalRegistry]) -> None:
         """Reject new goals as busy, and wait until the active ones have ended, at most `timeout`
-        seconds.
+        seconds. Goals that active ones have sent, also those of other registries, are accepted.
         """
-        self.admission.drain()
+        self.admission.drain(together)
         self.capacity.close()
         with move_on_after(timeout):
             await self.keeper.settled()  # what is accepted by then is active

@@ -252,15 +252,19 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 await self.stop()
             self._started.notify()
 
-    async def drain(self, timeout: float = math.inf) -> None:
+    async def drain(
+        self, timeout: float = math.inf, *, together: Iterable[ActionServer[Any, Any, Any]] = ()
+    ) -> None:
         """Reject new goals as busy, and wait until the active ones have ended, at most `timeout`
-        seconds.
+        seconds. The steps of active ones are still accepted: of this server's, and of those
+        of the servers that drain `together` with it.
 
         Clients of a fleet then send their goals to other servers. The server keeps rejecting when
         this returns, even if it is canceled; `stop()` ends what is left.
         """
         if self.is_running:
-            await self._parts.drain(timeout)
+            registries = [one._parts.registry for one in together if one.is_running]
+            await self._parts.drain(timeout, registries)
 
     async def stop(self) -> None:
         """Reject new goals, end all active ones, and answer every client that waits.

@@ -187,7 +187,11 @@ def test_the_other_process_is_the_command_without_reload(
     monkeypatch.setenv("FIBACTION_URL", "")
     with pytest.raises(click.exceptions.Exit) as exit:
         reload.run_reloading(
-            "reloaded:server", ["unix:///a b"], "tcp://robot?token=secret", ["--store", "a b.db"]
+            "reloaded:server",
+            ["unix:///a b"],
+            "tcp://robot?token=secret",
+            ["--store", "a b.db"],
+            29.5,
         )
 
     assert exit.value.exit_code == 0
@@ -197,6 +201,7 @@ def test_the_other_process_is_the_command_without_reload(
     assert (verb, parent, number) == ("serve", "--started-by", str(os.getpid()))
     assert (option, path) == ("--store", "a b.db")
     assert (dashes, target, url) == ("--", "reloaded:server", "unix:///a b")
+    assert asked["sigint_timeout"] == 35
     counts = asked["watch_filter"]
     assert counts(watchfiles.Change.modified, "/robot/arm.py")
     assert not counts(watchfiles.Change.modified, "/robot/arm.txt")

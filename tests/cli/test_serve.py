@@ -120,7 +120,7 @@ def test_a_used_address_is_one_sentence_and_nothing_else(folder: Path, invoke: I
 
 
 def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, tuple[str, ...], str, tuple[str, ...]]] = []
+    asked: list[tuple[Any, ...]] = []
     monkeypatch.setattr(serve, "run_reloading", lambda *arguments: asked.append(arguments))
     command = ("serve", "robot:server", "unix:///a", "--reload")
 
@@ -134,7 +134,8 @@ def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPat
     more += ("--record", os.path.abspath("a.jsonl"))
     assert invoke(*command, *more, url="tcp://b").exit_code == 0
     with_past = (*kept, "--history", "0.5")
-    assert asked == [(*common, options) for options in ((), kept, with_past, more)]
+    given = ((), 0), (kept, 0), (with_past, 0), (more, 9)
+    assert asked == [(*common, options, drain) for options, drain in given]
 
 
 def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invoke) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator
+from functools import partial
 from typing import Any, TypeAlias
 
 import anyio
@@ -116,6 +117,28 @@ async def test_a_server_that_drains_rejects_new_goals_and_waits_for_the_others(s
             await client.send_goal(1)
     if store is not None:
         assert store.rooms == [(math.inf, 0), (0, 0)]
+
+
+@pytest.mark.parametrize("store", [None, MemoryStore()], ids=["alone", "store"])
+async def test_a_step_of_an_active_goal_is_accepted_during_a_drain(store: Any) -> None:
+    async def mission(goal: GoalHandle[float]) -> Working:
+        await anyio.sleep(goal.request)
+        if goal.request > 1:  # the drain has begun
+            await client_of(mine).call(0.5, step=goal.step("near"))
+            await client_of(other).call(1, step=goal.step("far"))
+        yield "done"
+
+    mine, apart = ActionServer(WORK, mission, store=store), ActionServer(WORK, mission)
+    async with mine, apart, server_with(None) as other:
+        goal, strange = [await client_of(server).send_goal(2) for server in (mine, apart)]
+        async with anyio.create_task_group() as tasks:
+            for server in (mine, other):
+                tasks.start_soon(partial(server.drain, together=(mine, other)))
+            await anyio.sleep(1)
+            with pytest.raises(GoalRejected, match=DRAINS):
+                await client_of(other).send_goal(1)
+        assert await goal.result() == "done"
+        assert DRAINS in (await strange.outcome()).reason
 
 
 async def test_a_drain_takes_as_long_as_it_may() -> None:

@@ -11,6 +11,7 @@ seconds these are one signal. A second Ctrl-C ends the other process, and with i
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import signal
@@ -30,16 +31,22 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure, report_errors
 
 SAME_STOP = 1.0
 """Seconds within which the process that serves takes a second signal as the first again."""
+STOP = 5
+"""Seconds that the process has to stop, after its drain, before it is killed."""
 PERIOD = 1.0
 """Seconds between two looks of that process for its parent."""
 
 
 def run_reloading(
-    target: str, urls: Sequence[str], default_url: str, options: Sequence[str] = ()
+    target: str,
+    urls: Sequence[str],
+    default_url: str,
+    options: Sequence[str] = (),
+    drain: float = 0,
 ) -> NoReturn:
     """Serve until a signal comes, with a new process after each change in the module's folder.
 
-    The process gets the `options` of `fibaction serve`.
+    The process gets the `options` of `fibaction serve`, and `drain` seconds more to stop.
 
     Raises:
         Failure: There is no such module, watchfiles is not installed, or this is Windows.
@@ -71,6 +78,7 @@ def run_reloading(
         target_type="command",
         watch_filter=counts,
         callback=report,
+        sigint_timeout=math.ceil(drain) + STOP,
     )
     raise click.exceptions.Exit(ExitCode.SUCCEEDED)
 

@@ -6,6 +6,7 @@ import gc
 import os
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from functools import partial
 from itertools import repeat
 from typing import Literal
 
@@ -133,7 +134,7 @@ def serve_command(
             options += ("--log-json",) if log_json else ()
             options += () if metrics is None else ("--metrics", metrics)
             options += () if record is None else ("--record", record)
-            run_reloading(target, urls, url_of(context), options)
+            run_reloading(target, urls, url_of(context), options, drain)
         else:
             with started_by(parent):
                 same = None if parent is None else SAME_STOP
@@ -203,7 +204,7 @@ async def serve_servers(
             logger.info("new goals are rejected, and those that run have %g s to end", drain)
             async with anyio.create_task_group() as tasks:
                 for server in servers:
-                    tasks.start_soon(server.drain, drain)
+                    tasks.start_soon(partial(server.drain, drain, together=servers))
     at_end()
     return ExitCode.SUCCEEDED
 

@@ -18,16 +18,17 @@ the goal counts as undecided; its place in the schedule is taken already. If the
 meanwhile, the goal is accepted anyway. `_writing` has the offers that are being written. If
 another server turns out to have the goal (`lose`), the call is told so.
 
-A new goal is rejected as *busy*, and may be sent again later or elsewhere, if the server drains; if
-`max_goals` are active (20,000 by default); if goals and feedback take more than `max_bytes` (256
-MiB), or the unread results of its client more than half of them; if it can neither run nor wait by
-the schedule (`Scheduler.offer`); or if the store is full (`StoreFull`).
+A new goal is rejected as *busy*, and may be sent again later or elsewhere, if the server drains,
+unless an active goal that the drain waits for is its parent; if `max_goals` are active (20,000 by
+default); if goals and feedback take more than `max_bytes` (256 MiB), or the unread results of its
+client more than half of them; if it can neither run nor wait by the schedule (`Scheduler.offer`);
+or if the store is full (`StoreFull`).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Coroutine
+from collections.abc import Awaitable, Coroutine, Sequence
 from contextvars import copy_context
 from typing import Any, Generic
 
@@ -62,7 +63,7 @@ from fibaction.words.errors import (
     StoreError,
 )
 from fibaction.words.goals import GoalID
-from fibaction.words.meta import NO_META
+from fibaction.words.meta import NO_META, parent_in
 
 DRAINING = "busy: the server drains"
 WITHDRAWN = "the call was canceled before the decision"
@@ -98,7 +99,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._check = GoalCheck(action.goal.schema)
         self._decisions: dict[GoalID, Notifier] = {}
         self._writing: dict[GoalID, Offer[GoalT]] = {}  # those that the store does not have yet
-        self._is_draining = False
+        self._drained: Sequence[GoalRegistry] = ()  # those of the servers that drain together
         self._is_closed = False
         self._life = keeper.life
         keeper.life.carry_out(
@@ -113,9 +114,18 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Reject all goals from now on, and all that are still undecided."""
         self._is_closed = True
 
-    def drain(self) -> None:
-        """Reject new goals from now on as busy."""
-        self._is_draining = True
+    def drain(self, together: Sequence[GoalRegistry]) -> None:
+        """Reject new goals from now on as busy, but for those whose parent is an active goal of
+        this server, or in one of the other registries.
+        """
+        self._drained = (self._registry, *together)
+
+    def _is_drained(self, offer: Offer[GoalT]) -> bool:
+        """Return whether a new goal is rejected because of a drain."""
+        if not self._drained:
+            return False
+        parent = parent_in(offer.meta)
+        return parent is None or not any(one.is_active(parent.goal_id) for one in self._drained)
 
     # Goals
 
@@ -141,7 +151,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             goal_id, sent.goal, sent.sender, offer.meta or NO_META
         )
         try:
-            self._check_capacity(sent.sender.owner)
+            self._check_capacity(offer)
             asking = self._decode(offer)
             if asking is None and self._callbacks.are_goals_decided:
                 asking = self._ask(offer)
@@ -154,15 +164,15 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise
         return self._decide(offer, asking) if offer.stream is None else offer.stream
 
-    def _check_capacity(self, owner: bytes) -> None:
+    def _check_capacity(self, offer: Offer[GoalT]) -> None:
         """Reject a new goal if the server or the client is at a limit, or the server drains."""
-        busy = DRAINING if self._is_draining else self._registry.busy
+        busy = DRAINING if self._is_drained(offer) else self._registry.busy
         if not busy and self._registry.budget.used > self._registry.budget.limit:
             while self._logs.expire(self._logs.now()):
                 pass
             busy = self._registry.busy
         if not busy and self._registry.results.unread_size:
-            busy = self._registry.results.busy_for(owner)
+            busy = self._registry.results.busy_for(offer.sent.sender.owner)
         if busy:
             raise Busy(busy)
 
@@ -215,7 +225,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Accept a goal: with a store, its acceptance is written, and it has no stream before."""
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING, code=RejectionCode.STOPPING)
-        if self._is_draining:
+        if self._is_drained(offer):
             raise Busy(DRAINING)
         sent = offer.sent
         goal_id, sender = sent.goal_id, sent.sender
