@@ -39,6 +39,7 @@ MOST_COSTLY = 100
 """Numbers with an exponent of three digits or more that msgspec reads."""
 
 _COSTLY = re.compile(r"[0-9.][eE][+-]?[0-9]{3}")
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 _COSTLY_BYTES = re.compile(_COSTLY.pattern.encode())
 
 _turn = RunVar[anyio.CapacityLimiter]("_turn")
@@ -101,13 +102,18 @@ def read_json(text: bytes | str) -> Any:
     """Return the value of a JSON text.
 
     Raises:
-        ValueError: It is not JSON, or has a number that is too large for a float.
+        ValueError: It is not JSON, or has a number that is too large for a float, or half of a
+            character.
         RecursionError: It is nested too deeply.
     """
     if not has_costly_numbers(text):
         return msgspec.json.decode(text)
     text = text if isinstance(text, str) else text.decode()
-    return json.loads(text, parse_float=_float, parse_constant=_reject)
+    value = json.loads(text, parse_float=_float, parse_constant=_reject)
+    if _SURROGATE.search(text):
+        # A pair is one character by now; half of one cannot be encoded.
+        json.dumps(value, ensure_ascii=False).encode()
+    return value
 
 
 def _float(text: str) -> float:

@@ -12,6 +12,7 @@ import pytest
 from fibaction.schema.turns import MOST_COSTLY, has_costly_numbers, read_json
 
 COSTLY = ["1e308"] * (MOST_COSTLY + 1)
+HALVES = [r'"\ud83e"', r'"\uDD16\ud83e"', r'{"\udd16":1}']
 
 
 def listed(*more: str) -> str:
@@ -28,14 +29,18 @@ def test_numbers_that_take_long_are_found(number: str) -> None:
     assert not has_costly_numbers(",".join(["1.5e99", "123", '"see300"'] * 1000))
 
 
-@pytest.mark.parametrize("more", ['"e"', "1.5", "-0.0", "null", '{"a":[true,"\\u00e9"]}', "12345"])
+@pytest.mark.parametrize(
+    "more", ['"e"', "1.5", "-0.0", "null", '{"a":[true,"\\u00e9"]}', "12345", '"\\ud83e\\uDD16"']
+)
 def test_a_text_has_the_same_value_either_way(more: str) -> None:
     text = listed(more)
     assert read_json(text) == read_json(text.encode()) == msgspec.json.decode(text)
     assert read_json(more) == json.loads(more)
 
 
-@pytest.mark.parametrize("more", ["1e400", "-1e999", "NaN", "Infinity", "1e", '"\x01"', "'a'", "]"])
+@pytest.mark.parametrize(
+    "more", ["1e400", "-1e999", "NaN", "Infinity", "1e", '"\x01"', "'a'", "]", *HALVES]
+)
 def test_what_is_not_json_is_an_error_either_way(more: str) -> None:
     for text in (listed(more), more):
         with pytest.raises(ValueError, match=r"."):
