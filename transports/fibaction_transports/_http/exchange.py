@@ -52,6 +52,8 @@ _PREFERS_WAIT = re.compile(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;|,|$)", 
 _TAKES_GZIP = re.compile(r"(?:^|,)\s*gzip\s*(?:;(?!\s*q=0(?:\.0*)?\s*(?:,|$))|,|$)", re.IGNORECASE)
 SMALLEST_PACKED = 1024
 """Bytes of an answer that is compressed for clients that take it."""
+VARY = (("Vary", "Accept-Encoding"),)
+"""The header of an answer that is compressed for some clients."""
 PACKING = 5
 """The level of the compression."""
 LARGE = 2**16
@@ -279,8 +281,9 @@ class Exchange:
         """Answer with a body that has that `ETag`, or say that the client's copy is up to date."""
         known = self.headers.get("if-none-match", "").replace("W/", "")
         headers = (("ETag", tag), ("Cache-Control", "no-cache"), *headers)
-        if tag in (one.strip() for one in known.split(",")):
-            await self.answer(304, b"", *headers)
+        if known == "*" or tag in (one.strip() for one in known.split(",")):
+            vary = VARY if len(body) >= SMALLEST_PACKED else ()  # RFC 9110, 15.4.5
+            await self.answer(304, b"", *headers, *vary)
         else:
             await self.answer(200, body, *headers, kind=kind)
 
@@ -288,7 +291,7 @@ class Exchange:
         self, body: bytes, headers: tuple[tuple[str, str], ...]
     ) -> tuple[bytes, tuple[tuple[str, str], ...]]:
         """Return the body, compressed if the client takes that, and its headers."""
-        headers = (*headers, ("Vary", "Accept-Encoding"))
+        headers = (*headers, *VARY)
         if not _TAKES_GZIP.search(self.headers.get("accept-encoding", "")):
             return body, headers
         pack = partial(gzip.compress, body, PACKING, mtime=0)
