@@ -818,6 +818,21 @@ async def test_a_goal_that_is_posted_again_with_its_key_runs_once() -> None:
         assert (await fetch(url, "POST", GOALS, {"order": 3})).json != first.json
 
 
+async def test_a_key_is_of_one_client_and_its_goal_tells_nothing_of_the_token() -> None:
+    tokens = {"a": "cook", "b": "cook", "c": "guest"}
+    ids: list[str] = []
+    for _ in range(2):  # two servers
+        async with served(new_server(), tokens=tokens) as url:
+            for token in tokens:
+                head = {"idempotency-key": "17", "authorization": f"Bearer {token}"}
+                posted = await fetch(url, "POST", GOALS, {"order": 1}, **head)
+                assert posted.status in {200, 201}
+                ids.append(posted.json["goal_id"])
+    assert ids[0] == ids[1]
+    assert ids[3] == ids[4]
+    assert len(set(ids)) == 4
+
+
 async def test_a_preference_to_wait_is_that_of_the_parameter() -> None:
     async with served(new_server()) as url:
         answer = await fetch(url, "POST", GOALS, {"order": 1}, prefer="respond-async, wait=20")
@@ -834,5 +849,7 @@ async def test_a_description_that_is_known_is_not_sent_again() -> None:
         known = await fetch(url, "GET", "/openapi.json", if_none_match=tag)
         assert (known.status, known.body) == (304, b"")
         assert known.headers["etag"] == tag.removeprefix("W/")
+        assert known.headers["vary"] == first.headers["vary"] == "Accept-Encoding"
+        assert (await fetch(url, "GET", "/openapi.json", if_none_match="*")).status == 304
         assert first.headers["content-encoding"] == "gzip"
         assert len(first.body) < 5000

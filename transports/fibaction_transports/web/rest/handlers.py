@@ -4,6 +4,9 @@ A request is one of a client like those of the wire protocol: it has a token, a 
 permissions. A client with a token is the same client in each of its requests; a client without one
 is another client each time, so it observes a goal that it sends again.
 
+The ID of a goal that is posted with a key is made of the key, the client's name and a secret of
+this process: who sees the ID learns nothing of the client's token.
+
 A goal whose stream of events is the answer to the request that sent it ends with that answer: if
 the client goes, the goal is canceled, as if it had left the block of `send_goal`. All other goals
 keep running.
@@ -11,6 +14,7 @@ keep running.
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Iterable
 from functools import partial
 from hashlib import blake2b
@@ -80,6 +84,7 @@ class RestInterface:
         self._memory = server.memory
         self._turn = server.turn
         self._codecs: dict[str, tuple[ActionInfo, GoalCodec]] = {}
+        self._secret = secrets.token_bytes()  # of the keys of goals
         self._has_tokens = server.settings.access.asks_for_tokens
         self._handlers = {
             (Resource.DESCRIPTION, "GET"): self._describe,
@@ -182,7 +187,7 @@ class RestInterface:
     async def _send_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         key = exchange.headers.get(KEY_HEADER, "")
         if exchange.method == "POST":
-            goal_id = _goal_id_of(exchange, route.action, key) if key else GoalID.random()
+            goal_id = self._goal_id_of(client, route.action, key) if key else GoalID.random()
             route = Route(Resource.GOAL, route.action, goal_id)
         endpoint = await self._endpoint(client, route, Permission.SEND)
         wait = exchange.wait_wanted(LONGEST_WAIT)
@@ -214,6 +219,11 @@ class RestInterface:
                     await self._cancel_cut(exchange, client, route)
                 return
             await self._answer_goal(exchange, endpoint, stream, wait, status, location)
+
+    def _goal_id_of(self, client: SessionClient, action: str, key: str) -> GoalID:
+        """Return the ID of the goal that is posted with a key: the same for the same client."""
+        parts = msgspec.json.encode([client.sender.name, action, key])
+        return GoalID(blake2b(parts, key=self._secret, digest_size=16).digest())
 
     def _may_own(self, exchange: Exchange, client: SessionClient, route: Route) -> bool:
         """Return whether a goal that its endpoint takes for this client's can be that.
@@ -337,12 +347,6 @@ async def _cancel_each(
 def _events_of(endpoint: Endpoint) -> GoalEvents:
     info = endpoint.info
     return GoalEvents(JsonCodec({}, "feedback"), JsonCodec({}, f"result of {info.name!r}"))
-
-
-def _goal_id_of(exchange: Exchange, action: str, key: str) -> GoalID:
-    """Return the ID of the goal that is posted with a key: the same for the same client."""
-    parts = (bearer_in(exchange.headers), action, key)
-    return GoalID(blake2b("\n".join(parts).encode(), digest_size=16).digest())
 
 
 def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:
