@@ -16,7 +16,7 @@ from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
 
 from fibaction import ActionError, ConnectionLost, GoalID, GoalStatus, Outcome, UnknownGoal, serve
 from fibaction.words.goals import UNKNOWN_OUTCOME
-from fibaction_transports._agents.agent_goals import AgentGoal
+from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
 from fibaction_transports.mcp.goal_tasks import EXTENSION, detailed
 from tests.support.ports import free_port
@@ -186,6 +186,49 @@ async def test_a_task_without_consent_or_whose_goal_is_rejected_says_so() -> Non
             for _ in range(2):
                 await ask(client, "tasks/cancel", canceled)
             assert (await ask(client, "tasks/get", canceled))["status"] == "cancelled"
+        assert robot.sent == []
+
+
+@pytest.fixture
+def sending(monkeypatch: pytest.MonkeyPatch) -> tuple[anyio.Event, anyio.Event]:
+    """Hold each goal that the bridge sends: one event is set then, and the other lets it go on."""
+    began, go_on, send = anyio.Event(), anyio.Event(), AgentGoals.send
+
+    async def held(*arguments: Any) -> AgentGoal[Any]:
+        began.set()
+        await go_on.wait()
+        return await send(*arguments)
+
+    monkeypatch.setattr(AgentGoals, "send", held)
+    return began, go_on
+
+
+async def test_a_task_is_canceled_while_its_goal_is_sent(
+    sending: tuple[anyio.Event, anyio.Event],
+) -> None:
+    began, go_on = sending
+    async with tasking(AgentPolicy(), elicitation_callback=yes) as (robot, client):
+        task_id = await asked(client, meters=100)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(answer, client, task_id, "accept")
+            await began.wait()
+            await ask(client, "tasks/cancel", task_id)
+            go_on.set()
+        await until(client, task_id, "cancelled")
+        assert robot.sent == [Drive(100)]
+
+
+async def test_a_task_whose_answer_is_cut_while_its_goal_is_sent_is_canceled(
+    sending: tuple[anyio.Event, anyio.Event],
+) -> None:
+    began, _ = sending
+    async with tasking(AgentPolicy(), elicitation_callback=yes) as (robot, client):
+        task_id = await asked(client, meters=100)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(answer, client, task_id, "accept")
+            await began.wait()
+            tasks.cancel_scope.cancel()
+        await until(client, task_id, "cancelled")
         assert robot.sent == []
 
 

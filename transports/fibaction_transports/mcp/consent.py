@@ -48,6 +48,7 @@ from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
 from fibaction.words.goals import GoalID
+from fibaction_transports._agents.agent_goals import AgentGoal
 from fibaction_transports.mcp.answers import ToolError, error_answer
 from fibaction_transports.mcp.arguments import client_of
 
@@ -162,7 +163,7 @@ def _call_of(client: str, params: CallToolRequestParams, question: str) -> str:
 
 # Tasks that wait for the consent of a user, before there is a goal
 
-Send = Callable[[GoalID], Awaitable[object]]
+Send = Callable[[GoalID], Awaitable[AgentGoal[Any]]]
 """Sends the goal; raises `ToolError` if it was not accepted."""
 
 
@@ -180,20 +181,29 @@ class AskedTask:
         self.answer: CallToolResult | None = None
         """The answer of a task that was completed without a goal."""
         self._send = send
+        self._is_cancel_wanted = False
 
     def cancel(self) -> None:
-        """End without a goal."""
-        self.status, self.updated = "cancelled", time()
+        """End without a goal; if it is being sent, cancel it as soon as it is accepted."""
+        if self.status == "working":
+            self._is_cancel_wanted = True
+        elif self.status == "input_required":
+            self.status, self.updated = "cancelled", time()
 
     async def take(self, answer: ElicitResult) -> bool:
         """Take the answer of the user: with a yes, send the goal. Return whether it was sent."""
         try:
             check_answer(answer)
             self.status = "working"
-            await self._send(self.goal_id)
+            goal = await self._send(self.goal_id)
         except ToolError as exc:
             self.answer, self.status, self.updated = error_answer(str(exc)), "completed", time()
             return False
+        except BaseException:  # the request was cut; a goal that is accepted then was canceled
+            self.status, self.updated = "cancelled", time()
+            raise
+        if self._is_cancel_wanted:
+            await goal.leave()
         return True
 
 

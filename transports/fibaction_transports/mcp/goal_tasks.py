@@ -122,8 +122,7 @@ class GoalTasks:
             MCPError: There is none of that ID, or it may not be canceled so, or continues.
         """
         if (task := self._asked.find(context, params.task_id)) is not None:
-            if task.status == "input_required":
-                task.cancel()
+            task.cancel()
             return {}
         goal = await self._find(context, params.task_id)
         if goal.outcome is not None:
