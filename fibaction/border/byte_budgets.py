@@ -11,6 +11,8 @@ that hold bytes of peers share a `ByteBudget`. Where it is not known who lets go
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 __all__ = ["ByteBudget", "CountedBytes"]
 
 
@@ -20,13 +22,16 @@ class ByteBudget:
     It counts, and nothing else: each part says what it takes, and gives back the same.
     """
 
-    __slots__ = ("limit", "used")
+    __slots__ = ("limit", "make_room", "used")
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
         """The most bytes that should be held at the same time."""
         self.used = 0
         """The bytes that are held now."""
+        self.make_room: Callable[[], object] | None = None
+        """The function that lets go of bytes that are kept without being in use. It is called when
+        more are held than the limit, before what is in use has to give way."""
 
     def has_room(self, size: int = 0) -> bool:
         """Return whether so many more bytes are within the limit."""

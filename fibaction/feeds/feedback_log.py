@@ -44,6 +44,11 @@ from fibaction.words.errors import ActionError, UnknownGoal, copy_of
 from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 
+KEPT_MESSAGE = 128
+"""Bytes of memory that a message takes beside its payload. They count after the end of the goal:
+there is a limit for the number of active goals, and feedback of ended ones is to stay within that
+of bytes."""
+
 
 class FeedbackLog(FeedbackWindow[FollowedT]):
     """A goal's feedback so far, the last `window` messages of it, and its end."""
@@ -105,6 +110,7 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         for item in self._items:
             self._rest += len(item.payload)
         self._budget.used -= self._rest
+        self._rest += KEPT_MESSAGE * len(self._items)
         if self.payload is not None:  # until now it has counted among the bytes of active goals
             self._rest += len(self.payload)
         if self._rest and self._held is not None:

@@ -22,8 +22,9 @@ each. The window counts the holding readers at the slowest position (`_standing`
 holding ones only when the last of them has left it.
 
 The remembered feedback counts in the server's budget of bytes. While the server is over its budget,
-a window pushes out what its holding readers have read, up to the newest message, and it is full as
-soon as one of them has anything to read.
+and nothing of ended goals is left to give way (`ByteBudget.make_room`), a window pushes out what
+its holding readers have read, up to the newest message, and it is full as soon as one of them has
+anything to read.
 """
 
 from __future__ import annotations
@@ -203,6 +204,8 @@ class FeedbackWindow(Generic[FollowedT]):
         items.append(FeedbackItem(number, payload, self.goal.attempt))
         budget.used += len(payload)
         if budget.used > budget.limit:  # then old feedback goes that no holding reader has to read
+            if budget.make_room is not None:
+                budget.make_room()
             while budget.is_over and len(items) > 1 and items[0].number <= self._slowest:
                 budget.give_back(len(items.popleft().payload))
         readers = self._readers

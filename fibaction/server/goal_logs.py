@@ -6,11 +6,11 @@ Theory of operation
 A goal is followed from its `FeedbackLog`. The record of an active goal has it (`GoalRecord.log`).
 After the end of the goal, its log is kept as long as its result if it has any feedback (`_kept`),
 for a client that was away, or comes later. If the server holds too many bytes, such logs give way
-before any result does, the oldest first. A log is also kept by its followers (`HeldBytes` has a
-weak reference), and, if the statuses are followed, for RECENT_TIME (`_recent`): such a follower
-learns of a goal by its status, and then asks for its payload, which is in the log, too. Without a
-log, an ended goal is followed by a new one; so it has one log at a time, which loses the result if
-results take too many bytes.
+before any result or anything of an active goal does, the oldest first. A log is also kept by its
+followers (`HeldBytes` has a weak reference), and, if the statuses are followed, for RECENT_TIME
+(`_recent`): such a follower learns of a goal by its status, and then asks for its payload, which is
+in the log, too. Without a log, an ended goal is followed by a new one; so it has one log at a time,
+which loses the result if results take too many bytes.
 
 What is told at a step of a goal's life is told here: the effects `TELL_...`. With the end, the
 record gets its outcome, and the registry remembers it.
@@ -76,6 +76,7 @@ class GoalLogs:
         `latest`. `now` is the clock of the event loop.
         """
         self._registry = registry
+        registry.budget.make_room = self._make_room
         self._watchers = watchers
         self.now = now
         """The clock of the event loop."""
@@ -270,13 +271,23 @@ class GoalLogs:
 
         Return whether there may be more of them.
         """
-        budget = self._registry.budget
-        while self._recent and (budget.is_over or self._recent[0][0] <= now):
+        while self._recent and self._recent[0][0] <= now:
             self._recent.popleft()
-        while budget.used > budget.limit and self._kept:  # without a call for each goal
-            self._kept.popitem(last=False)
+        budget = self._registry.budget
+        if budget.used > budget.limit:  # without a call for each goal
+            self._make_room()
         gone = self._registry.expire(now, FORGOTTEN_AT_ONCE)
         for goal_id in gone:
             self._kept.pop(goal_id, None)
             self._tell_unknown(goal_id)
         return len(gone) == FORGOTTEN_AT_ONCE
+
+    def _make_room(self) -> None:
+        """Let go of the logs of ended goals, the oldest first, until the bytes are within the
+        limit.
+        """
+        budget = self._registry.budget
+        while budget.is_over and self._recent:
+            self._recent.popleft()
+        while budget.is_over and self._kept:
+            self._kept.popitem(last=False)

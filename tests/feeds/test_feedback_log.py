@@ -13,7 +13,7 @@ from hypothesis import example, given, strategies
 
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.border.byte_budgets import ByteBudget, CountedBytes
-from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.feeds.feedback_log import KEPT_MESSAGE, FeedbackCursor, FeedbackLog
 from fibaction.feeds.feedback_window import HELD_SHARE, LONGEST_HOLD
 from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.words.errors import ConnectionLost, GoalKept, UnknownGoal
@@ -725,7 +725,7 @@ def test_the_payload_and_the_feedback_of_an_ended_goal_count_until_its_log_is_go
     goal.held.resize(5)
     goal.outcome = OUTCOME
     log.finish()
-    assert (budget.used, goal.held.size) == (135, 135)
+    assert (budget.used, goal.held.size) == (135 + KEPT_MESSAGE, 135 + KEPT_MESSAGE)
     del log, stream
     assert (budget.used, goal.held.size) == (5, 5)
     goal.held = None

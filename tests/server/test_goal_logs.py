@@ -131,10 +131,38 @@ async def test_feedback_stays_as_long_as_the_result_and_gives_way_before_any_res
         with pytest.raises(UnknownGoal):
             await feedback_of(goals[0])
         kept, budget = await one_that_ends(), server._parts.runs._registry.budget
-        budget.limit = budget.used  # so the next goal takes the place of the oldest feedback
-        await one_that_ends()
-        assert [await feedback_of(one) for one in (last, kept)] == [0, 3]
+        budget.limit = budget.used + 20  # so the next goal takes the place of the oldest feedback
+        new = await one_that_ends()
+        assert [await feedback_of(one) for one in (last, kept, new)] == [0, 3, 3]
         await server.get_result(last)
+
+
+@pytest.mark.promise("FEEDBACK-11")
+@in_virtual_time()
+@pytest.mark.parametrize("are_watched", [False, True], ids=["", "watched"])
+async def test_feedback_of_ended_goals_gives_way_before_that_of_an_active_one(
+    are_watched: bool,
+) -> None:
+    async def counts(goal: GoalHandle[Goal]) -> Items:
+        for number in range(8):
+            yield Feedback([number] * 1000)
+        begun.append(anyio.current_time())
+        if goal.request.order:
+            await anyio.sleep_forever()
+        yield Result([])
+
+    begun: list[float] = []
+    async with ActionServer(FIBONACCI, counts, feedback_window=9, max_bytes=10_000) as server:
+        statuses = await server.status() if are_watched else None
+        await (await server.send_goal(GoalID.random(), packed(0), feedback=False)).outcome()
+        assert budget_of(server).used > 8000
+        stream = await server.send_goal(GoalID.random(), packed(1))  # its client reads nothing yet
+        await anyio.wait_all_tasks_blocked()
+        assert begun == [begun[0]] * 2, "the executor waited"
+        with anyio.fail_after(1):
+            items = [await stream.receive() for _ in range(8)]
+        assert [item.number for item in items if isinstance(item, FeedbackItem)] == [*range(1, 9)]
+        assert (statuses is not None) is are_watched
 
 
 @pytest.mark.promise("FEEDBACK-4")
