@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -16,6 +16,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     ProtocolError,
+    action,
 )
 from fibaction.server.execution.executor import Executor
 from fibaction.testing import ScriptedServer, run_executor
@@ -157,3 +158,14 @@ async def test_what_is_no_action_is_told_with_what_makes_one() -> None:
     wrong: Any = len
     with pytest.raises(TypeError, match=r"takes an action, not .*: make one with @action"):
         await run_executor(wrong, 1)
+
+
+async def test_a_function_is_run_with_its_arguments() -> None:
+    @action
+    async def double(number: int, *, by: int = 2) -> int:
+        return number * by
+
+    assert (await run_executor(double, 2)).outcome.result == 4
+    assert (await run_executor(double, number=2, by=3)).outcome.result == 6
+    with pytest.raises(TypeError, match="has no executor: write ActionServer"):
+        await run_executor(cast("Any", FIBONACCI), Goal(1))

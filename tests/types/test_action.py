@@ -28,7 +28,7 @@ import msgspec
 import pytest
 from hypothesis import example, given, strategies
 
-from fibaction.types.action import Action, ActionInfo, Codec
+from fibaction.types.action import NO_VALUE, Action, ActionInfo, Codec
 from fibaction.types.ros_classes import INTERFACES
 from fibaction.words.errors import ProtocolError, TransportError
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
@@ -779,3 +779,18 @@ def test_an_action_has_the_description_of_its_goal_without_an_indent() -> None:
     assert ActionInfo("home", goal=root).description == "At once."
     for goal in ({"description": 1}, {"$ref": "#/$defs/A", "$defs": []}, {"$ref": 1}):
         assert ActionInfo("home", goal=goal).description == ""
+
+
+def test_a_goal_is_given_as_one_argument_or_not_at_all() -> None:
+    plain = Action("plain", goal=int, feedback=int, result=int)
+    assert plain.goal_from((3,), {}) == 3
+    assert plain.goal_from((), {}) is NO_VALUE
+    for args, fields in (((1, 2), {}), ((), {"meters": 3})):
+        with pytest.raises(TypeError, match="is one value, and is given as one argument: "):
+            plain.goal_from(args, fields)
+
+
+def test_the_description_of_an_action_counts_more_than_that_of_its_goal() -> None:
+    plain = Action("plain", goal=int, feedback=int, result=int)
+    plain.description = "Count."
+    assert plain.info.description == "Count."

@@ -237,9 +237,9 @@ async def _stopped_after_a_kill(process: Process) -> AsyncGenerator[None, None]:
         yield
     finally:
         with anyio.CancelScope(shield=True):
-            if guard.stdin is not None:
-                with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
-                    await guard.stdin.send(b"\n")
+            assert guard.stdin is not None
+            with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError):
+                await guard.stdin.send(b"\n")
             await guard.aclose()
 
 

@@ -65,6 +65,7 @@ async def test_without_the_token_the_card_tells_how_to_get_in_and_no_skills() ->
             where = talk.url.rstrip("/") + CARD_PATH
             assert (await http.post(where)).status_code == 401
             assert (await http.get(where, headers={"Host": "evil.example"})).status_code == 421
+            assert "POST" in (await http.options(talk.url)).headers["Allow"]
 
 
 async def test_each_of_several_tokens_is_enough() -> None:

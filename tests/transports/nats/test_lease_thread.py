@@ -113,7 +113,11 @@ async def test_a_thread_writes_no_older_lease_over_one_that_the_event_loop_has_s
         member.incarnation, again = b"", member.incarnation
         await member._put(LeaseEntry("robot", again), member._sequence)
 
+    async def fenced(member: Membership) -> None:
+        member.incarnation = b""
+
     assert lease_entry((await overtaken_by(make_room)).data).has_room
+    assert (await overtaken_by(fenced)).sequence == 2  # its lease is not longer for that
     assert (await overtaken_by(leave)).sequence == 2  # and nothing is written after it
 
 
