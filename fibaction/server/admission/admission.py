@@ -121,9 +121,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._drained = (self._registry, *together)
 
     def _is_drained(self, offer: Offer[GoalT]) -> bool:
-        """Return whether a new goal is rejected because of a drain."""
-        if not self._drained:
-            return False
+        """Return whether a new goal is rejected while the server drains."""
         parent = parent_in(offer.meta)
         return parent is None or not any(one.is_active(parent.goal_id) for one in self._drained)
 
@@ -166,7 +164,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     def _check_capacity(self, offer: Offer[GoalT]) -> None:
         """Reject a new goal if the server or the client is at a limit, or the server drains."""
-        busy = DRAINING if self._is_drained(offer) else self._registry.busy
+        busy = DRAINING if self._drained and self._is_drained(offer) else self._registry.busy
         if not busy and self._registry.budget.used > self._registry.budget.limit:
             while self._logs.expire(self._logs.now()):
                 pass
@@ -225,7 +223,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Accept a goal: with a store, its acceptance is written, and it has no stream before."""
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING, code=RejectionCode.STOPPING)
-        if self._is_drained(offer):
+        if self._drained and self._is_drained(offer):
             raise Busy(DRAINING)
         sent = offer.sent
         goal_id, sender = sent.goal_id, sent.sender
