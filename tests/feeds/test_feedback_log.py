@@ -600,6 +600,18 @@ def test_a_log_without_holding_readers_keeps_its_newest_feedback_when_bytes_are_
     assert observer.dropped == 3
 
 
+def test_what_is_kept_without_need_gives_way_before_the_feedback_of_a_log() -> None:
+    budget = ByteBudget(20)
+    budget.take(10)  # as a goal that has ended
+    log = log_within(budget)
+    observer = log.follow()
+    log.append(bytes(8))
+    budget.make_room = lambda: budget.give_back(10)
+    log.append(bytes(8))
+    assert budget.used == 16
+    assert numbers_of(observer.take(9)) == [1, 2]
+
+
 def test_a_holding_reader_loses_nothing_when_bytes_are_used_up_and_the_executor_waits() -> None:
     budget = ByteBudget(20)
     log = log_within(budget)
