@@ -32,6 +32,7 @@ def anyio_backend() -> str:
 def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no interface file be found in this process, also none that was loaded before."""
     monkeypatch.setattr(file_types, "ros_folders", lambda: iter(()))
+    monkeypatch.setattr(file_types, "_program_folders", list)
     monkeypatch.setattr(file_types, "known_action", lambda type_name: None)
 
 

@@ -34,7 +34,7 @@ def constraints(project: Path = PROJECT) -> list[str]:
 def lowest(requirement: str) -> str:
     """Return the constraint for one requirement."""
     library, _, _ = requirement.partition(";")  # whatever the marker: it is for all machines
-    found = re.fullmatch(r"([\w.-]+)(?:\[[\w,-]+\])?>=([\w.]+)(?:,<[\w.]+)?", library)
+    found = re.fullmatch(r"([\w.-]+)(?:\[[\w,-]+\])?>=([\w.]+)(?:,(?:<|!=)[\w.]+)?", library)
     if found is None:
         raise ValueError(f"no lower bound, or more than that: {requirement}")
     return f"{found[1]}=={found[2]}"
