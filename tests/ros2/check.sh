@@ -12,12 +12,12 @@ export COVERAGE_FILE=.coverage-ros
 FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml \
     timeout --foreground --kill-after=10 1200 \
     "$1/bin/python" -m pytest tests/ros2 -n 2 --dist loadfile \
-    tests/transports/ros2/test_dds_transport.py tests/transports/ros2/test_learned_types.py \
+    tests/transports/ros2/test_dds_transport.py tests/transports/ros2/test_learned_types.py tests/transports/ros2/test_zenoh_*.py \
     -o faulthandler_timeout=75 -o faulthandler_exit_on_timeout=true
 "$1/bin/python" -m coverage combine --quiet
 # A test that has a second try at the end of `.ci/run` may leave lines uncovered.
 if [ "$(failures)" = "$before" ]; then
     "$1/bin/python" -m coverage report --fail-under=100 \
         --include='*/fibaction_transports/ros2/*' \
-        --omit='*/ros2/on_[dz]*,*/ros2/without_ros/*,*/ros2/dds_*.py,*/ros2/zenoh_*.py'
+        --omit='*/ros2/on_dds/*,*/ros2/on_zenoh/*,*/ros2/without_ros/*,*/ros2/dds_*.py,*/ros2/zenoh_*.py'
 fi
