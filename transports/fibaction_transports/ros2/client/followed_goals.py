@@ -292,8 +292,8 @@ class FollowedGoals:
 
     def _take_unanswered(self, number: int) -> None:
         """Request a result again soon: the request has been lost, or its server has gone."""
-        stream = self._requested.pop(number, None)
-        if stream is not None:
+        with suppress(KeyError):  # it was answered meanwhile
+            stream = self._requested.pop(number)
             stream.requests.remove(number)
             self.expect_result(stream.goal_id, 0.0)
 

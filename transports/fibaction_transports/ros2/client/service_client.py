@@ -8,6 +8,7 @@ middleware tells that there will be none.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -181,6 +182,5 @@ class ServiceClient:
             call.set_response(response)
 
     def _take_unanswered(self, number: int) -> None:
-        call = self._open.get(number)
-        if call is not None:
-            call.note_unanswered()
+        with suppress(KeyError):  # it was answered meanwhile
+            self._open[number].note_unanswered()
