@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return the known name that is most similar; empty if none is similar."""
-    from difflib import get_close_matches  # needed for errors only
-
-    return next(iter(get_close_matches(name, known, 1)), "")
+from fibaction._runtime.text import nearest
 
 
 def unknown_setting(where: str, name: str, known: Iterable[str]) -> str:

@@ -6,12 +6,18 @@ or that is as long as a message can be.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import islice
 
 LENGTH = 200
 """Characters of a peer's text that are logged, or quoted in an error."""
 REASON = 1000
 """Characters of a reason that are told and kept. A reason is data, so it is not escaped."""
+
+LONGEST_COMPARED = 100
+"""Characters of a name that is compared: the time grows with their square."""
+MOST_COMPARED = 1000
+"""Names among which a similar one is looked for."""
 
 
 def excerpt(text: str, length: int = LENGTH) -> str:
@@ -54,3 +60,16 @@ def _escaped(character: str) -> str:
     if number <= 0xFF:
         return f"\\x{number:02x}"
     return f"\\u{number:04x}" if number <= 0xFFFF else f"\\U{number:08x}"
+
+
+def nearest(word: str, known: Iterable[str], longest: int = LONGEST_COMPARED) -> str:
+    """Return the known word that is most similar; empty if none is similar.
+
+    Words of more than `longest` characters are not compared.
+    """
+    from difflib import get_close_matches  # needed for errors only
+
+    if len(word) > longest:
+        return ""
+    compared = islice((one for one in known if len(one) <= longest), MOST_COMPARED)
+    return next(iter(get_close_matches(word, list(compared), 1)), "")

@@ -12,7 +12,8 @@ from functools import cache
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
-from fibaction._runtime.settings_struct import nearest, unknown_setting
+from fibaction._runtime.settings_struct import unknown_setting
+from fibaction._runtime.text import nearest
 from fibaction.border.abc import Transport
 from fibaction.words.errors import InvalidURL, TransportError
 from fibaction.words.extras import MissingExtra

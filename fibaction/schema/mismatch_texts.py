@@ -6,11 +6,10 @@ sentence is limited, whatever the data and the schema are.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator
 from itertools import islice
 
-from fibaction._runtime.text import excerpt
+from fibaction._runtime.text import excerpt, nearest
 from fibaction.schema.check import Mismatch, Path
 from fibaction.words.plain_data import is_map, quoted
 
@@ -69,7 +68,7 @@ def sentences(mismatch: Mismatch, name: str) -> Iterator[str]:
             # A misspelled field is reported as unknown, and not as missing as well.
             known = mismatch.schema.get("properties", {})
             meant = {
-                _nearest(unknown, known)
+                nearest(unknown, known, MAX_NAME)
                 for unknown in islice(_names_beside(mismatch.value, known), MAX_NAMED)
             }
             missing = (one for one in mismatch.expected if one not in (*mismatch.value, *meant))
@@ -156,7 +155,7 @@ def _names_beside(value: Iterable[object], known: Iterable[str]) -> Iterator[str
 
 def _unknown(field: str, name: str, known: Iterable[str]) -> str:
     text = f"{field} has no field {quoted(name)}"
-    if near := _nearest(name, known):
+    if near := nearest(name, known, MAX_NAME):
         return f"{text}; did you mean {near}?"
     return f"{text}; it has {_listed(known) or 'no fields'}"
 
@@ -164,14 +163,6 @@ def _unknown(field: str, name: str, known: Iterable[str]) -> str:
 def _listed(names: Iterable[str]) -> str:
     shown = [excerpt(name, MAX_NAME) for name in islice(names, MAX_NAMED + 1)]
     return ", ".join(shown[:MAX_NAMED]) + (", ..." if len(shown) > MAX_NAMED else "")
-
-
-def _nearest(word: str, known: Iterable[str]) -> str:
-    """Return the known word that was probably meant; empty if none is near."""
-    if len(word) > MAX_NAME:
-        return ""
-    short = [name for name in islice(known, MAX_COMPARED) if len(name) <= MAX_NAME]
-    return next(iter(difflib.get_close_matches(word, short, n=1)), "")
 
 
 def field_name(name: str, path: Path) -> str:

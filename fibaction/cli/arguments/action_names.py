@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
+from fibaction._runtime.text import nearest
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 
@@ -15,10 +15,6 @@ if TYPE_CHECKING:
 
 MOST_SUGGESTED = 10
 """Names that an error lists where none of them is similar."""
-MOST_COMPARED = 1000
-"""Names among which a similar one is looked for."""
-LONGEST_COMPARED = 100
-"""Characters of a name that is compared: the time grows with their square."""
 
 
 async def find_action(connection: Connection, name: str) -> ActionInfo:
@@ -66,11 +62,3 @@ def shown(name: str) -> str:
 def names_of(endpoints: Iterable[Endpoint]) -> str:
     """Return the names of actions as one text."""
     return ", ".join(excerpt(shown(endpoint.info.name)) for endpoint in endpoints)
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the known word that is most similar; empty if none is similar."""
-    if len(word) > LONGEST_COMPARED:
-        return ""
-    compared = [name for name in known if len(name) <= LONGEST_COMPARED][:MOST_COMPARED]
-    return next(iter(difflib.get_close_matches(word, compared, n=1, cutoff=0.6)), "")

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from fibaction.cli.arguments.action_names import nearest
+from fibaction._runtime.text import nearest
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.words.plain_data import is_map
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias
 
-from fibaction.cli.arguments.action_names import nearest
+from fibaction._runtime.text import nearest
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.server import ActionServer, FunctionAction, actions_of
 

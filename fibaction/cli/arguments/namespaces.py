@@ -14,8 +14,9 @@ import anyio
 from anyio import current_time
 
 from fibaction._api import ClientConnection
+from fibaction._runtime.text import LONGEST_COMPARED, nearest
 from fibaction.border.abc import Connection, Endpoint
-from fibaction.cli.arguments.action_names import LONGEST_COMPARED, MOST_SUGGESTED, nearest, shown
+from fibaction.cli.arguments.action_names import MOST_SUGGESTED, shown
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.types.action import Action, ActionInfo
