@@ -5,6 +5,7 @@ this machine only.
 from __future__ import annotations
 
 import os
+import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,9 +44,12 @@ def router() -> Iterator[int]:
 
 @pytest.fixture(autouse=True)
 def no_loaded_types(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Know no types that other tests of the process have loaded, such as those of pages."""
+    """Know no types that other tests of the process have loaded, such as those of pages, nor those
+    in the folder from which other tests import first.
+    """
     monkeypatch.setattr(files, "_KNOWN", {})
     monkeypatch.setattr(files, "_TEXTS", {})
+    monkeypatch.setattr(sys, "path", ["", *sys.path])  # as for `python -m`
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
