@@ -197,7 +197,7 @@ def _keep_in(store: GoalStore, endpoints: Iterable[Endpoint]) -> None:
 
 
 def _chosen(endpoints: Served | Iterable[Served]) -> tuple[Endpoint, ...]:
-    from fibaction.server import ActionServer, FunctionAction, actions_of  # as above
+    from fibaction.server import ActionServer, actions_of  # as above
 
     given: Iterable[Any] = (endpoints,)
     is_one = isinstance(endpoints, Endpoint | str) or actions_of(endpoints)
@@ -206,12 +206,10 @@ def _chosen(endpoints: Served | Iterable[Served]) -> tuple[Endpoint, ...]:
     chosen: list[Endpoint] = []
     one: Any
     for one in given:
-        if issubclass(type(one), FunctionAction):
-            chosen.append(ActionServer(one))
-        elif isinstance(one, Endpoint):
+        if isinstance(one, Endpoint):
             chosen.append(one)
-        elif methods := actions_of(one):
-            chosen += map(ActionServer, methods)
+        elif actions := actions_of(one):
+            chosen += map(ActionServer, actions)
         else:
             # If the arguments are swapped, it is a URL, which may contain a token.
             shown = without_settings(one) if isinstance(one, str) else one

@@ -61,10 +61,11 @@ def import_servers(target: str) -> list[AnyServer]:
         if isinstance(exc, ModuleNotFoundError) and f"{found.module}.".startswith(f"{exc.name}."):
             raise no_module(found.module) from exc
         raise _broken(found, exc) from exc
-    value = _call(found, module, _attribute(found, module))
-    several = issubclass(type(value), list | tuple)
-    given: list[Any] = list(value) if several else [value]
+    named = _attribute(found, module)
     try:
+        value = _call(found, module, named)
+        several = issubclass(type(value), list | tuple)
+        given: list[Any] = list(value) if several else [value]
         servers = [server for one in given for server in _servers_of_one(one)]
     except TypeError as exc:
         raise Failure(f"{target}: {exc}") from exc
@@ -121,8 +122,8 @@ def _attribute(target: Target, module: ModuleType) -> Any:
 
 def _call(target: Target, module: ModuleType, value: Any) -> Any:
     """Return what the user's function returns; anything else as it is."""
-    is_server = issubclass(type(value), ActionServer | FunctionAction) or actions_of(value)
-    if is_server or not callable(value):
+    is_served = issubclass(type(value), ActionServer) or actions_of(value)
+    if is_served or not callable(value):
         return value
     if inspect.iscoroutinefunction(value) or inspect.isasyncgenfunction(value):
         text = "is an async function, and not an ActionServer or what gives one"
@@ -140,12 +141,8 @@ def _call(target: Target, module: ModuleType, value: Any) -> Any:
 
 
 def _servers_of_one(value: Any) -> list[Any]:
-    """Return the server of a function that is an action, or those of an object whose methods are;
-    anything else as it is.
-    """
-    if issubclass(type(value), FunctionAction):
-        return [ActionServer(value)]
-    return [ActionServer(method) for method in actions_of(value)] or [value]
+    """Return the servers of the actions of a function or of an object; anything else as it is."""
+    return [ActionServer(one) for one in actions_of(value)] or [value]
 
 
 def _servers_of(module: Any) -> list[str]:

@@ -192,12 +192,15 @@ class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, Resu
 
 
 def actions_of(instance: object) -> list[FunctionAction[..., Any, Any, Any]]:
-    """Return the actions that are methods of an object, in the order of their definition.
+    """Return the actions that are methods of an object, in the order of their definition; for one
+    that is an action of a function itself, that one.
 
     Raises:
         TypeError: Its class has a method without `@action` in place of an action of another class.
     """
     cls = type(instance)
+    if issubclass(cls, FunctionAction):
+        return [cast("FunctionAction[..., Any, Any, Any]", instance)]
     found: list[FunctionAction[..., Any, Any, Any]] = []
     for name in dict.fromkeys(name for one in reversed(cls.__mro__) for name in vars(one)):
         method = getattr(cls, name, None)
