@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import field, make_dataclass
 from functools import partial
@@ -91,9 +91,11 @@ class GoalParameters:
     def _made(self, parameters: Sequence[Parameter]) -> Any:
         name = "".join(part.title() for part in self._function.split("_")) + "Goal"
         if "pydantic" in sys.modules and any(_is_of_pydantic(one.annotation) for one in parameters):
-            return make_dataclass(name, _dataclass_fields(parameters), kw_only=True)
+            from pydantic import Field
+
+            return make_dataclass(name, _fields(parameters, Field, field), kw_only=True)
         is_ordered = all(one.kind is not Parameter.KEYWORD_ONLY for one in parameters)
-        fields = list(_struct_fields(parameters))
+        fields = _fields(parameters, msgspec.Meta, msgspec.field)
         return msgspec.defstruct(name, fields, kw_only=not is_ordered)
 
 
@@ -130,28 +132,21 @@ def _is_of_pydantic(annotation: Any) -> bool:
     )
 
 
-def _struct_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
+def _fields(parameters: Sequence[Parameter], mark_of: Any, field_of: Any) -> list[Any]:
+    """Return the fields of a goal, as one of `msgspec` or of `dataclasses` for each default."""
+    fields: list[Any] = []
     for one in parameters:
-        kind = _described(one.annotation, msgspec.Meta)
+        kind = _described(one.annotation, mark_of)
         if one.default is Parameter.empty:
-            yield one.name, kind
-        elif _is_shared(one.default) or one.default in ([], {}):  # msgspec makes new ones
-            yield one.name, kind, one.default
-        else:
-            yield one.name, kind, msgspec.field(default_factory=partial(deepcopy, one.default))
-
-
-def _dataclass_fields(parameters: Sequence[Parameter]) -> Iterator[Any]:
-    from pydantic import Field
-
-    for one in parameters:
-        kind = _described(one.annotation, Field)
-        if one.default is Parameter.empty:
-            yield one.name, kind
+            fields.append((one.name, kind))
         elif _is_shared(one.default):
-            yield one.name, kind, field(default=one.default)
+            fields.append((one.name, kind, field_of(default=one.default)))
         else:
-            yield one.name, kind, field(default_factory=partial(deepcopy, one.default))
+            make: Callable[[], Any] = partial(deepcopy, one.default)
+            if one.default in ([], {}):  # which a schema has as the default of these two functions
+                make = cast("Callable[[], Any]", type(one.default))
+            fields.append((one.name, kind, field_of(default_factory=make)))
+    return fields
 
 
 def _is_shared(default: Any) -> bool:
