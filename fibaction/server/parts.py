@@ -142,9 +142,8 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         await self.recovery.check()
         keeper = self.keeper
         await self.dispatcher.open(tasks, self.runs, keeper.look_at_capacity, keeper.key_places)
-        self.runs.open(
-            tasks, held=held
-        )  # its tasks wait for `stop`, so nothing may fail from here on
+        # Their tasks wait for `stop`, so nothing may fail from here on.
+        self.runs.open(tasks, held=held)
         self.keeper.start(tasks, self.recovery.open, self.capacity.watch)
 
     async def recover(self) -> None:

@@ -227,6 +227,11 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         DRIVE = Action("drive", goal=float, feedback=int, result=str)
     """
 
+    description = ""
+    """The docstring of the function that it is made of; empty for any other."""
+    parameters: frozenset[str] = frozenset()
+    """The names of the parameters of the function that it is made of; empty for any other."""
+
     def __init__(
         self,
         name: str,
@@ -274,11 +279,6 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         )
         """True if a value may be of the type of the feedback and of the result. Then a generator
         marks its result with `Return`."""
-
-    description = ""
-    """The docstring of the function that it is made of; empty for any other."""
-    parameters: frozenset[str] = frozenset()
-    """The names of the parameters of the function that it is made of; empty for any other."""
 
     def goal_from(self, args: tuple[Any, ...], fields: Mapping[str, Any]) -> GoalT:
         """Return the goal that a caller gives, as one argument; `NO_VALUE` if there is none.
