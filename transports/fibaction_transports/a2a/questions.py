@@ -13,18 +13,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import anyio
 from a2a.utils.errors import InvalidParamsError
 
 from fibaction.words.goals import GoalID
 from fibaction.words.plain_data import is_map
+from fibaction_transports._agents.open_questions import OpenQuestions
 from fibaction_transports.a2a.agent_card import Skill
 from fibaction_transports.a2a.documents import Document
-
-QUESTION_TIMEOUT = 600.0
-"""Seconds that a user has to answer a question."""
-MOST_QUESTIONS = 1000
-"""Questions that wait for their answers at once; the oldest of more is forgotten."""
 
 _ANSWERS = {"yes": True, "no": False}
 
@@ -40,14 +35,13 @@ class Question(NamedTuple):
     """The question, for the user."""
     client: str | None
     """The client whose user is asked."""
-    expires: float
 
 
 class Questions:
     """The questions of one server that wait for their answers."""
 
     def __init__(self) -> None:
-        self._questions: dict[GoalID, Question] = {}
+        self._open: OpenQuestions[Question] = OpenQuestions()
 
     def ask(
         self,
@@ -63,35 +57,25 @@ class Questions:
         Raises:
             InvalidParamsError: Another question has the ID.
         """
-        expires = anyio.current_time() + QUESTION_TIMEOUT
-        question = Question(goal_id, skill, goal, context_id or str(goal_id), text, client, expires)
-        known = self._questions.get(goal_id)
-        is_open = known is not None and known.expires > anyio.current_time()
-        if known is not None and is_open and (known.client, known.text) != (client, text):
+        question = Question(goal_id, skill, goal, context_id or str(goal_id), text, client)
+        known = self._open.find(str(goal_id))
+        if known is not None and (known.client, known.text) != (client, text):
             raise InvalidParamsError(
                 "another message has this ID: give each message an ID of its own"
             )
-        self._questions.pop(goal_id, None)
-        while len(self._questions) >= MOST_QUESTIONS:
-            del self._questions[next(iter(self._questions))]
-        self._questions[goal_id] = question
+        self._open.add(str(goal_id), question)
         return question
 
     def find(self, goal_id: GoalID, client: str | None) -> Question | None:
         """Return the question of a client about a goal; None if there is none, or it was asked too
         long ago.
         """
-        question = self._questions.get(goal_id)
-        if question is None or question.client != client:
-            return None
-        if question.expires <= anyio.current_time():
-            del self._questions[goal_id]
-            return None
-        return question
+        question = self._open.find(str(goal_id))
+        return None if question is None or question.client != client else question
 
     def close(self, question: Question) -> None:
         """Wait for the answer no longer."""
-        self._questions.pop(question.goal_id, None)
+        self._open.close(str(question.goal_id))
 
 
 def answer_in(documents: Sequence[Document]) -> bool | None:

@@ -29,7 +29,7 @@ import json
 import secrets
 from collections.abc import Awaitable, Callable
 from time import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import anyio
 from mcp.server.context import ServerRequestContext
@@ -49,29 +49,21 @@ from pydantic import ValidationError
 
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal
+from fibaction_transports._agents.open_questions import QUESTION_TIMEOUT, OpenQuestions
 from fibaction_transports.mcp.answers import ToolError, error_answer
 from fibaction_transports.mcp.arguments import client_of
-
-QUESTION_TIMEOUT = 600.0
-"""Seconds that a user has to answer a question."""
-MOST_QUESTIONS = 1000
-"""Questions that wait for their answers at once; the oldest of more is forgotten."""
 
 KEY = "consent"
 FORM: dict[str, Any] = {"type": "object", "properties": {}}
 """The form of the question: it has no fields, only the answer itself."""
 
 
-class _Question(NamedTuple):
-    call: str
-    expires: float
-
-
 class Consents:
     """The questions of one bridge, and their answers."""
 
     def __init__(self) -> None:
-        self._questions: dict[str, _Question] = {}
+        self._open: OpenQuestions[str] = OpenQuestions()
+        """The calls that were asked about, by the state of their requests."""
 
     async def ask(
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams, question: str
@@ -99,19 +91,18 @@ class Consents:
     def _asked_again(
         self, client: str, params: CallToolRequestParams, question: str
     ) -> InputRequiredResult | None:
-        call, now = _call_of(client, params, question), anyio.current_time()
+        call, given = _call_of(client, params, question), params.request_state or ""
         answer = (params.input_responses or {}).get(KEY)
-        asked = self._questions.pop(params.request_state or "", None)
-        if asked is not None and asked.call == call and asked.expires > now:
+        asked = self._open.find(given)
+        self._open.close(given)
+        if asked == call:
             if not isinstance(answer, ElicitResult):
                 raise _cannot_ask("the client has not answered the question")
             check_answer(answer)
             return None
         # The first call, or an answer to another question, or to an old one: it is asked again.
         state = secrets.token_urlsafe(16)
-        while len(self._questions) >= MOST_QUESTIONS:
-            del self._questions[next(iter(self._questions))]
-        self._questions[state] = _Question(call, now + QUESTION_TIMEOUT)
+        self._open.add(state, call)
         form = ElicitRequestFormParams(message=question, requested_schema=FORM)
         return InputRequiredResult(
             input_requests={KEY: ElicitRequest(params=form)}, request_state=state
@@ -175,7 +166,6 @@ class AskedTask:
         self.client = client
         self.question = question
         self.created = self.updated = time()
-        self.expires = anyio.current_time() + QUESTION_TIMEOUT
         self.status: TaskStatus = "input_required"
         """The status; with `working`, the goal is being sent."""
         self.answer: CallToolResult | None = None
@@ -211,25 +201,18 @@ class AskedTasks:
     """The tasks of one bridge that wait for an answer, or have ended without a goal."""
 
     def __init__(self) -> None:
-        self._tasks: dict[str, AskedTask] = {}
+        self._open: OpenQuestions[AskedTask] = OpenQuestions()
 
     def ask(self, context: ServerRequestContext[Any, Any], question: str, send: Send) -> AskedTask:
         """Begin to wait for an answer."""
         task = AskedTask(client_of(context), question, send)
-        while len(self._tasks) >= MOST_QUESTIONS:
-            del self._tasks[next(iter(self._tasks))]
-        self._tasks[str(task.goal_id)] = task
+        self._open.add(str(task.goal_id), task)
         return task
 
     def find(self, context: ServerRequestContext[Any, Any], task_id: str) -> AskedTask | None:
         """Return a task of this client; None if there is none, or it was asked too long ago."""
-        task = self._tasks.get(task_id)
-        if task is None or task.client != client_of(context):
-            return None
-        if task.expires <= anyio.current_time():
-            del self._tasks[task_id]
-            return None
-        return task
+        task = self._open.find(task_id)
+        return None if task is None or task.client != client_of(context) else task
 
     async def take(self, task: AskedTask, responses: dict[str, Any] | None) -> None:
         """Take the answer of the user, if it is among the responses; with a yes, send the goal."""
@@ -238,7 +221,7 @@ class AskedTasks:
         except ValidationError:
             return
         if task.status == "input_required" and await task.take(answer):
-            self._tasks.pop(str(task.goal_id), None)  # from now on it is a goal
+            self._open.close(str(task.goal_id))  # from now on it is a goal
 
 
 def input_requests(task: AskedTask) -> dict[str, Any]:

@@ -45,6 +45,7 @@ from fibaction.words.errors import ActionError, UnknownGoal
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports._agents.open_questions import QUESTION_TIMEOUT
 from fibaction_transports.mcp.answers import (
     ToolError,
     feedback_text,
@@ -53,7 +54,6 @@ from fibaction_transports.mcp.answers import (
     message_in,
 )
 from fibaction_transports.mcp.consent import (
-    QUESTION_TIMEOUT,
     AskedTask,
     AskedTasks,
     input_requests,
