@@ -36,12 +36,6 @@ class ConnectKeywords(TypedDict, total=False):
     feedback_qos: str
     status_qos: str
     introspection: str
-    search: Sequence[str]
-    discovery: str
-    peers: Sequence[str]
-    network: Sequence[str]
-    ip_versions: Sequence[int]
-    fragment_size: int
     node: Any
     via: Literal["", "rclpy", "dds"]
     tls: TlsFiles | SSLContext | None
@@ -49,6 +43,12 @@ class ConnectKeywords(TypedDict, total=False):
     answer_timeout: float
     schemas: bool
     cancel_on_disconnect: bool
+    search: Sequence[str]
+    discovery: str
+    peers: Sequence[str]
+    network: Sequence[str]
+    ip_versions: Sequence[int]
+    fragment_size: int
     locators: Sequence[str]
     mode: Literal["", "peer", "client"]
     worker: str
@@ -82,19 +82,19 @@ class ServeKeywords(TypedDict, total=False):
     feedback_qos: str
     status_qos: str
     introspection: str
+    node: Any
+    via: Literal["", "rclpy", "dds"]
     search: Sequence[str]
     discovery: str
     peers: Sequence[str]
     network: Sequence[str]
     ip_versions: Sequence[int]
     fragment_size: int
-    node: Any
-    via: Literal["", "rclpy", "dds"]
-    locators: Sequence[str]
-    mode: Literal["", "peer", "client"]
     authorize: Authorize | None
     orphans: Literal["keep", "cancel"]
     grace: float
+    locators: Sequence[str]
+    mode: Literal["", "peer", "client"]
     worker: str
     replicas: int
     history_days: float | None
@@ -162,15 +162,10 @@ class ClientKeywords(LineKeywords, total=False):
     reconnect_timeout: float
 
 
-class DdsKeywords(RosKeywords, total=False):
-    """The keyword arguments of `DdsSettings`."""
+class OwnNodeKeywords(RosKeywords, total=False):
+    """The keyword arguments of `OwnNodeSettings`."""
 
     search: Sequence[str]
-    discovery: str
-    peers: Sequence[str]
-    network: Sequence[str]
-    ip_versions: Sequence[int]
-    fragment_size: int
 
 
 class Ros2Keywords(RosKeywords, total=False):
@@ -190,12 +185,14 @@ class RosbridgeKeywords(LineKeywords, total=False):
     cancel_on_disconnect: bool
 
 
-class ZenohKeywords(RosKeywords, total=False):
-    """The keyword arguments of `ZenohSettings`."""
+class DdsKeywords(OwnNodeKeywords, total=False):
+    """The keyword arguments of `DdsSettings`."""
 
-    locators: Sequence[str]
-    mode: Literal["", "peer", "client"]
-    search: Sequence[str]
+    discovery: str
+    peers: Sequence[str]
+    network: Sequence[str]
+    ip_versions: Sequence[int]
+    fragment_size: int
 
 
 class WireKeywords(ClientKeywords, total=False):
@@ -205,6 +202,13 @@ class WireKeywords(ClientKeywords, total=False):
     authorize: Authorize | None
     orphans: Literal["keep", "cancel"]
     grace: float
+
+
+class ZenohKeywords(OwnNodeKeywords, total=False):
+    """The keyword arguments of `ZenohSettings`."""
+
+    locators: Sequence[str]
+    mode: Literal["", "peer", "client"]
 
 
 class HostKeywords(WireKeywords, total=False):

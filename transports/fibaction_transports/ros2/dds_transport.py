@@ -8,7 +8,6 @@ from fibaction.border.abc import Diagnosis
 from fibaction.border.settings import TransportSettings
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.ros_transport import RosTransport
-from fibaction_transports.ros2.settings import NodeSettings
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import DdsKeywords
@@ -35,8 +34,7 @@ class DdsTransport(RosTransport):
             ValueError: A number is out of range, or a word is not valid.
         """
         made = DdsSettings.of(self, settings)
-        node = NodeSettings(node_name or "", made.namespace, made.domain_id, made.arguments)
-        self._dds = DdsAdapter(node, made)
+        self._dds = DdsAdapter(made.node_settings(node_name), made)
         super().__init__(self._dds, made)
 
     async def diagnose(self, seconds: float, action: str = "") -> Diagnosis:

@@ -61,10 +61,7 @@ class Ros2Transport(RosTransport):
         made = Ros2Settings.of(self, settings)
         if made.via not in ("", _RCLPY):
             raise ValueError(f"via={made.via!r} is for URLs: use DdsTransport, or ros2://?via=dds")
-        own, node = (
-            made.node,
-            NodeSettings(node_name or "", made.namespace, made.domain_id, made.arguments),
-        )
+        own, node = made.node, made.node_settings(node_name)
         if own is not None:
             if node != NodeSettings():
                 raise ValueError("a node has its name, namespace, domain and arguments already")

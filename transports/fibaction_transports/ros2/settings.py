@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import msgspec
 
+from fibaction.border.peer_text import excerpt
 from fibaction.border.settings import TransportSettings, check_range
+from fibaction.words.errors import TransportError
 from fibaction_transports.ros2 import qos
 
 INTROSPECTIONS = ("off", "metadata", "contents")
 """The settings of the introspection of services, as `rclpy.service_introspection` names them."""
 
+DOMAIN = "ROS_DOMAIN_ID"
 LAST_DOMAIN = 232
 """The highest domain ID. Higher ones would have ports above 65535."""
+
+
+def domain_in(environ: Mapping[str, str]) -> int:
+    """Return the domain that the environment says; 0 if it says none.
+
+    Raises:
+        TransportError: It is not one of ROS.
+    """
+    given = environ.get(DOMAIN) or "0"
+    if given.isascii() and given.isdecimal() and int(given) <= LAST_DOMAIN:
+        return int(given)
+    raise TransportError(
+        f"invalid {DOMAIN} in the environment: {excerpt(given)!r} is not a number from 0 to"
+        f" {LAST_DOMAIN}"
+    )
 
 
 class NodeSettings(msgspec.Struct, frozen=True):
@@ -105,6 +123,10 @@ class RosSettings(TransportSettings, frozen=True, kw_only=True):
                 f"introspection must be one of {', '.join(INTROSPECTIONS)},"
                 f" not {self.introspection!r}"
             )
+
+    def node_settings(self, name: str | None) -> NodeSettings:
+        """Return those of a node of that name; None makes a unique one."""
+        return NodeSettings(name or "", self.namespace, self.domain_id, self.arguments)
 
     @property
     def grace(self) -> float:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult
 
 from fibaction.border.settings import TransportSettings
 from fibaction.words.extras import NeedsExtra
 from fibaction_transports.ros2.ros_transport import RosTransport
-from fibaction_transports.ros2.settings import NodeSettings
 
 with NeedsExtra("zenoh://", "fibaction[zenoh]"):
+    from fibaction_transports.ros2.on_zenoh.config import ROUTER_PORT
     from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import ZenohKeywords
-
-ROUTER_PORT: Final = 7447
-"""The port of a router of Zenoh."""
 
 
 class ZenohTransport(RosTransport):
@@ -41,8 +38,7 @@ class ZenohTransport(RosTransport):
             ValueError: A number is out of range, or a word is not valid.
         """
         made = ZenohSettings.of(self, settings)
-        node = NodeSettings(node_name or "", made.namespace, made.domain_id, made.arguments)
-        super().__init__(ZenohAdapter(node, made), made)
+        super().__init__(ZenohAdapter(made.node_settings(node_name), made), made)
 
     @classmethod
     def address_of(cls, parts: SplitResult) -> dict[str, Any]:

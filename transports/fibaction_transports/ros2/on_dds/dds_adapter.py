@@ -12,9 +12,10 @@ from fibaction.border.settings import check_range
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.node.ros_node import RosAdapter
 from fibaction_transports.ros2.on_dds.node import DdsNode, open_node
-from fibaction_transports.ros2.settings import NodeSettings, RosSettings
+from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.ros2.without_ros.node_start import node_start
+from fibaction_transports.ros2.without_ros.own_settings import OwnNodeSettings
 from fibaction_transports.rtps.ports import IP_VERSIONS, DiscoveryRange, DomainSettings
 
 DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"
@@ -22,20 +23,17 @@ DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"
 _USUAL = "default"
 
 
-class DdsSettings(RosSettings, frozen=True, kw_only=True):
+class DdsSettings(OwnNodeSettings, frozen=True, kw_only=True):
     """The settings of a `DdsTransport`."""
 
+    scheme = "dds"
     shared: ClassVar[tuple[str, ...]] = (
-        *RosSettings.shared,
+        *OwnNodeSettings.shared,
         "discovery",
         "peers",
         "ip_versions",
     )
 
-    search: Sequence[str] = ()
-    """Folders with packages of interface files: `package/action/Type.action` and
-    `package/msg/Type.msg`. They are searched before those of `FIBACTION_SEARCH` and those of
-    ROS."""
     discovery: str = ""
     """`SUBNET`, `LOCALHOST` or `OFF`: how far other nodes are looked for. Without it,
     `ROS_AUTOMATIC_DISCOVERY_RANGE` says it, and else it is `SUBNET`, as in ROS."""
@@ -60,8 +58,6 @@ class DdsSettings(RosSettings, frozen=True, kw_only=True):
         """
         super().__post_init__()
         check_range("fragment_size", self.fragment_size, 256, 63_000)
-        if self.introspection != "off":
-            raise ValueError("introspection needs rclpy: leave it out with dds://")
         if self.discovery and self.discovery not in DiscoveryRange.__members__:
             known = ", ".join(DiscoveryRange.__members__)
             raise ValueError(f"discovery must be one of {known}, not {self.discovery!r}")
@@ -81,21 +77,16 @@ class DdsAdapter(RosAdapter):
     @asynccontextmanager
     async def open(self) -> AsyncGenerator[DdsNode, None]:
         """See `RosAdapter.open`."""
-        start = node_start(self._node)
         opened = open_node(
             self.domain(),
-            start.name,
-            start.resolver,
+            node_start(self._node),
             self._types,
             network=self._settings.network,
             fragment_size=self._settings.fragment_size,
-            has_rosout=start.has_rosout,
         )
         async with opened as node:
             for sentence in self.left_out():
                 node.warn(sentence)
-            if start.use_sim_time is not None:
-                node.parameters.set_use_sim_time(start.use_sim_time)
             yield node
 
     def left_out(self) -> list[str]:

@@ -34,8 +34,8 @@ from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
+from fibaction_transports.ros2.without_ros.node_start import NodeStart
 from fibaction_transports.ros2.without_ros.own_node import OwnNode
-from fibaction_transports.ros2.without_ros.ros_arguments import NameResolver, NodeName
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
@@ -63,14 +63,11 @@ class DdsNode(OwnNode):
     def __init__(
         self,
         network: ParticipantNetwork,
-        name: NodeName,
-        resolver: NameResolver,
+        start: NodeStart,
         types: FileTypes,
         tasks: TaskGroup,
-        *,
-        has_rosout: bool,
     ) -> None:
-        self.graph = DdsGraph(network, name)
+        self.graph = DdsGraph(network, start.name)
         self.network = network
         """The participant with its sockets."""
         self._tasks = tasks
@@ -80,7 +77,7 @@ class DdsNode(OwnNode):
         self._watches: dict[Guid, DdsLifeWatch] = {}
         self._subscriptions: dict[Guid, DdsSubscription] = {}
         self._questions = TypeQuestions(network.ask_types)
-        super().__init__(self.graph, name, resolver, types, self._questions, has_rosout=has_rosout)
+        super().__init__(self.graph, start, types, self._questions)
         tasks.start_soon(self.graph.run, name="announcements of a ROS node")
 
     # What arrives
@@ -213,16 +210,14 @@ class _Inbox:
 @asynccontextmanager
 async def open_node(
     domain: DomainSettings,
-    name: NodeName,
-    resolver: NameResolver,
+    start: NodeStart,
     types: FileTypes,
     *,
     network: Sequence[str] = (),
     fragment_size: int = 63_000,
-    has_rosout: bool = True,
 ) -> AsyncGenerator[DdsNode, None]:
     """Open a node, and run it while the block is open; `network` and `fragment_size` are those of
-    `DdsTransport`. With `has_rosout`, its log is published on `/rosout` as well.
+    `DdsTransport`.
 
     Raises:
         TransportError: The sockets cannot be opened.
@@ -230,6 +225,6 @@ async def open_node(
     inbox = _Inbox()
     opened = open_network(domain, inbox.put, interfaces=network, fragment_size=fragment_size)
     async with opened as participant, Background() as tasks:
-        node = DdsNode(participant, name, resolver, types, tasks, has_rosout=has_rosout)
+        node = DdsNode(participant, start, types, tasks)
         inbox.open(node.handle)
         yield node

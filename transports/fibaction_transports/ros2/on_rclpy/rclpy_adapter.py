@@ -29,7 +29,7 @@ from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
 from fibaction_transports.ros2.on_rclpy.waitable import Source
-from fibaction_transports.ros2.settings import LAST_DOMAIN, NodeSettings
+from fibaction_transports.ros2.settings import NodeSettings, domain_in
 
 UNSPUN = 2.0
 """Seconds after which a node that no executor has spun is told in the log."""
@@ -87,13 +87,8 @@ async def own_node(
 
 
 def _check(settings: NodeSettings, name: str) -> None:
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if settings.domain_id is None and not (domain.isdecimal() and int(domain) <= LAST_DOMAIN):
-        # With a higher one, the middleware would end the process.
-        raise TransportError(
-            f"invalid ROS_DOMAIN_ID in the environment: {domain!r} is not a number from 0 to"
-            f" {LAST_DOMAIN}"
-        )
+    if settings.domain_id is None:
+        domain_in(os.environ)  # with a wrong one, the middleware would end the process
     # rclpy's error has several lines, and leaves half a node behind.
     namespace = f"/{settings.namespace.removeprefix('/')}"
     for setting, value, rule, check in (

@@ -19,6 +19,7 @@ FILE: Final = "ZENOH_SESSION_CONFIG_URI"
 OVERRIDE: Final = "ZENOH_CONFIG_OVERRIDE"
 """The variable with `key=json5;key=json5`, which is applied after the file."""
 ROUTER_PORT: Final = 7447
+"""The port of a router of Zenoh."""
 QUERIES_TIMEOUT: Final = 600.0
 """Seconds for which a request waits for its answer at most, as in ROS."""
 

@@ -72,9 +72,7 @@ class ZenohNode(OwnNode):
         self._hear_tokens()
         self._announce(self._tokens.node())
         questions = ServiceQuestions(self)
-        super().__init__(
-            self.graph, start.name, start.resolver, types, questions, has_rosout=start.has_rosout
-        )
+        super().__init__(self.graph, start, types, questions)
 
     def _hear_tokens(self) -> None:
         session, everything = self.session, all_tokens(self._domain)

@@ -33,8 +33,8 @@ from fibaction_transports.ros2.without_ros.messages.node_messages import (
     ROSOUT_QOS,
     RosoutLog,
 )
+from fibaction_transports.ros2.without_ros.node_start import NodeStart
 from fibaction_transports.ros2.without_ros.parameters import NodeParameters
-from fibaction_transports.ros2.without_ros.ros_arguments import NameResolver, NodeName
 
 _NEWEST = EndQos(reliability="best_effort", depth=1)
 
@@ -50,32 +50,32 @@ class OwnNode(RosNode):
     def __init__(
         self,
         graph: RosGraph,
-        name: NodeName,
-        resolver: NameResolver,
+        start: NodeStart,
         types: FileTypes,
         questions: ActionQuestions,
-        *,
-        has_rosout: bool,
     ) -> None:
         """Serve what every node serves. What a subclass needs for its parts is there before."""
         super().__init__()
         self.types = types
         self.clock = self._clock = OwnClock()
         self.parameters = NodeParameters(self._use_simulated_time)
-        self.full_name = str(name)
-        self.namespace = name.namespace
+        self.full_name = str(start.name)
+        self.namespace = start.name.namespace
         self.in_use = TypeRegistry()
         """The types of the parts, which others may ask for."""
         self._graph = graph
-        self._resolver = resolver
+        self._resolver = start.resolver
         self._learner = TypeLearner(self, types, questions)
         self._hears_time = False
         self.parameters.serve(self, self.full_name)
         self._rosout: RosoutLog | None = None
-        if has_rosout:
+        if start.has_rosout:
             log = self.publisher(self.resolve(ROSOUT), LOG, ROSOUT_QOS)
             self._rosout = RosoutLog(self.full_name, log.publish)
-        provide(self, f"{name}/get_type_description", GET_TYPE_DESCRIPTION, self.in_use.answer)
+        description = f"{self.full_name}/get_type_description"
+        provide(self, description, GET_TYPE_DESCRIPTION, self.in_use.answer)
+        if start.use_sim_time is not None:
+            self.parameters.set_use_sim_time(start.use_sim_time)
 
     def resolve(self, name: str) -> str:
         return self._resolver.resolve(name)
