@@ -99,7 +99,7 @@ def test_ctrl_c_without_a_verb_exits_at_once(monkeypatch: pytest.MonkeyPatch) ->
     assert codes == [INTERRUPTED]
 
 
-@pytest.mark.parametrize("module", ["anyio", "msgspec", "click", "difflib"])
+@pytest.mark.parametrize("module", ["anyio", "msgspec", "click", "yaml"])
 def test_ctrl_c_while_modules_are_imported_is_quiet(
     fibaction: Run, tmp_path: Path, nobody: str, module: str
 ) -> None:
