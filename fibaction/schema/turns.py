@@ -5,10 +5,9 @@ at each of the loop's calls of the system. So the thread pauses about once in a 
 there is one such thread for an event loop: the documents of all clients wait for each other, in the
 order in which they came, and small ones wait for none.
 
-The thread helps only if nothing keeps the interpreter for long. msgspec takes some 10 us for a
-number such as `1e308`, in one call that nothing interrupts: a text of 1 MiB took 2 s, in which no
-thread of the process ran. Python's own parser takes less than 1 us for each, so `read_json` leaves
-such texts to it.
+The thread helps only if nothing keeps the interpreter for long. msgspec is slow with numbers such
+as `1e308`, and one call reads a whole text: with a megabyte of them, no thread of the process runs
+for seconds. Python's own parser is fast with these, so `read_json` leaves such texts to it.
 """
 
 from __future__ import annotations

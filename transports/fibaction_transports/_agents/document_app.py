@@ -1,8 +1,8 @@
 """`DocumentApp`: takes the documents out of the requests of agents, before an SDK reads them.
 
-The SDKs make models of all that a request has, and check each of them on the event loop: that took
-1 s for 1 MiB of empty lists, and 16 s for numbers in messages of protobuf. So the goals are taken
-out of the JSON here, in a thread if the request is large, and what is left has a small bound.
+The SDKs make models of all that a request has, and check each of them on the event loop, which
+takes seconds for a large goal. So the goals are taken out of the JSON here, in a thread if the
+request is large, and what is left has a small bound.
 """
 
 from __future__ import annotations

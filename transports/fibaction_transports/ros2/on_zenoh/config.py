@@ -41,7 +41,7 @@ _DEFAULT = {
     "transport/link/tx/lease": 10_000,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
 }
-"""As `rmw_zenoh_cpp` has it, with two exceptions. The lease is 60 s there: others learn within this
+"""The default of `rmw_zenoh_cpp`, with two exceptions. The lease is 60 s there: others learn within this
 time that this machine has vanished. And there a session waits half a second for peers to connect.
 """
 
