@@ -41,8 +41,9 @@ _DEFAULT = {
     "transport/link/tx/lease": 10_000,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
 }
-"""The default of `rmw_zenoh_cpp`, with two exceptions. The lease is 60 s there: others learn within this
-time that this machine has vanished. And there a session waits half a second for peers to connect.
+"""The default of `rmw_zenoh_cpp`, with two exceptions. The lease is 60 s there: others learn within
+this time that this machine has vanished. And there a session waits half a second for peers to
+connect.
 """
 
 logger = clean_logger("fibaction.ros2")
