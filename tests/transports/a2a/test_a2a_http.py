@@ -84,7 +84,7 @@ async def test_each_of_several_tokens_is_enough() -> None:
         (b"{", -32700, "the request is not JSON: "),
         (b"[]", -32600, ""),
         (b"\xff\xfe\x00", -32700, "the request is not JSON: "),
-        (b"[" * 5000, -32700, "the request nests too deep"),
+        (b"[" * 100_000, -32700, "the request nests too deep"),
         (call("SendMessage", {"metadata": {"a": [1] * 9000}}), -32600, "16384 are the limit"),
         ([1] * 9000, -32600, "16384 are the limit"),
         (call("SendMessage", {"message": {"parts": [{}] * 100_000}}), -32602, ""),

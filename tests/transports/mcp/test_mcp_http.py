@@ -127,7 +127,7 @@ async def test_a_large_goal_keeps_nobody_waiting() -> None:
     ("body", "text"),
     [
         (b"[" + b"[]," * 300_000 + b"[]]", "beside its goal; 16384 are the limit"),
-        (b"[" * 5000, "the request nests too deep"),
+        (b"[" * 100_000, "the request nests too deep"),
         (b"garbage", "the request is not JSON: "),
         (b'{"method": "tools/call", "params": {"arguments": 3}}', "error"),
     ],
