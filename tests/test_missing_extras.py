@@ -142,6 +142,7 @@ print(json.dumps(told))
 
 IN_A_SHELL = [
     (("top",), "fibaction top needs textual: {tui}"),
+    (("router",), "fibaction router needs zenoh: {zenoh}"),
     (("mcp", "tcp://127.0.0.1:1"), "fibaction mcp needs mcp: {mcp}"),
     (("console",), "http:// needs h11: {web}"),
     (("list", "-u", "http://127.0.0.1:1"), "http:// needs h11: {web}"),
