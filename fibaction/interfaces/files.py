@@ -24,7 +24,7 @@ from fibaction.interfaces.packages import (
     package_of,
     read_bytes,
 )
-from fibaction.interfaces.parser import parse_action, parse_message
+from fibaction.interfaces.parser import parse_action, parse_message, parse_service
 
 MAX_DEPTH = 100
 """Levels of messages within messages."""
@@ -33,6 +33,7 @@ MAX_MESSAGES = 100_000
 
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*", re.ASCII)
 _ACTION = re.compile(r"action/[A-Z][A-Za-z0-9]*", re.ASCII)
+_LONG_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv)/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 _ROS_1_HINTS = {"Header": "; in ROS 2 it is 'std_msgs/Header'"}
 """The advice of an error about names of ROS 1, by the name of the type."""
@@ -56,6 +57,15 @@ _BUILTIN = {
         "uint32 nanosec\n"
     ),
 }
+
+
+# https://github.com/ros2/common_interfaces/tree/rolling/std_srvs/srv
+_SERVICES = {
+    "std_srvs/srv/Empty": "---\n",
+    "std_srvs/srv/SetBool": "bool data\n---\nbool success\nstring message\n",
+    "std_srvs/srv/Trigger": "---\nbool success\nstring message\n",
+}
+"""The services that are known without a file."""
 
 
 class InterfaceMessage(NamedTuple):
@@ -96,10 +106,22 @@ class ActionFile(NamedTuple):
 
     def messages(self) -> list[InterfaceMessage]:
         """Return all messages, each once, and each after those that it nests."""
-        found: dict[str, InterfaceMessage] = {}
-        for part in (self.goal, self.result, self.feedback):
-            _add_inside_out(part, found)
-        return list(found.values())
+        return inside_out(self.goal, self.result, self.feedback)
+
+
+class ServiceFile(NamedTuple):
+    """A `.srv` file, with the messages that it nests."""
+
+    request: InterfaceMessage
+    response: InterfaceMessage
+
+
+def inside_out(*messages: InterfaceMessage) -> list[InterfaceMessage]:
+    """Return messages and all that they nest, each once, and each after those that it nests."""
+    found: dict[str, InterfaceMessage] = {}
+    for message in messages:
+        _add_inside_out(message, found)
+    return list(found.values())
 
 
 def _add_inside_out(message: InterfaceMessage, found: dict[str, InterfaceMessage]) -> None:
@@ -148,6 +170,71 @@ def read_action_texts(type_name: str, texts: Mapping[str, str], *, name: str = "
     return _action(
         path, texts[type_name], _Messages(package, SearchPath((), ()), texts), name, type_name
     )
+
+
+def read_message(type_name: str, search: SearchPath) -> InterfaceMessage:
+    """Read a message by its type, such as `nav_msgs/msg/Odometry`, and all that it nests.
+
+    Raises:
+        InterfaceError: This is not the name of a message, its file is malformed, or it is not
+            found.
+        OSError: A file cannot be read.
+    """
+    return _message(type_name, search, {})
+
+
+def read_message_texts(type_name: str, texts: Mapping[str, str]) -> InterfaceMessage:
+    """Read a message from texts, by the types that they define; no file is searched for.
+
+    Raises:
+        InterfaceError: A text is malformed or missing.
+    """
+    return _message(type_name, SearchPath((), ()), texts)
+
+
+def _message(type_name: str, search: SearchPath, texts: Mapping[str, str]) -> InterfaceMessage:
+    package, name = _named(type_name, "msg", "std_msgs/msg/String")
+    found = _Messages(package, search, texts)
+    outer = parse_message(f"{package}/{name} message\n", Path(type_name))
+    found.read([outer])
+    return found.message(outer, package).nested["message"]
+
+
+def read_service(type_name: str, search: SearchPath) -> ServiceFile:
+    """Read a service by its type, such as `std_srvs/srv/Trigger`; see `read_message`.
+
+    Raises:
+        InterfaceError: As for `read_message`.
+        OSError: A file cannot be read.
+    """
+    package, name = _named(type_name, "srv", "std_srvs/srv/Trigger")
+    places = (
+        root / place
+        for root in search.roots
+        for place in (f"{type_name}.srv", f"srv/{name}.srv", f"{name}.srv")
+    )
+    path = next((path for path in places if path.is_file()), None)
+    text = _SERVICES.get(type_name) if path is None else _text_of(path)
+    if text is None:
+        roots = ", ".join(dict.fromkeys(map(str, search.roots))) or "no folder"
+        problem = f"expected {package}/srv/{name}.srv in {roots}, found none"
+        raise InterfaceError(Path(type_name), 1, problem)
+    parts = parse_service(text, path or Path(f"{type_name}.srv"))
+    found = _Messages(package, search, {})
+    found.read(parts)
+    request, response = (
+        found.message(part, package, f"the {word} of `{name}`", "srv")
+        for part, word in zip(parts, ("request", "response"), strict=True)
+    )
+    return ServiceFile(request, response)
+
+
+def _named(type_name: str, folder: str, example: str) -> tuple[str, str]:
+    package, _, name = type_name.partition(f"/{folder}/")
+    if not _LONG_NAME.fullmatch(type_name) or not name:
+        problem = f"expected a type like {example!r}, found {type_name!r}"
+        raise InterfaceError(Path(type_name), 1, problem)
+    return package, name
 
 
 def _action(path: Path, text: str, found: _Messages, name: str, type_name: str) -> ActionFile:
@@ -268,9 +355,15 @@ class _Messages:
         )
 
     def message(
-        self, definition: MessageDefinition, package: str, full_name: str = ""
+        self,
+        definition: MessageDefinition,
+        package: str,
+        full_name: str = "",
+        folder: str = "action",
     ) -> InterfaceMessage:
-        """Return a message with all that it nests, which `read` has read before."""
+        """Return a message with all that it nests, which `read` has read before. One with a full
+        name is a part of what is in the folder of its package.
+        """
         nested: dict[str, InterfaceMessage] = {}
         for field in definition.fields:
             if field.type.is_message:
@@ -279,7 +372,7 @@ class _Messages:
                     self._made[key] = self.message(self._definitions[key], key[0])
                 nested[field.name] = self._made[key]
         name = definition.name
-        folder = "action" if full_name else "msg"
+        folder = folder if full_name else "msg"
         type_name = f"{package}/{folder}/{name}" if package else ""
         if self._namesakes[name] > 1 and not full_name:
             name = f"{package}_{name}"

@@ -51,22 +51,36 @@ def parse_action(
     Raises:
         InterfaceError: The text is malformed.
     """
+    goal, result, feedback = _parts(
+        text,
+        path,
+        ("Goal", "Result", "Feedback"),
+        f"two lines {_SEPARATOR!r}, between goal and result and between result and feedback",
+    )
+    return goal, result, feedback
+
+
+def parse_service(text: str, path: Path) -> tuple[MessageDefinition, MessageDefinition]:
+    """Parse the text of a `.srv` file into request and response.
+
+    Raises:
+        InterfaceError: The text is malformed.
+    """
+    wanted = f"one line {_SEPARATOR!r}, between request and response"
+    request, response = _parts(text, path, ("Request", "Response"), wanted)
+    return request, response
+
+
+def _parts(text: str, path: Path, names: Sequence[str], wanted: str) -> Iterator[MessageDefinition]:
     lines = _lines(text, path)
     bars = [index for index, line in enumerate(lines) if line.text == _SEPARATOR]
-    if len(bars) != 2:
-        number = lines[bars[2]].number if len(bars) > 2 else max(len(lines), 1)
-        raise InterfaceError(
-            path,
-            number,
-            f"expected two lines {_SEPARATOR!r}, between goal and result and between result and"
-            f" feedback, found {len(bars)}",
-        )
-    first, second = bars
-    return (
-        _message(lines[:first], path, f"{path.stem}_Goal"),
-        _message(lines[first + 1 : second], path, f"{path.stem}_Result"),
-        _message(lines[second + 1 :], path, f"{path.stem}_Feedback"),
-    )
+    most = len(names) - 1
+    if len(bars) != most:
+        number = lines[bars[most]].number if len(bars) > most else max(len(lines), 1)
+        raise InterfaceError(path, number, f"expected {wanted}, found {len(bars)}")
+    starts = [0, *(bar + 1 for bar in bars)]
+    for name, start, end in zip(names, starts, [*bars, len(lines)], strict=True):
+        yield _message(lines[start:end], path, f"{path.stem}_{name}")
 
 
 def parse_message(text: str, path: Path) -> MessageDefinition:

@@ -6,7 +6,7 @@ agree.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 import msgspec
@@ -19,8 +19,13 @@ from fibaction.interfaces.ros_types import PRIMITIVES, UInt8, array, string, str
 
 def make_structs(action: ActionFile) -> dict[str, type[msgspec.Struct]]:
     """Return a struct for each message, and for those that it nests, by class name."""
+    return structs_of(action.messages())
+
+
+def structs_of(messages: Iterable[InterfaceMessage]) -> dict[str, type[msgspec.Struct]]:
+    """Return a struct for each message, by class name. Each comes after those that it nests."""
     made: dict[str, type[msgspec.Struct]] = {}
-    for message in action.messages():
+    for message in messages:
         made[message.class_name] = _struct(message, made)
     return made
 

@@ -426,7 +426,7 @@ class SlowNode:
     def send(self, request: DescriptionRequest) -> int:
         raise ConnectionLost("the line is cut")
 
-    def remove_caller(self, caller: SlowNode) -> None:
+    def remove(self, caller: SlowNode) -> None:
         self.removed.append(caller)
 
 

@@ -111,7 +111,7 @@ class Robot:
         self.described.append(request.type_name)
         raise ConnectionLost("it does not describe")
 
-    def remove_caller(self, caller: Robot) -> None:
+    def remove(self, caller: Robot) -> None:
         assert caller is self
 
 

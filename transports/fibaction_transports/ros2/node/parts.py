@@ -118,3 +118,9 @@ class LifeWatch(ABC):
     @abstractmethod
     def news(self) -> LifeSigns | None:
         """Return how many are alive; None if that has not changed since the last call."""
+
+
+NodePart: TypeAlias = (
+    TopicPublisher | TopicSubscription | ServiceCaller | ServiceProvider | LifeWatch
+)
+"""A part of a node that can be removed."""

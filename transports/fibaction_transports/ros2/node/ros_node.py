@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.convert.message_types import MessageKind
 from fibaction_transports.ros2.node.graph_view import GraphView
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
@@ -19,6 +20,7 @@ from fibaction_transports.ros2.node.parts import (
     ErrorSink,
     LifeWatch,
     MessageSink,
+    NodePart,
     RequestSink,
     ServiceCaller,
     ServiceProvider,
@@ -55,6 +57,24 @@ class TypeVersion(NamedTuple):
     """The hash of its service, which some middlewares announce instead; empty for other types."""
 
 
+class TopicType(NamedTuple):
+    """A type of messages on topics, as a middleware knows it."""
+
+    message: Any
+    """The type that publishers and subscriptions are made with."""
+    kind: MessageKind
+    """Its fields, and what makes its messages."""
+
+
+class CalledType(NamedTuple):
+    """A type of services, as a middleware knows it."""
+
+    service: Any
+    """The type that clients and servers are made with."""
+    request: MessageKind
+    response: MessageKind
+
+
 class RosTypes(ABC):
     """The types of messages that a middleware knows.
 
@@ -86,6 +106,22 @@ class RosTypes(ABC):
             TransportError: As for `find`.
         """
         return self.find(type_name, action)
+
+    @abstractmethod
+    def topic_type(self, type_name: str) -> TopicType:
+        """Find the type of messages by its name, for example `nav_msgs/msg/Odometry`.
+
+        Raises:
+            TransportError: There is no such type that can be used; the text says what to do.
+        """
+
+    @abstractmethod
+    def called_type(self, type_name: str) -> CalledType:
+        """Find the type of a service by its name, for example `std_srvs/srv/Trigger`.
+
+        Raises:
+            TransportError: As for `topic_type`.
+        """
 
     @abstractmethod
     def texts(self, type_name: str) -> dict[str, str]:
@@ -231,6 +267,10 @@ class RosNode(RosGraph):
         """Watch for signs of life of the publishers of a topic whose lease is not longer than that
         of the QoS.
         """
+
+    @abstractmethod
+    def remove(self, part: NodePart) -> None:
+        """Remove a part of this node from the graph; its sinks are called no more."""
 
     @abstractmethod
     def introspect(self, level: str, *services: ServiceCaller | ServiceProvider) -> None:

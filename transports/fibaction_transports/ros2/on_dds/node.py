@@ -18,8 +18,8 @@ from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     ErrorSink,
     MessageSink,
+    NodePart,
     RequestSink,
-    ServiceCaller,
     UnansweredSink,
 )
 from fibaction_transports.ros2.on_dds.graph import DdsGraph, dds_qos
@@ -141,14 +141,6 @@ class DdsNode(OwnNode):
         self._tasks.start_soon(caller.ask, name=f"client of {service}")
         return caller
 
-    def remove_caller(self, caller: ServiceCaller) -> None:
-        assert isinstance(caller, DdsCaller)
-        caller.close()
-        self._takers.pop(caller.ends.reader.guid, None)
-        for end in (caller.ends.writer, caller.ends.reader):
-            self.graph.remove(end)
-            self.network.remove(end)
-
     def provider(
         self, service: str, service_type: ServiceType, qos: EndQos, take: RequestSink
     ) -> DdsProvider:
@@ -163,6 +155,16 @@ class DdsNode(OwnNode):
         reader = self._reader(topic_name(topic), message_type, qos)
         watch = self._watches[reader.guid] = DdsLifeWatch(reader)
         return watch
+
+    def remove(self, part: NodePart) -> None:
+        if isinstance(part, DdsCaller):
+            part.close()
+        for end in _ends_of(part):
+            self._takers.pop(end.guid, None)
+            self._subscriptions.pop(end.guid, None)
+            self._watches.pop(end.guid, None)
+            self.graph.remove(end)
+            self.network.remove(end)
 
     def _writer(self, topic: str, message_type: MessageType, qos: EndQos) -> DataWriter:
         self.in_use.add_messages(message_type)
@@ -179,6 +181,13 @@ class DdsNode(OwnNode):
         )
         self.graph.add(made)
         return made
+
+
+def _ends_of(part: NodePart) -> tuple[DataWriter | DataReader, ...]:
+    if isinstance(part, DdsCaller | DdsProvider):
+        return part.ends.writer, part.ends.reader
+    assert isinstance(part, DdsPublisher | DdsSubscription | DdsLifeWatch)
+    return (part.end,)
 
 
 class _Inbox:

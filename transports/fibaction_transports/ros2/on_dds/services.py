@@ -284,7 +284,7 @@ class DdsProvider(ServiceProvider):
     """A server of a service."""
 
     def __init__(self, ends: ServiceEnds, service_type: ServiceType, take: RequestSink) -> None:
-        self._ends = ends
+        self.ends = ends
         self._request: MessageType = service_type.Request
         self._encode = service_type.Response.codec.encode
         self._take = take
@@ -293,18 +293,18 @@ class DdsProvider(ServiceProvider):
         """Take a request."""
         found = self._header_of(sample)
         if found is None:
-            logger.error("a request on %s does not name its client", self._ends.reader.topic)
+            logger.error("a request on %s does not name its client", self.ends.reader.topic)
             return
         header, payload = found
         try:
             request = self._request.codec.decode(payload)
         except ProtocolError as exc:
-            logger.error("a request on %s cannot be read: %s", self._ends.reader.topic, exc)
+            logger.error("a request on %s cannot be read: %s", self.ends.reader.topic, exc)
         else:
             self._take(header, request)
 
     def _header_of(self, sample: Sample) -> tuple[RequestHeader, bytes] | None:
-        if self._ends.uses_header(sample.writer):
+        if self.ends.uses_header(sample.writer):
             parts = split_header(sample.payload)
             return parts and (RequestHeader(sample.writer, None, parts[0]), parts[1])
         identity = identity_in(sample)
@@ -320,12 +320,12 @@ class DdsProvider(ServiceProvider):
             payload = with_header(header.header, payload)
         inline = () if header.identity is None else identity_items(header.identity)
         for reader in readers:
-            self._ends.network.write(self._ends.writer, payload, inline_qos=inline, only_to=reader)
+            self.ends.network.write(self.ends.writer, payload, inline_qos=inline, only_to=reader)
         return bool(readers)
 
     def _readers_of(self, header: RequestHeader) -> list[Guid]:
         """Return the readers of replies that a client has; none if they are not matched yet."""
-        readers = self._ends.writer.readers
+        readers = self.ends.writer.readers
         if header.identity is not None:
             return [header.identity.writer] if header.identity.writer in readers else []
         # A header does not name the reader, so all of the client's participant get the answer.

@@ -33,7 +33,7 @@ class DdsPublisher(TopicPublisher):
         message_type: MessageType,
         write: Callable[[DataWriter, bytes], object],
     ) -> None:
-        self._writer = writer
+        self.end = writer
         self._encode = message_type.codec.encode
         self._write = write
 
@@ -42,17 +42,17 @@ class DdsPublisher(TopicPublisher):
 
     def publish_bytes(self, message: bytes) -> None:
         try:
-            self._write(self._writer, message)
+            self._write(self.end, message)
         except LimitReached as exc:
-            logger.error("%s: a message is lost: %s", self._writer.topic, exc)
+            logger.error("%s: a message is lost: %s", self.end.topic, exc)
 
     def reader_count(self) -> int:
-        return len(self._writer.readers)
+        return len(self.end.readers)
 
     def has_arrived(self, margin: int) -> bool:
         # Others acknowledge what waits in the queue of a reader, and may be pushed out of it.
-        are_ours = all(reader.startswith(OWN_VENDOR) for reader in self._writer.readers)
-        return are_ours and self._writer.has_arrived(margin)
+        are_ours = all(reader.startswith(OWN_VENDOR) for reader in self.end.readers)
+        return are_ours and self.end.has_arrived(margin)
 
 
 class DdsSubscription(TopicSubscription):
@@ -61,7 +61,7 @@ class DdsSubscription(TopicSubscription):
     def __init__(
         self, reader: DataReader, take: MessageSink, catch_up: Callable[[DataReader], bool]
     ) -> None:
-        self._reader = reader
+        self.end = reader
         self._take = take
         self._catch_up = catch_up
         self._waiting: list[Callable[[], None]] = []
@@ -72,17 +72,17 @@ class DdsSubscription(TopicSubscription):
 
     def publisher_count(self) -> int:
         # Without those that have not found the reader yet, and would lose the first messages.
-        return len(self._reader.confirmed_writers)
+        return len(self.end.confirmed_writers)
 
     def when_caught_up(self, then: Callable[[], None]) -> None:
-        if self._catch_up(self._reader):
+        if self._catch_up(self.end):
             self._waiting.append(then)
         else:
             then()
 
     def note_caught_up(self) -> None:
         """Note that the reader has caught up, unless it has been asked again meanwhile."""
-        if not self._reader.is_catching_up:
+        if not self.end.is_catching_up:
             waiting, self._waiting = self._waiting, []
             for then in waiting:
                 then()
@@ -92,7 +92,7 @@ class DdsLifeWatch(LifeWatch):
     """A look-out for signs of life, by the lease of liveliness of the publishers."""
 
     def __init__(self, reader: DataReader) -> None:
-        self._reader = reader
+        self.end = reader
         self._silent: set[Guid] = set()
         self._told = LifeSigns(0, 0)
 
@@ -104,7 +104,7 @@ class DdsLifeWatch(LifeWatch):
             self._silent.add(event.writer)
 
     def news(self) -> LifeSigns | None:
-        writers = set(self._reader.writers)
+        writers = set(self.end.writers)
         self._silent &= writers
         signs = LifeSigns(len(writers) - len(self._silent), len(self._silent))
         if signs == self._told:

@@ -31,7 +31,7 @@ Attempt: TypeAlias = Callable[..., Any]
 """Calls rclpy: see `RclpyNode.attempt`."""
 
 
-class _RclpyEnd:
+class RclpyEnd:
     """An end over a raw handle."""
 
     def __init__(self, handle: Any, attempt: Attempt) -> None:
@@ -39,7 +39,7 @@ class _RclpyEnd:
         self._attempt = attempt
 
 
-class RclpyPublisher(_RclpyEnd, TopicPublisher):
+class RclpyPublisher(RclpyEnd, TopicPublisher):
     """A publisher of a topic."""
 
     def publish(self, message: Any) -> None:
@@ -53,7 +53,7 @@ class RclpyPublisher(_RclpyEnd, TopicPublisher):
         return count
 
 
-class RclpySubscription(_RclpyEnd, TopicSubscription):
+class RclpySubscription(RclpyEnd, TopicSubscription):
     """A subscription to a topic."""
 
     def publisher_count(self) -> int:
@@ -61,7 +61,7 @@ class RclpySubscription(_RclpyEnd, TopicSubscription):
         return count
 
 
-class RclpyCaller(_RclpyEnd, ServiceCaller):
+class RclpyCaller(RclpyEnd, ServiceCaller):
     """A client of a service."""
 
     def send(self, request: Any) -> int:
@@ -79,7 +79,7 @@ class RclpyCaller(_RclpyEnd, ServiceCaller):
         """See `ServiceCaller.forget`. A client of rclpy waits for nothing."""
 
 
-class RclpyProvider(_RclpyEnd, ServiceProvider):
+class RclpyProvider(RclpyEnd, ServiceProvider):
     """A server of a service."""
 
     def answer(self, header: Any, response: Any) -> bool:
@@ -90,8 +90,9 @@ class RclpyProvider(_RclpyEnd, ServiceProvider):
 class RclpyLifeWatch(LifeWatch):
     """A look-out for signs of life."""
 
-    def __init__(self, event: Any, attempt: Attempt) -> None:
+    def __init__(self, subscription: Any, event: Any, attempt: Attempt) -> None:
         """`event` is that of a sign of life; None if the middleware has none."""
+        self.handle = subscription
         self._event = event
         self._attempt = attempt
         self._before = LifeSigns(0, 0)

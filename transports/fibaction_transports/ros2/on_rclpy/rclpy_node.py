@@ -25,6 +25,7 @@ from fibaction_transports.ros2.node.parts import (
     EndInfo,
     ErrorSink,
     MessageSink,
+    NodePart,
     RequestSink,
     ServiceCaller,
     ServiceProvider,
@@ -33,6 +34,7 @@ from fibaction_transports.ros2.node.parts import (
 from fibaction_transports.ros2.node.ros_node import RosClock, RosNode
 from fibaction_transports.ros2.on_rclpy.ends import (
     RclpyCaller,
+    RclpyEnd,
     RclpyLifeWatch,
     RclpyProvider,
     RclpyPublisher,
@@ -217,7 +219,15 @@ class RclpyNode(RosNode):
         event: Any = None
         with subscription, suppress(UnsupportedEventType):
             event = self.keep(raw.EventHandle(subscription, LIVELINESS_CHANGED))
-        return RclpyLifeWatch(event, self.attempt)
+        return RclpyLifeWatch(subscription, event, self.attempt)
+
+    def remove(self, part: NodePart) -> None:
+        assert isinstance(part, RclpyEnd | RclpyLifeWatch)
+        self.sources.remove(part.handle)
+        if part.handle in self._handles:  # else ROS was shut down
+            self._handles.remove(part.handle)
+            part.handle.destroy_when_not_in_use()
+        self.wake()
 
     def _make(self, kind: Any, ros_type: Any, name: str, qos: EndQos) -> Any:
         """Make a raw handle, which is destroyed at the end.

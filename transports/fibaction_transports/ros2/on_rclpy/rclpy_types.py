@@ -16,7 +16,7 @@ from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.convert.conversion import RosAction, check_action_type
 from fibaction_transports.ros2.convert.message_classes import message_kind
-from fibaction_transports.ros2.node.ros_node import RosTypes
+from fibaction_transports.ros2.node.ros_node import CalledType, RosTypes, TopicType
 from fibaction_transports.ros2.on_rclpy.rcl import (
     GoalInfoMessage,
     ParameterMessage,
@@ -35,6 +35,14 @@ class RclpyTypes(RosTypes):
     def find(self, type_name: str, action: str = "") -> RosAction:
         check_action_type(type_name, action)
         return _found(type_name)
+
+    def topic_type(self, type_name: str) -> TopicType:
+        message = _interface(type_name, "msg")
+        return TopicType(message, message_kind(message))
+
+    def called_type(self, type_name: str) -> CalledType:
+        service = _interface(type_name, "srv")
+        return CalledType(service, message_kind(service.Request), message_kind(service.Response))
 
     def texts(self, type_name: str) -> dict[str, str]:
         made = self.find(type_name).texts()
@@ -73,14 +81,27 @@ def _hash(file: ActionFile) -> str:
 
 @cache
 def _found(type_name: str) -> RosAction:
-    package, _, name = type_name.split("/")
-    actions = _actions_of(package, type_name)
-    if not hasattr(actions, name):
+    ros_type = _interface(type_name, "action")
+    kinds = [message_kind(one) for one in (ros_type.Goal, ros_type.Feedback, ros_type.Result)]
+    return RosAction(type_name, ros_type.Impl, kinds)
+
+
+_WORDS = {"action": "actions", "msg": "messages", "srv": "services"}
+
+
+def _interface(type_name: str, folder: str) -> Any:
+    """Return the class of a type whose name has this folder in the middle."""
+    package, _, name = type_name.partition(f"/{folder}/")
+    if not package or not name.isidentifier():
+        raise TransportError(f"expected a type like 'package/{folder}/Type', found {type_name!r}")
+    module = _module(package, folder, type_name)
+    if not hasattr(module, name):
+        word = _WORDS[folder].removesuffix("s")
         raise TransportError(
-            f"the ROS package {package!r}, as it is built here, has no action {name!r}:"
-            f" look at its .action files, and build it again"
+            f"the ROS package {package!r}, as it is built here, has no {word} {name!r}:"
+            f" look at its .{folder} files, and build it again"
         )
-    ros_type = getattr(actions, name)
+    ros_type = getattr(module, name)
     try:
         check_for_type_support(ros_type)
     except Exception as exc:  # loading compiled code may raise anything
@@ -88,20 +109,19 @@ def _found(type_name: str) -> RosAction:
             f"{type_name} cannot be used, because its compiled part cannot be loaded ({exc}):"
             f" build the ROS package {package!r} again, for this ROS and this Python"
         ) from exc
-    kinds = [message_kind(one) for one in (ros_type.Goal, ros_type.Feedback, ros_type.Result)]
-    return RosAction(type_name, ros_type.Impl, kinds)
+    return ros_type
 
 
-def _actions_of(package: str, type_name: str) -> Any:
-    """Return the module with the actions of a ROS package."""
+def _module(package: str, folder: str, type_name: str) -> Any:
+    """Return the module with the types of a ROS package."""
     try:
         spec = find_spec(package)
         # To Python, a folder of sources that are not built is a package, too: one without a file.
         if spec is not None and spec.origin is not None:
-            return import_module(f"{package}.action")
+            return import_module(f"{package}.{folder}")
     except Exception as exc:  # importing a module may raise anything
-        if isinstance(exc, ModuleNotFoundError) and exc.name == f"{package}.action":
-            raise TransportError(f"the ROS package {package!r} has no actions") from exc
+        if isinstance(exc, ModuleNotFoundError) and exc.name == f"{package}.{folder}":
+            raise TransportError(f"the ROS package {package!r} has no {_WORDS[folder]}") from exc
         raise TransportError(
             f"{type_name} cannot be imported ({exc}): source the setup.bash of ROS and of what it"
             " needs"

@@ -144,6 +144,11 @@ class RosWaitable(waitable.Waitable):  # type: ignore[misc]  # rclpy has no type
         """True if nothing is to be taken for now, because the mailbox is full."""
         return self._mailbox.is_full
 
+    def remove(self, handle: Any) -> None:
+        """Take no more from the source with this handle, if there is one."""
+        with self._lock:
+            self._sources = tuple(one for one in self._sources if one.handle is not handle)
+
     def clear(self) -> None:
         """Remove all sources."""
         with self._lock:

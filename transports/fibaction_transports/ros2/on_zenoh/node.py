@@ -15,8 +15,8 @@ from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     ErrorSink,
     MessageSink,
+    NodePart,
     RequestSink,
-    ServiceCaller,
     UnansweredSink,
 )
 from fibaction_transports.ros2.on_zenoh.config import Configuration
@@ -46,7 +46,7 @@ from fibaction_transports.ros2.without_ros.messages.message_type import MessageT
 from fibaction_transports.ros2.without_ros.node_start import NodeStart
 from fibaction_transports.ros2.without_ros.own_node import OwnNode
 
-EndT = TypeVar("EndT")
+EndT = TypeVar("EndT", bound=NodePart)
 
 
 class ZenohNode(OwnNode):
@@ -68,9 +68,10 @@ class ZenohNode(OwnNode):
         self._tasks = tasks
         self.graph = ZenohGraph()
         self._tokens = NodeTokens(domain, session.zid, start.name.namespace, start.name.name)
-        self._open_tokens: dict[ServiceCaller, zenoh.LivelinessToken] = {}
+        self._parts: dict[NodePart, zenoh.LivelinessToken] = {}
+        """The parts, each with the token that announces it."""
         self._hear_tokens()
-        self._announce(self._tokens.node())
+        self.session.keep(self._announce(self._tokens.node()))
         questions = ServiceQuestions(self)
         super().__init__(self.graph, start, types, questions)
 
@@ -92,7 +93,6 @@ class ZenohNode(OwnNode):
 
     def _announce(self, token: str) -> zenoh.LivelinessToken:
         declared = self.session.session.liveliness().declare_token(token)
-        self.session.keep(declared)
         self.graph.add(token)
         return declared
 
@@ -140,14 +140,9 @@ class ZenohNode(OwnNode):
             take_unreadable,
             take_unanswered,
         )
-        self._open_tokens[caller] = self._announce(end.token)
+        self._parts[caller] = self._announce(end.token)
         self._tasks.start_soon(caller.run, name=f"client of {service}")
         return caller
-
-    def remove_caller(self, caller: ServiceCaller) -> None:
-        assert isinstance(caller, ZenohCaller)
-        caller.close()
-        self._open_tokens.pop(caller).undeclare()
 
     def provider(
         self, service: str, service_type: ServiceType, qos: EndQos, take: RequestSink
@@ -159,6 +154,17 @@ class ZenohNode(OwnNode):
     def life_watch(self, topic: str, message_type: MessageType, qos: EndQos) -> NoLifeWatch:
         return NoLifeWatch()
 
+    def remove(self, part: NodePart) -> None:
+        token = self._parts.pop(part, None)
+        if token is None:
+            return  # it is no part of Zenoh, as a `NoLifeWatch`
+        token.undeclare()
+        if isinstance(part, ZenohCaller):
+            part.close()
+        else:
+            assert isinstance(part, ZenohPublisher | ZenohSubscription | ZenohProvider)
+            part.declared.undeclare()
+
     def _end(self, kind: str, name: str, of: MessageType | ServiceType, qos: EndQos) -> OwnEnd:
         """Return a new end."""
         type_hash = hash_of(of)
@@ -169,7 +175,7 @@ class ZenohNode(OwnNode):
         """Make an end, and announce it: others use it as soon as they see its token."""
         try:
             made = make()
-            self._announce(end.token)
+            self._parts[made] = self._announce(end.token)
         except zenoh.ZError as exc:
             raise TransportError(f"Zenoh does not allow it: {text_of(exc)}") from exc
         return made

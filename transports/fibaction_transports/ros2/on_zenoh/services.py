@@ -240,10 +240,9 @@ class ZenohProvider(ServiceProvider):
         self._decode = service_type.Request.codec.decode
         self._encode = service_type.Response.codec.encode
         self._take = take
-        made = session.session.declare_queryable(
+        self.declared = session.session.declare_queryable(
             end.key, session.query_handler(self._receive), complete=True
         )
-        session.keep(made)
 
     def _receive(self, query: zenoh.Query) -> None:
         payload, words = query.payload, query.attachment

@@ -54,20 +54,21 @@ class ZenohPublisher(TopicPublisher):
         is_reliable = qos.reliability == "reliable"
         block, drop = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
         congestion = block if is_reliable else drop
+        self.declared: Any  # a publisher, whose types are incomplete
         if qos.durability == "transient_local":
             # Without heartbeats, which tell that the last message was lost: none is lost, and a
             # publisher with heartbeats holds the garbage collector up for ten seconds now and then.
-            self._put = ext.declare_advanced_publisher(
+            self.declared = ext.declare_advanced_publisher(
                 session.session,
                 end.key,
                 congestion_control=congestion,
                 cache=ext.CacheConfig(max_samples=qos.depth),
                 publisher_detection=True,
-            ).put
+            )
         else:
-            self._put = session.session.declare_publisher(
+            self.declared = session.session.declare_publisher(
                 end.key, congestion_control=congestion
-            ).put
+            )
 
     def publish(self, message: Any) -> None:
         self.publish_bytes(self._encode(message))
@@ -79,7 +80,7 @@ class ZenohPublisher(TopicPublisher):
 
     def _write(self, message: bytes, number: int) -> None:
         self._sent = number
-        self._put(message, attachment=attachment(number, self._gid))
+        self.declared.put(message, attachment=attachment(number, self._gid))
 
     def reader_count(self) -> int:
         return self._graph.count_connected(SUBSCRIPTION, self._topic, self._hash)
@@ -105,10 +106,11 @@ class ZenohSubscription(TopicSubscription):
         self._topic = end.name
         self._hash = hash_of(message_type)
         self._take = take
+        self.declared: Any  # a subscriber, whose types are incomplete
         handler = session.message_handler(self._receive)
         if qos.durability == "transient_local":
             history = ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)
-            made = ext.declare_advanced_subscriber(
+            self.declared = ext.declare_advanced_subscriber(
                 session.session,
                 end.key,
                 handler,
@@ -116,9 +118,8 @@ class ZenohSubscription(TopicSubscription):
                 recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
                 subscriber_detection=True,
             )
-            session.keep(made)
         else:
-            session.keep(session.session.declare_subscriber(end.key, handler))
+            self.declared = session.session.declare_subscriber(end.key, handler)
 
     def _receive(self, sample: zenoh.Sample) -> None:
         words = sample.attachment

@@ -5,7 +5,6 @@ of its types.
 from __future__ import annotations
 
 import logging
-from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -104,10 +103,6 @@ class OwnNode(RosNode):
             raise TransportError(
                 f"introspection={level!r} needs ROS itself: leave it out with {self.scheme}://"
             )
-
-    @abstractmethod
-    def remove_caller(self, caller: ServiceCaller) -> None:
-        """Remove a client of a service."""
 
     # The graph
 

@@ -37,6 +37,7 @@ from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
     ErrorSink,
+    NodePart,
     ServiceCaller,
     UnansweredSink,
 )
@@ -121,8 +122,8 @@ class AskingNode(Protocol):
         """See `RosNode.caller`."""
 
     @abstractmethod
-    def remove_caller(self, caller: ServiceCaller) -> None:
-        """Remove a client of a service."""
+    def remove(self, part: NodePart) -> None:
+        """See `RosNode.remove`."""
 
 
 class TypeLearner:
@@ -264,5 +265,5 @@ async def ask_node(
     except ConnectionLost as exc:
         return DescriptionResponse(failure_reason=str(exc))
     finally:
-        asking.remove_caller(caller)
+        asking.remove(caller)
     return response

@@ -6,13 +6,14 @@ import os
 import sys
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fibaction.interfaces import ActionFile, InterfaceError, read_action
-from fibaction.interfaces.files import known_action
-from fibaction.interfaces.packages import ros_folders
+from fibaction.interfaces.files import known_action, read_message, read_service
+from fibaction.interfaces.packages import SearchPath, ros_folders
 from fibaction.words.errors import TransportError
 from fibaction_transports.cdr.standard_messages import STRUCTS
 from fibaction_transports.ros2.convert.conversion import (
@@ -20,7 +21,12 @@ from fibaction_transports.ros2.convert.conversion import (
     check_action_type,
     is_action_type,
 )
-from fibaction_transports.ros2.node.ros_node import RosTypes, TypeVersion
+from fibaction_transports.ros2.node.ros_node import (
+    CalledType,
+    RosTypes,
+    TopicType,
+    TypeVersion,
+)
 from fibaction_transports.ros2.without_ros.messages.action_types import (
     PartlyKnownAction,
     action_of,
@@ -28,6 +34,10 @@ from fibaction_transports.ros2.without_ros.messages.action_types import (
 )
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
 from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER
+from fibaction_transports.ros2.without_ros.messages.topic_types import (
+    called_type_of,
+    topic_type_of,
+)
 
 FOLDERS: Final = "FIBACTION_SEARCH"
 """The variable of the environment with folders of packages, separated as in PATH."""
@@ -46,6 +56,10 @@ class InterfaceFiles:
     def folders(self) -> list[Path]:
         """Return the folders that are searched now."""
         return [*self._folders, *_program_folders(), *ros_folders()]
+
+    def search_path(self) -> SearchPath:
+        """Return the folders as those in which messages and services are searched for."""
+        return SearchPath(_program_folders(), self._folders, ros_folders())
 
     def path(self, type_name: str) -> Path | None:
         """Return the file of a type that is found first.
@@ -120,6 +134,18 @@ def _program_folders() -> list[Path]:
     return list(dict.fromkeys(map(Path, [*sys.path[:1], ""])))
 
 
+@contextmanager
+def _advised(type_name: str, ending: str) -> Iterator[None]:
+    """Raise an error in a file as one that says what makes the type known."""
+    try:
+        yield
+    except (InterfaceError, OSError) as exc:
+        raise TransportError(
+            f"{type_name} cannot be used: {exc}; if it has no file here, put its .{ending} file"
+            f" beside your program, or into a folder that search=FOLDER or {FOLDERS} names"
+        ) from exc
+
+
 MOST_LEARNED: Final = 1_000
 """Types that are kept as other nodes describe them."""
 MOST_MISSED: Final = 1_000
@@ -165,6 +191,8 @@ class FileTypes(RosTypes):
         """The actions that other nodes have described."""
         self._unknown: dict[str, RosAction] = {}
         self._missed: set[tuple[str, ServerVersion]] = set()
+        self._topics: dict[str, TopicType] = {}
+        self._services: dict[str, CalledType] = {}
         self.GoalInfo = STRUCTS["action_msgs/msg/GoalInfo"]
         self.Parameter = PARAMETER
 
@@ -182,6 +210,20 @@ class FileTypes(RosTypes):
                     self._unknown.clear()
                 self._unknown[type_name] = unknown_action(type_name, str(exc))
             return self._unknown[type_name]
+
+    def topic_type(self, type_name: str) -> TopicType:
+        if type_name not in self._topics:
+            with _advised(type_name, "msg"):
+                message = read_message(type_name, self._files.search_path())
+            self._topics[type_name] = topic_type_of(message)
+        return self._topics[type_name]
+
+    def called_type(self, type_name: str) -> CalledType:
+        if type_name not in self._services:
+            with _advised(type_name, "srv"):
+                file = read_service(type_name, self._files.search_path())
+            self._services[type_name] = called_type_of(file)
+        return self._services[type_name]
 
     def texts(self, type_name: str) -> dict[str, str]:
         found = self._definition(type_name)
