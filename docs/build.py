@@ -56,7 +56,7 @@ def generate() -> None:
     for name, parts in PARTS.items():
         path = DOCS / name
         path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
-    # The lists that docs/guarantee_tests.md includes: made from the tests, and not committed.
+    # The lists that docs/shown_to_hold.md includes: made from the tests, and not committed.
     subprocess.run([sys.executable, "-m", "tests.tools.promises"], cwd=ROOT, check=True)
 
 

@@ -62,22 +62,18 @@ def _part(
 
 
 SETTINGS_PARTS: dict[str, dict[str, Callable[[], str]]] = {
-    "reference/tcp.md": {
-        "settings": _part(WireSettings),
+    "reference/transports.md": {
+        "settings of the wire protocol": _part(WireSettings),
         "settings of hosts": _part(HostSettings, WireSettings),
-    },
-    "reference/web.md": {
         "settings of WebSocket": _part(WebSocketSettings, HostSettings),
         "settings of HTTP": _part(HttpSettings, WebSocketSettings),
         "settings of rosbridge": _part(RosbridgeSettings),
         "settings of an application": _part(WebSettings, WireSettings),
-    },
-    "reference/nats.md": {"settings": _part(NatsSettings, WireSettings)},
-    "reference/ros2.md": {
-        "settings": _part(Ros2Settings),
+        "settings of NATS": _part(NatsSettings, WireSettings),
+        "settings of ROS": _part(Ros2Settings),
         "settings of DDS": _part(DdsSettings, RosSettings),
         "settings of Zenoh": _part(ZenohSettings, RosSettings),
+        "settings of agents": _part(AgentHttpSettings),
     },
-    "reference/agents.md": {"settings": _part(AgentHttpSettings)},
 }
 """Function that makes each table, by page."""

@@ -80,7 +80,7 @@ SHELLS_ELSEWHERE = {
     "docs/cli.md": "tests/cli runs each verb as a process, and looks at what it prints",
     "docs/comparisons.md": "measuring takes minutes; the tests compare the page with what came out",
     "docs/contributing.md": "as for CONTRIBUTING.md",
-    "docs/growth.md": "as for docs/comparisons.md",
+    "docs/shown_to_hold.md": "as for docs/comparisons.md",
 }
 """Pages whose shell commands are not run by `tests.support.walks`, and who runs them."""
 

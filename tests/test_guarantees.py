@@ -95,7 +95,7 @@ def test_every_row_of_the_page_is_a_promise() -> None:
 def test_every_section_links_to_its_tests() -> None:
     page = PAGE.read_text(encoding="utf-8")
 
-    links = re.findall(r"\(guarantee_tests\.md#([\w-]+)\)", page)
+    links = re.findall(r"\(shown_to_hold\.md#([\w-]+)\)", page)
 
     slugs = [heading.lower().replace(" ", "-") for heading in headings_of(page).values()]
     assert links == slugs

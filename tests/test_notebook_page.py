@@ -1,4 +1,4 @@
-"""The cells of docs/howto/notebook.md, run as a notebook runs them, without Jupyter."""
+"""The cells of docs/howto/blocking.md, run as a notebook runs them, without Jupyter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pytest
 from fibaction import Action, ActionServer, GoalHandle, serve
 from tests.support.pages import Block, blocks_of
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "howto" / "notebook.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "howto" / "blocking.md"
 ADDRESS = "tcp://127.0.0.1:7400"
 DRIVE = Action("drive", goal=int, feedback=int, result=str)
 
@@ -37,7 +37,7 @@ async def run_cell(code: str, names: dict[str, Any]) -> None:
 
 
 async def run_cells(page: str, url: str) -> dict[str, Any]:
-    """Run the cells of a page, each in a task, and return their names."""
+    """Run the cells of a section, each in a task, and return their names."""
     names: dict[str, Any] = {}
     blocks = blocks_of(page)
     for block, following in pairwise([*blocks, Block("", "", 0, "")]):
@@ -61,4 +61,5 @@ async def test_each_cell_runs_in_a_task_of_its_own(monkeypatch: pytest.MonkeyPat
     robot.DRIVE = DRIVE
     monkeypatch.setitem(sys.modules, "my_robot", robot)
     async with serve(ActionServer(DRIVE, drive), "tcp://127.0.0.1:0") as (url,):
-        await run_cells(PAGE.read_text(encoding="utf-8"), url)
+        section = PAGE.read_text(encoding="utf-8").partition("\n## In a Jupyter notebook\n")[2]
+        await run_cells(section, url)

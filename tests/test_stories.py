@@ -1,4 +1,4 @@
-"""The page "Who uses it for what": its programs are in `examples/`, and print what it shows."""
+"""The section "Who uses it for what": its programs are in `examples/`, and print what it shows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from tests.support.walks import steps_of
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE = 120.0
 """Seconds for a program, which imports large libraries for most of its time."""
-BLOCKS = blocks_of((ROOT / "docs" / "stories.md").read_text(encoding="utf-8"))
+PAGE = (ROOT / "docs" / "choosing.md").read_text(encoding="utf-8")
+BLOCKS = blocks_of(PAGE.partition("\n## Who uses it for what\n")[2])
 EXCERPTS = [block for block in BLOCKS if block.language == "python"]
 EXCERPT_OF = re.compile(r"it is a part of (?P<program>examples/\w+\.py) -->\n\Z")
 SHOWN = {
@@ -31,7 +32,7 @@ SHOWN = {
 def program_of(block: Block) -> str:
     """Return the program that the block is a part of."""
     found = EXCERPT_OF.search(block.before)
-    assert found is not None, f"docs/stories.md:{block.line} does not name its program"
+    assert found is not None, f"a block of docs/choosing.md does not name its program: {block.code}"
     return found["program"]
 
 

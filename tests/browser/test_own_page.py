@@ -1,4 +1,4 @@
-"""The page of docs/howto/in_the_browser.md in a real browser, as a reader writes it."""
+"""The page of docs/howto/with_curl.md in a real browser, as a reader writes it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from playwright.sync_api import Page, expect
 from tests.browser.served import ROOT, RobotProcess
 from tests.support.pages import blocks_of
 
-GUIDE = ROOT / "docs/howto/in_the_browser.md"
+GUIDE = ROOT / "docs/howto/with_curl.md"
 CLIENT = Path(str(files("fibaction_transports.web"))) / "javascript" / "fibaction.js"
 
 

@@ -26,7 +26,7 @@ from tests.support.pages import blocks_of
 from tests.tools.release.built import NPM_FILES
 
 NPM = shutil.which("npm")
-PAGE = (ROOT / "docs/howto/in_the_browser.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/howto/with_curl.md").read_text(encoding="utf-8")
 PROGRAMS = [one.code for one in blocks_of(PAGE) if one.language == "typescript"]
 IN_EMPTY_FOLDER = """\
 import assert from "node:assert/strict";

@@ -41,8 +41,8 @@ def test_there_are_pages_with_examples_that_need_ros() -> None:
 
 
 def test_the_public_names_are_in_the_reference() -> None:
-    page = (docs.DOCS / "reference" / "ros2.md").read_text(encoding="utf-8")
-    documented = re.findall(r"^::: (\S+)$", page, re.MULTILINE)
+    page = (docs.DOCS / "reference" / "transports.md").read_text(encoding="utf-8")
+    documented = re.findall(r"^::: (fibaction_transports\.ros2\.\S+)$", page, re.MULTILINE)
 
     assert (
         sorted(name.rpartition(".")[2] for name in documented) == fibaction_transports.ros2.__all__

@@ -14,7 +14,7 @@ from rclpy import experimental
 from tests.ros2.stock import async_node
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
-from tests.ros2.test_robot_pages import HOWTO, page_of, program, until
+from tests.ros2.test_robot_pages import page_of, part_of, program, until
 from tests.support.walks import walk
 
 pytestmark = pytest.mark.anyio
@@ -62,7 +62,7 @@ async def test_the_programs_of_pages_about_nodes_print_what_they_show(
             if url:
                 page = with_async_node(page_of(name, url), folder)
             else:
-                page = with_late_odometry((HOWTO / f"{name}.md").read_text(encoding="utf-8"))
+                page = with_late_odometry(part_of(name))
             walked = partial(walk, page, folder, ros=True)
             wrong.extend(await anyio.to_thread.run_sync(walked))
     assert not wrong, "\n".join(wrong)
@@ -78,7 +78,7 @@ async def test_the_lifecycle_node_serves_only_while_it_is_active(
     tmp_path: Path, alone: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", alone)
-    page = (HOWTO / "rclpy_node.md").read_text(encoding="utf-8")
+    page = part_of("rclpy_node")
 
     async def servers() -> Any:
         return await stock.ask("profiles", topic="/fibonacci/_action/status")

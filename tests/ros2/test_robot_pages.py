@@ -24,7 +24,12 @@ from tests.test_docs import DOCS
 pytestmark = pytest.mark.anyio
 HOWTO = DOCS / "howto"
 ROBOTS = ("nav2", "arm")
-"""The modules in `tests/ros2/stock` with servers, and the pages whose programs use them."""
+"""The modules in `tests/ros2/stock` with servers, and the parts of pages that use them."""
+_SECTIONS = {
+    "arm": ("nav2", "MoveIt, ros2_control, behaviour trees"),
+    "async_node": ("rclpy_node", "With rclpy's AsyncNode"),
+}
+"""Parts with robots or nodes of their own: the page of each, and its heading."""
 both_ways = pytest.mark.parametrize("url", ["ros2://", "dds://"])
 
 
@@ -34,9 +39,19 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
+def part_of(name: str) -> str:
+    """Return a page without its sections in `_SECTIONS`, or one of these."""
+    page, heading = _SECTIONS.get(name, (name, None))
+    text = (HOWTO / f"{page}.md").read_text(encoding="utf-8")
+    ((_, known),) = (one for one in _SECTIONS.values() if one[0] == page)
+    before, found, section = text.partition(f"\n## {known}\n")
+    assert found
+    return section if heading else before
+
+
 def page_of(name: str, url: str) -> str:
-    """Return the text of a page whose programs use a URL of this kind."""
-    text = (HOWTO / f"{name}.md").read_text(encoding="utf-8")
+    """Return the text of a part whose programs use a URL of this kind."""
+    text = part_of(name)
     assert '"ros2://"' in text
     return text.replace('"ros2://"', f'"{url}"')
 

@@ -2,7 +2,7 @@
 
     python -m tests.tools.promises
 
-writes the lists of tests that docs/guarantee_tests.md includes; docs/build.py does this first. A
+writes the lists of tests that docs/shown_to_hold.md includes; docs/build.py does this first. A
 test names what it shows by a mark: `@pytest.mark.promise("FEEDBACK-2")`. The marks are read from
 the source without importing the tests, so the tests that need ROS 2 are found on every machine.
 """
@@ -22,7 +22,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = ROOT / "tests"
 PAGE = ROOT / "docs" / "guarantees.md"
-PAGE_OF_TESTS = ROOT / "docs" / "guarantee_tests.md"
+PAGE_OF_TESTS = ROOT / "docs" / "shown_to_hold.md"
 LISTS = ROOT / "build" / "guarantee_tests"
 """Folder of the lists that the page of tests includes: one file for each group of promises."""
 
@@ -230,7 +230,7 @@ def lists_of_tests(promises: Iterable[Promise], proofs: Iterable[Proof]) -> dict
 
 
 def write_lists() -> None:
-    """Write the lists that docs/guarantee_tests.md includes."""
+    """Write the lists that docs/shown_to_hold.md includes."""
     shutil.rmtree(LISTS, ignore_errors=True)
     LISTS.mkdir(parents=True)
     promises = promises_of(PAGE.read_text(encoding="utf-8"))
@@ -241,6 +241,6 @@ def write_lists() -> None:
 if __name__ == "__main__":
     argparse.ArgumentParser(
         prog="python -m tests.tools.promises",
-        description="Write the lists of tests that docs/guarantee_tests.md includes.",
+        description="Write the lists of tests that docs/shown_to_hold.md includes.",
     ).parse_args()
     write_lists()

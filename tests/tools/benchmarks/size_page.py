@@ -1,4 +1,4 @@
-"""The tables and the picture of docs/growth.md, of what `sizes` has measured."""
+"""The tables and the picture of docs/shown_to_hold.md, of what `sizes` has measured."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.tools.benchmarks.pages import NOTHING
 from tests.tools.benchmarks.program import ROOT
 from tests.tools.drawing import Bar, Panel, bars
 
-PAGE = ROOT / "docs" / "growth.md"
+PAGE = ROOT / "docs" / "shown_to_hold.md"
 FOLDER = ROOT / "docs" / "benchmarks" / "sizes"
 MAKER = "python -m tests.tools.benchmarks.sizes"
 

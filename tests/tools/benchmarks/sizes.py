@@ -4,7 +4,7 @@
 
 Server and clients of a direction are one process, so that the processor's time of that process is
 the cost of both ends; for a fleet, that of the broker is added. `--write` puts the tables into
-docs/growth.md, and makes the picture.
+docs/shown_to_hold.md, and makes the picture.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What docs/growth.md shows is what was measured."""
+"""What docs/shown_to_hold.md shows is what was measured."""
 
 from __future__ import annotations
 
