@@ -77,7 +77,6 @@ FOREIGN = {
     "nav_msgs",
     "navigate_to_pose",
     "rcl_action",
-    "rmw_zenoh_cpp",
     "sensor_msgs",
     "std_msgs",
     # Names of SQLite, of a table in a file, and of NATS.

@@ -92,7 +92,7 @@ def test_the_error_of_an_invalid_url_does_not_show_its_settings(url: str) -> Non
 
 
 def test_the_other_way_of_a_url_is_another_transport_in_code() -> None:
-    with pytest.raises(ValueError, match="via='dds' is for URLs: use DdsTransport"):
+    with pytest.raises(ValueError, match="via='dds' is for URLs: use the transport of dds://"):
         Ros2Transport(via="dds")
 
 

@@ -37,7 +37,7 @@ class ConnectKeywords(TypedDict, total=False):
     status_qos: str
     introspection: str
     node: Any
-    via: Literal["", "rclpy", "dds"]
+    via: Literal["", "rclpy", "dds", "zenoh"]
     tls: TlsFiles | SSLContext | None
     accepted_after: float
     answer_timeout: float
@@ -83,7 +83,7 @@ class ServeKeywords(TypedDict, total=False):
     status_qos: str
     introspection: str
     node: Any
-    via: Literal["", "rclpy", "dds"]
+    via: Literal["", "rclpy", "dds", "zenoh"]
     search: Sequence[str]
     discovery: str
     peers: Sequence[str]
@@ -172,7 +172,7 @@ class Ros2Keywords(RosKeywords, total=False):
     """The keyword arguments of `Ros2Settings`."""
 
     node: Any
-    via: Literal["", "rclpy", "dds"]
+    via: Literal["", "rclpy", "dds", "zenoh"]
 
 
 class RosbridgeKeywords(LineKeywords, total=False):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import uuid
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import anyio
 import msgspec
 import pytest
 
+import fibaction_transports.ros2
 from fibaction import (
     Action,
     ActionServer,
@@ -21,7 +23,8 @@ from fibaction import (
     serve,
 )
 from fibaction.border.urls import transport_for
-from fibaction_transports.ros2 import DdsTransport
+from fibaction_transports.ros2 import DdsTransport, ros2_transport
+from fibaction_transports.ros2.ros_transport import RosTransport
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
@@ -83,18 +86,67 @@ async def test_a_node_that_cannot_be_made_is_an_error_of_one_sentence(url: str, 
     assert text in str(caught.value)
 
 
-def test_ros2_goes_over_dds_if_it_is_told_so(caplog: pytest.LogCaptureFixture) -> None:
+WAYS = [
+    ("ros2://arm?via=dds&namespace=/robot", "", "DDS", "dds://?namespace=/robot"),
+    ("ros2://arm?via=zenoh&namespace=/robot", "", "Zenoh", "zenoh://?namespace=/robot"),
+    ("ros2://arm", "", "DDS", "dds://"),
+    ("ros2://arm", "rmw_cyclonedds_cpp", "DDS", "dds://"),
+    ("ros2://arm", "rmw_zenoh_cpp", "Zenoh", "zenoh://"),
+]
+
+
+@pytest.mark.parametrize(("url", "rmw", "name", "where"), WAYS)
+def test_without_ros_the_way_is_that_of_the_url_or_of_the_environment(
+    url: str,
+    rmw: str,
+    name: str,
+    where: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     caplog.set_level("INFO")
-    made = transport_for("ros2://arm?via=dds&namespace=/robot")
-    assert isinstance(made, DdsTransport)
-    assert made.url == "dds://?namespace=/robot"
+    monkeypatch.setattr(ros2_transport, "find_spec", lambda _: None)
+    monkeypatch.setenv("RMW_IMPLEMENTATION", rmw)
+    made = transport_for(url)
+
+    assert isinstance(made, RosTransport)
+    assert (made.scheme, made.url) == (where.partition(":")[0], where)
+    assert made._adapter._node.name == "arm"  # type: ignore[attr-defined]  # both have it
+    assert caplog.messages == [f"ros2://arm goes over {name}, without ROS"]
+
+
+def test_the_way_may_be_a_setting_in_code() -> None:
     assert isinstance(transport_for("ros2://", via="dds"), DdsTransport)
-    assert "ros2:// goes over DDS, without ROS" in caplog.text
 
 
 def test_a_way_that_there_is_not_is_an_error() -> None:
-    with pytest.raises(InvalidURL, match="ros2://arm: via is rclpy or dds, not 'zenoh'"):
-        transport_for("ros2://arm?via=zenoh&lease=2")
+    with pytest.raises(InvalidURL, match="ros2://arm: via is rclpy, dds or zenoh, not 'ros1'"):
+        transport_for("ros2://arm?via=ros1&lease=2")
+
+
+def test_an_rclpy_of_another_python_is_told_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    of_ros = tmp_path / "rclpy" / "__init__.py"
+    of_ros.parent.mkdir()
+    of_ros.write_text("raise ImportError('No module named rclpy._rclpy_pybind11\\nThe C')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delattr(fibaction_transports.ros2, "on_rclpy", raising=False)
+    for name in list(sys.modules):
+        if name.split(".")[0] == "rclpy" or ".on_rclpy" in name:
+            monkeypatch.delitem(sys.modules, name)
+    python = ".".join(map(str, sys.version_info[:2]))
+    reason = (
+        f"this Python {python} cannot import the rclpy in {of_ros} (No module named"
+        " rclpy._rclpy_pybind11); is PYTHONPATH left over from a ROS of another Python?"
+    )
+    made = transport_for("ros2://")
+
+    assert isinstance(made, DdsTransport)
+    assert caplog.messages == [f"ros2:// goes over DDS: {reason}"]
+    with pytest.raises(TransportError) as caught:
+        transport_for("ros2://?via=rclpy")
+    assert str(caught.value) == reason
 
 
 async def test_names_can_be_remapped_and_the_url_has_the_namespace() -> None:
