@@ -78,7 +78,6 @@ FOREIGN = {
     "navigate_to_pose",
     "rcl_action",
     "sensor_msgs",
-    "std_msgs",
     # Names of SQLite, of a table in a file, and of NATS.
     "handshake_first",
     "needs_log",
