@@ -35,6 +35,7 @@ from fibaction import (
 )
 from fibaction.border.abc import Connection, ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.border.goal_store import GoalStore
+from fibaction.testing import run_executor
 from fibaction.words.goals import Sender
 from fibaction_transports.inprocess import InProcessTransport
 from tests.support.executors import Items
@@ -533,9 +534,21 @@ async def test_arguments_that_do_not_fit_are_told_in_one_sentence(
 async def test_a_parameter_with_the_name_of_an_option_is_given_in_a_goal() -> None:
     async with serve(cook, "inproc://cook"), connect("inproc://cook", cook) as client:
         assert await client.call(cook.goal_of(1, timeout=2.0), timeout=5) == 3.0
-        assert await client.call(1, timeout=None) == 2.0
-        with pytest.raises(TypeError, match="'timeout' is an option of the call, and a parameter"):
-            await client.send_goal(cast("Any", 1), timeout=2.0)
+        for timeout in (2.0, None):
+            with pytest.raises(TypeError, match="'timeout' is an option of the call, and a param"):
+                await client.send_goal(cast("Any", 1), timeout=timeout)
+
+
+async def test_a_parameter_may_have_the_name_of_any_argument_of_a_call() -> None:
+    async def name(where: str, action: str, self: str) -> str:
+        return where + action + self
+
+    named = action(name)
+    fields = {"where": "a", "action": "b", "self": "c"}
+    async with serve(named, "inproc://name"), connect("inproc://name", named) as client:
+        assert await client.call(**fields) == "abc"
+        assert await call("inproc://name", named, **fields) == "abc"
+    assert (await run_executor(named, **fields)).outcome.result == "abc"
 
 
 async def old_drive(meters: int) -> str:

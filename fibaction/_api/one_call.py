@@ -30,6 +30,7 @@ OneT = TypeVar("OneT")
 async def call(
     where: str | Transport,
     action: FunctionAction[P, FeedbackT, ResultT, Any],
+    /,
     *args: P.args,
     **kwargs: P.kwargs,
 ) -> ResultT: ...
@@ -39,6 +40,7 @@ async def call(
 async def call(
     where: str | Transport,
     action: TakesNone[FeedbackT, ResultT],
+    /,
     **options: Unpack[OneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
@@ -58,6 +60,7 @@ async def call(
     where: str | Transport,
     action: CalledAction[None, FeedbackT, ResultT],
     goal: None = None,
+    /,
     **options: Unpack[OneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
@@ -67,11 +70,12 @@ async def call(
     where: str | Transport,
     action: CalledAction[GoalT, FeedbackT, ResultT],
     goal: GoalT,
+    /,
     **options: Unpack[OneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
 
-async def call(where: str | Transport, action: Any, *args: Any, **given: Any) -> Any:
+async def call(where: str | Transport, action: Any, /, *args: Any, **given: Any) -> Any:
     """Connect to a URL, or by a transport, send one goal, and return its result.
 
         print(await call("tcp://127.0.0.1:7400", drive, 3, on_feedback=print))
@@ -113,7 +117,8 @@ def goal_and_connection(
                 f"{name!r} is a setting of connections, and a parameter of {action.name!r}: give it"
                 f" to goal_of for the parameter, or to connect() for the setting"
             )
-    goal = goal_of(action, args, fields, **given)
+    given |= fields
+    goal = goal_of(action, args, given, CALL_OPTIONS)
     try:
         return goal, connecting(where, action, **others)
     except TypeError as exc:

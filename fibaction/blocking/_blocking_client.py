@@ -39,16 +39,18 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
 
     @overload
     def call(
-        self: BlockingClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+        self: BlockingClient[Arguments[P], FeedbackT, ResultT], /, *args: P.args, **kwargs: P.kwargs
     ) -> ResultT: ...
     @overload
     def call(
         self: BlockingClient[Arguments[[]], FeedbackT, ResultT],
+        /,
         **options: Unpack[BlockingCallOptions[FeedbackT]],
     ) -> ResultT: ...
     @overload
     def call(
         self: HasAction[TakesNone[FeedbackT, ResultT]],
+        /,
         **options: Unpack[BlockingCallOptions[FeedbackT]],
     ) -> ResultT: ...
     @overload
@@ -62,11 +64,14 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
     def call(
         self: HasAction[CalledAction[None, FeedbackT, ResultT]],
         goal: None = None,
+        /,
         **options: Unpack[BlockingCallOptions[FeedbackT]],
     ) -> ResultT: ...
     @overload
-    def call(self, goal: GoalT, **options: Unpack[BlockingCallOptions[FeedbackT]]) -> ResultT: ...
-    def call(self, *args: Any, **given: Any) -> Any:
+    def call(
+        self, goal: GoalT, /, **options: Unpack[BlockingCallOptions[FeedbackT]]
+    ) -> ResultT: ...
+    def call(self, /, *args: Any, **given: Any) -> Any:
         """Send a goal, and return its result.
 
         `on_feedback` is called with each feedback, in this thread. Its exception cancels the goal,
@@ -87,15 +92,15 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
 
     @overload
     def send_goal(
-        self: BlockingClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+        self: BlockingClient[Arguments[P], FeedbackT, ResultT], /, *args: P.args, **kwargs: P.kwargs
     ) -> BlockingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
-        self: BlockingClient[Arguments[[]], FeedbackT, ResultT], **options: Unpack[GoalOptions]
+        self: BlockingClient[Arguments[[]], FeedbackT, ResultT], /, **options: Unpack[GoalOptions]
     ) -> BlockingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
-        self: HasAction[TakesNone[FeedbackT, ResultT]], **options: Unpack[GoalOptions]
+        self: HasAction[TakesNone[FeedbackT, ResultT]], /, **options: Unpack[GoalOptions]
     ) -> BlockingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
@@ -108,13 +113,14 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
     def send_goal(
         self: HasAction[CalledAction[None, FeedbackT, ResultT]],
         goal: None = None,
+        /,
         **options: Unpack[GoalOptions],
     ) -> BlockingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
-        self, goal: GoalT, **options: Unpack[GoalOptions]
+        self, goal: GoalT, /, **options: Unpack[GoalOptions]
     ) -> BlockingGoal[FeedbackT, ResultT]: ...
-    def send_goal(self, *args: Any, **given: Any) -> BlockingGoal[Any, Any]:
+    def send_goal(self, /, *args: Any, **given: Any) -> BlockingGoal[Any, Any]:
         """Send a goal, and return it: **`with send_goal` cancels, `goal.detach()` prevents it.**
 
         It returns as soon as the server has accepted the goal. `with client.send_goal(...) as goal`

@@ -6,6 +6,7 @@ from contextlib import closing
 from types import TracebackType
 from typing import Any, Generic, TextIO
 
+from fibaction._runtime.async_only import HasResult
 from fibaction.blocking._loop_thread import LoopThread
 from fibaction.client.feedback_reader import FeedbackReader
 from fibaction.client.goal import ClientGoal, SendingGoal
@@ -61,7 +62,7 @@ class BlockingFeedback(Generic[FeedbackT]):
         return f"<BlockingFeedback number={self.number} dropped={self.dropped}>"
 
 
-class BlockingGoal(Generic[FeedbackT, ResultT]):
+class BlockingGoal(HasResult, Generic[FeedbackT, ResultT]):
     """One accepted goal, as its client sees it; the end of its `with` block cancels it.
 
     The methods are those of `ClientGoal`, and wait. Several threads may use one goal; one of them
@@ -74,6 +75,8 @@ class BlockingGoal(Generic[FeedbackT, ResultT]):
                 print(meters)
             print(goal.result())
     """
+
+    result_by = "goal.result()"
 
     def __init__(
         self,

@@ -123,6 +123,7 @@ class _OpenBlock(LoopBlock[ClientConnection, Any]):
 def call(
     where: str | Transport,
     action: FunctionAction[P, FeedbackT, ResultT, Any],
+    /,
     *args: P.args,
     **kwargs: P.kwargs,
 ) -> ResultT: ...
@@ -132,6 +133,7 @@ def call(
 def call(
     where: str | Transport,
     action: TakesNone[FeedbackT, ResultT],
+    /,
     **options: Unpack[BlockingOneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
@@ -151,6 +153,7 @@ def call(
     where: str | Transport,
     action: CalledAction[None, FeedbackT, ResultT],
     goal: None = None,
+    /,
     **options: Unpack[BlockingOneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
@@ -160,11 +163,12 @@ def call(
     where: str | Transport,
     action: CalledAction[GoalT, FeedbackT, ResultT],
     goal: GoalT,
+    /,
     **options: Unpack[BlockingOneCallOptions[FeedbackT]],
 ) -> ResultT: ...
 
 
-def call(where: str | Transport, action: Any, *args: Any, **given: Any) -> Any:
+def call(where: str | Transport, action: Any, /, *args: Any, **given: Any) -> Any:
     """Connect to a URL, or by a transport, send one goal, and return its result.
 
         print(call("tcp://127.0.0.1:7400", drive, 3, on_feedback=print))

@@ -13,10 +13,10 @@ Following and leaving a goal: see `goal`. Timeouts and retries: see `attempts`.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Mapping
 from contextlib import AbstractAsyncContextManager
 from operator import index
-from typing import Any, Generic, TypeVar, Unpack, overload
+from typing import Any, Generic, TypeVar, Unpack, cast, overload
 
 import anyio
 from anyio import get_cancelled_exc_class
@@ -31,6 +31,8 @@ from fibaction.client.goal_span import NO_SPAN, GoalTracer
 from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.options import (
+    CALL_OPTIONS,
+    GOAL_OPTIONS,
     CallOrStepOptions,
     GoalOrStepOptions,
     goal_of,
@@ -88,15 +90,17 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     @overload
     def send_goal(
-        self: ActionClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+        self: ActionClient[Arguments[P], FeedbackT, ResultT], /, *args: P.args, **kwargs: P.kwargs
     ) -> SendingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
-        self: ActionClient[Arguments[[]], FeedbackT, ResultT], **options: Unpack[GoalOrStepOptions]
+        self: ActionClient[Arguments[[]], FeedbackT, ResultT],
+        /,
+        **options: Unpack[GoalOrStepOptions],
     ) -> SendingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
-        self: HasAction[TakesNone[FeedbackT, ResultT]], **options: Unpack[GoalOrStepOptions]
+        self: HasAction[TakesNone[FeedbackT, ResultT]], /, **options: Unpack[GoalOrStepOptions]
     ) -> SendingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
@@ -109,21 +113,14 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     def send_goal(
         self: HasAction[CalledAction[None, FeedbackT, ResultT]],
         goal: None = None,
+        /,
         **options: Unpack[GoalOrStepOptions],
     ) -> SendingGoal[FeedbackT, ResultT]: ...
     @overload
     def send_goal(
-        self, goal: GoalT, **options: Unpack[GoalOrStepOptions]
+        self, goal: GoalT, /, **options: Unpack[GoalOrStepOptions]
     ) -> SendingGoal[FeedbackT, ResultT]: ...
-    def send_goal(  # type: ignore[misc]  # an argument with the name of an option is refused
-        self,
-        *args: Any,
-        goal_id: GoalID | str | None = None,
-        timeout: float | None = None,
-        labels: Mapping[str, str] | None = None,
-        step: GoalStep | None = None,
-        **fields: Any,
-    ) -> SendingGoal[Any, Any]:
+    def send_goal(self, /, *args: Any, **given: Any) -> SendingGoal[Any, Any]:
         """Send a goal: **`async with send_goal` cancels, `await send_goal` does not.**
 
         The end of the block of `async with` cancels the goal if it has not ended, without waiting
@@ -155,32 +152,36 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ValueError: `timeout` is not more than 0; a label has a key of a trace or of a parent;
                 or, from the block, the step was taken before.
         """
-        if self._takes_value and len(args) == 1 and not fields:
+        if self._takes_value and len(args) == 1 and given.keys() <= GOAL_OPTIONS:
             goal = args[0]
         else:
-            options = {"goal_id": goal_id, "timeout": timeout, "labels": labels, "step": step}
-            goal = goal_of(self.action, args, fields, **options)
+            goal = goal_of(self.action, args, given, GOAL_OPTIONS)
+        options: GoalOrStepOptions = cast("Any", given)
+        chosen, step = options.get("goal_id"), options.get("step")
+        timeout, labels = options.get("timeout"), options.get("labels")
         if step is not None:
-            if goal_id is not None:
+            if chosen is not None:
                 raise TypeError("a step has the ID of its goal: give goal_id or step, not both")
             return self._sending_step(goal, step, timeout, None, labels=labels)
-        goal_id = GoalID.random() if goal_id is None else GoalID.of(goal_id)
+        goal_id = GoalID.random() if chosen is None else GoalID.of(chosen)
         attempts = None if timeout is None else Attempts(self.endpoint, goal_id, timeout, None)
         sending = self._send(self.endpoint, goal, goal_id, attempts, labels=labels)
         return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
 
     @overload
     async def call(
-        self: ActionClient[Arguments[P], FeedbackT, ResultT], *args: P.args, **kwargs: P.kwargs
+        self: ActionClient[Arguments[P], FeedbackT, ResultT], /, *args: P.args, **kwargs: P.kwargs
     ) -> ResultT: ...
     @overload
     async def call(
         self: ActionClient[Arguments[[]], FeedbackT, ResultT],
+        /,
         **options: Unpack[CallOrStepOptions[FeedbackT]],
     ) -> ResultT: ...
     @overload
     async def call(
         self: HasAction[TakesNone[FeedbackT, ResultT]],
+        /,
         **options: Unpack[CallOrStepOptions[FeedbackT]],
     ) -> ResultT: ...
     @overload
@@ -194,22 +195,14 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     async def call(
         self: HasAction[CalledAction[None, FeedbackT, ResultT]],
         goal: None = None,
+        /,
         **options: Unpack[CallOrStepOptions[FeedbackT]],
     ) -> ResultT: ...
     @overload
     async def call(
-        self, goal: GoalT, **options: Unpack[CallOrStepOptions[FeedbackT]]
+        self, goal: GoalT, /, **options: Unpack[CallOrStepOptions[FeedbackT]]
     ) -> ResultT: ...
-    async def call(  # type: ignore[misc]  # an argument with the name of an option is refused
-        self,
-        *args: Any,
-        on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
-        timeout: float | None = None,
-        retry: Retry | None = None,
-        labels: Mapping[str, str] | None = None,
-        step: GoalStep | None = None,
-        **fields: Any,
-    ) -> Any:
+    async def call(self, /, *args: Any, **given: Any) -> Any:
         """Send a goal, and return its result.
 
         `on_feedback`, sync or async, is called with each feedback. A cancellation of the calling
@@ -235,12 +228,14 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ValueError: `timeout` is not more than 0, or the step was taken before.
             TypeError: `retry` is not a `Retry`.
         """
-        if self._takes_value and len(args) == 1 and not fields:
+        if self._takes_value and len(args) == 1 and given.keys() <= CALL_OPTIONS:
             goal = args[0]
         else:
-            options = {"on_feedback": on_feedback, "timeout": timeout, "retry": retry}
-            goal = goal_of(self.action, args, fields, **options, labels=labels, step=step)
-        follow = on_feedback is not None
+            goal = goal_of(self.action, args, given, CALL_OPTIONS)
+        options: CallOrStepOptions[FeedbackT] = cast("Any", given)
+        on_feedback, step = options.get("on_feedback"), options.get("step")
+        timeout, retry = options.get("timeout"), options.get("retry")
+        labels, follow = options.get("labels"), on_feedback is not None
         block: SendingGoal[FeedbackT, ResultT]
         if step is not None:
             block = self._sending_step(goal, step, timeout, retry, labels=labels, feedback=follow)
@@ -391,6 +386,10 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         feedback: bool = True,
     ) -> SendingStep[FeedbackT, ResultT]:
         """Return the child to be sent as a step."""
+        if not isinstance(step, GoalStep):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise TypeError(
+                f"a step is made by a goal, as `goal.step('drive')`; {step!r} is not one"
+            )
         goal_id = step.child_id(self.action.name)
         endpoint = StepEndpoint(self.endpoint, step, goal_id)
         attempts = None

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias
 
 import anyio
 
-from fibaction._runtime.async_only import AsyncBlock, AsyncItems
+from fibaction._runtime.async_only import AsyncBlock, AsyncItems, HasResult
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.client.attempts import Attempts, cancel_left
@@ -41,7 +41,7 @@ from fibaction.words.statuses import GoalStatus
 BLOCK = "async with client.send_goal(...) as goal:"
 
 
-class ClientGoal(AsyncItems, AsyncBlock, Generic[FeedbackT, ResultT]):
+class ClientGoal(AsyncItems, AsyncBlock, HasResult, Generic[FeedbackT, ResultT]):
     """One accepted goal, as its client sees it.
 
     For example:
@@ -52,7 +52,7 @@ class ClientGoal(AsyncItems, AsyncBlock, Generic[FeedbackT, ResultT]):
             print(await goal.result())
     """
 
-    opened_by, read_by = BLOCK, LOOP
+    opened_by, read_by, result_by = BLOCK, LOOP, "await goal.result()"
 
     def __init__(
         self,

@@ -58,20 +58,23 @@ class BlockingCallOptions(AttemptOptions, Generic[FeedbackT], total=False):
 
 CALL_OPTIONS = frozenset(CallOrStepOptions.__annotations__)
 """The names of the options of `call`."""
+GOAL_OPTIONS = frozenset(GoalOrStepOptions.__annotations__)
+"""The names of the options of `send_goal`."""
 
 
 def goal_of(
     action: Action[Any, Any, Any],
     args: tuple[Any, ...],
-    fields: Mapping[str, Any],
-    **options: object,
+    given: dict[str, Any],
+    options: frozenset[str],
 ) -> Any:
-    """Return the goal that is given as arguments, beside options, which are None if not given.
+    """Return the goal that is given as arguments; `given` keeps those that are options.
 
     Raises:
         TypeError: The arguments do not fit the action, or a name is that of an option and that of
             a parameter.
     """
+    fields = {name: given.pop(name) for name in given.keys() - options}
     if args and action.goal.holds(args[0]):
         if len(args) == 1 and not fields:
             return args[0]
@@ -80,11 +83,10 @@ def goal_of(
                 f"{args[0]!r} is a whole goal of {action.name!r}, and stands alone: give the other"
                 f" arguments to what made it"
             )
-    for name, value in options.items():
-        if value is not None and name in action.parameters:
-            made = f"{getattr(action, '__qualname__', action.name)}.goal_of({name}=...)"
-            raise TypeError(
-                f"{name!r} is an option of the call, and a parameter of {action.name!r}: make the"
-                f" goal with `{made}`, and give options beside it"
-            )
+    for name in given.keys() & action.parameters:
+        made = f"{getattr(action, '__qualname__', action.name)}.goal_of({name}=...)"
+        raise TypeError(
+            f"{name!r} is an option of the call, and a parameter of {action.name!r}: make the goal"
+            f" with `{made}`, and give options beside it"
+        )
     return action.goal_from(args, fields)

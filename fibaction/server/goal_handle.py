@@ -119,7 +119,9 @@ class GoalHandle(Generic[GoalT]):
         """
         running = self.running
         if running is None:
-            raise RuntimeError(f"the executor of goal {self.goal_id} does not run")
+            raise RuntimeError(
+                f"goal {self.goal_id} does not run here now: use its handle while it runs"
+            )
         running.check()
 
     @property

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator, Sequence
-from typing import Any, Generic, TypeAlias, TypedDict, TypeVar, Unpack, overload
+from typing import Any, Generic, TypeAlias, TypedDict, TypeVar, Unpack, cast, overload
 
 import anyio
 import msgspec
@@ -42,11 +42,11 @@ class TrialOptions(TypedDict, total=False):
 
 @overload
 async def run_executor(
-    action: FunctionAction[P, FeedbackT, ResultT, Any], *args: P.args, **kwargs: P.kwargs
+    action: FunctionAction[P, FeedbackT, ResultT, Any], /, *args: P.args, **kwargs: P.kwargs
 ) -> Trial[FeedbackT, ResultT]: ...
 @overload
 async def run_executor(
-    action: TakesNone[FeedbackT, ResultT], **options: Unpack[TrialOptions]
+    action: TakesNone[FeedbackT, ResultT], /, **options: Unpack[TrialOptions]
 ) -> Trial[FeedbackT, ResultT]: ...
 @overload
 async def run_executor(
@@ -57,22 +57,17 @@ async def run_executor(
     action: Action[GoalT, FeedbackT, ResultT],
     executor: Executor[GoalT, FeedbackT, ResultT],
     goal: GoalT,
+    /,
     **options: Unpack[TrialOptions],
 ) -> Trial[FeedbackT, ResultT]: ...
 @overload
 async def run_executor(
     action: FunctionAction[P, FeedbackT, ResultT, Any],
     goal: Arguments[P],
+    /,
     **options: Unpack[TrialOptions],
 ) -> Trial[FeedbackT, ResultT]: ...
-async def run_executor(  # type: ignore[misc]  # an argument with the name of an option is refused
-    action: Any,
-    *args: Any,
-    cancel_after: int | None = None,
-    interrupt_on_cancel: bool = True,
-    timeout: float | None = None,
-    **fields: Any,
-) -> Trial[Any, Any]:
+async def run_executor(action: Any, /, *args: Any, **given: Any) -> Trial[Any, Any]:
     """Run an executor with a goal, and return its feedback and its outcome.
 
         await run_executor(drive, 3)  # a function with its arguments
@@ -90,9 +85,12 @@ async def run_executor(  # type: ignore[misc]  # an argument with the name of an
     if not issubclass(type(action), Action):  # `isinstance` would leave its types unknown
         raise TypeError(f"run_executor() takes an action, not {action!r}: make one with @action")
     executor: Any = None
-    if args and callable(args[0]):  # which no goal is
+    is_function = issubclass(type(action), FunctionAction)
+    if args and callable(args[0]) and not (is_function and action.goal.holds(args[0])):
         executor, args = args[0], args[1:]
-    goal = goal_of(action, args, fields, cancel_after=cancel_after, timeout=timeout)
+    goal = goal_of(action, args, given, frozenset(TrialOptions.__annotations__))
+    options: TrialOptions = cast("Any", given)
+    cancel_after, timeout = options.get("cancel_after"), options.get("timeout")
     limit = 5.0 if timeout is None else timeout
     feedback: list[Any] = []
     # A window of one makes the executor wait at each `yield` until the feedback has been read.
@@ -101,7 +99,7 @@ async def run_executor(  # type: ignore[misc]  # an argument with the name of an
         executor or executor_of(action),
         feedback_window=1,
         stall_timeout=math.inf,
-        interrupt_on_cancel=interrupt_on_cancel,
+        interrupt_on_cancel=options.get("interrupt_on_cancel", True),
     )
     async with server:
         with anyio.move_on_after(limit):
@@ -115,10 +113,9 @@ async def run_executor(  # type: ignore[misc]  # an argument with the name of an
                             await sent.cancel()
                     return Trial(await sent.outcome(), feedback)
             except ProtocolError as exc:
-                raise ProtocolError(f"the executor is wrong: {exc}") from exc
-        raise TimeoutError(
-            f"the executor of action {action.name!r} has not ended within {limit:g} s"
-        )
+                subject = "the executor" if executor else f"the function of {action.name!r}"
+                raise ProtocolError(f"{subject} is wrong: {exc}") from exc
+        raise TimeoutError(f"the goal of action {action.name!r} has not ended within {limit:g} s")
 
 
 Step: TypeAlias = FeedbackT | ResultT | Exception | anyio.Event

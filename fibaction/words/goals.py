@@ -87,7 +87,11 @@ class GoalID(bytes):
         if isinstance(given, GoalID):
             return given
         if isinstance(given, str):
-            return cls.parse(given)
+            try:
+                return cls.parse(given)
+            except ValueError as exc:
+                hint = "goal.goal_id is one, and client.goals() lists those of the server"
+                raise ValueError(f"{exc}: {hint}") from None
         raise TypeError(f"goal_id must be a GoalID, or the text of one, not {given!r}")
 
     @classmethod

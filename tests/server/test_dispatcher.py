@@ -325,7 +325,7 @@ async def test_a_killed_executor_that_survives_keeps_its_place_until_it_has_ende
         assert (await (await site.send(1)).outcome()).status is GoalStatus.SUCCEEDED
     (line,) = [line for line in caplog.records if line.levelname == "ERROR"]
     assert line.getMessage() == (
-        f"goal {name} of action 'fibonacci': its executor does not end though it was killed, and"
+        f"goal {name} of action 'fibonacci' does not end though it was killed, and"
         f" runs on; its place in the schedule stays taken until then"
     )
     assert executor.begun == [1, 2, 1]

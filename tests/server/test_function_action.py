@@ -26,6 +26,7 @@ from fibaction import (
     GoalHandle,
     GoalStatus,
     Outcome,
+    ProtocolError,
     Report,
     Return,
     action,
@@ -183,6 +184,35 @@ def test_the_request_of_a_handle_alone_is_the_goal() -> None:
     assert [one.goal_of(Pose(1)) for one in made] == [Pose(1), Pose(1)]
 
 
+def test_a_report_and_a_handle_may_have_a_text() -> None:
+    @action
+    async def look(
+        report: Annotated[Report[int], "How far."], goal: Annotated[GoalHandle[str], "What."]
+    ) -> None: ...
+
+    assert [look.feedback.type, cast("Any", look.goal.type)] == [int, str]
+
+
+def test_marks_of_msgspec_hold_beside_a_model() -> None:
+    class Model(pydantic.BaseModel):
+        x: int
+
+    @action
+    async def look(
+        model: Model, meters: Annotated[int, msgspec.Meta(ge=1, description="How far.")]
+    ) -> None: ...
+
+    fields = look.goal.schema()["properties"]
+    assert fields["meters"] == {
+        "type": "integer",
+        "minimum": 1,
+        "description": "How far.",
+        "title": "Meters",
+    }
+    with pytest.raises(ProtocolError, match="greater than or equal to 1"):
+        look.goal.decode(msgspec.msgpack.encode({"model": {"x": 1}, "meters": 0}))
+
+
 def test_arguments_that_do_not_fit_are_told_with_the_signature() -> None:
     told = r"^place\(what: .*, force: float = 1.0\): missing a required argument: 'what'$"
     wrong: Any = place
@@ -216,6 +246,15 @@ def of_a_wrong_default(meters: int = cast("int", "one")) -> None: ...
 def of_a_default_of_all(pose: Pose = Pose(1)) -> None: ...  # noqa: B008  # it is rejected for that
 def of_a_typo(meters: "int | ") -> None: ...  # type: ignore[valid-type]  # noqa: F722  # as above
 def of_a_thread(thread: threading.Thread) -> None: ...
+def of_a_field(meters: int = msgspec.field(default=1)) -> None: ...
+def of_a_hidden_name(__meters: int) -> None: ...
+def of_another_request(goal: GoalHandle[int], meters: int) -> None: ...
+
+
+class WithClassmethod:
+    def make(cls, meters: int) -> None: ...
+
+
 async def yields(goal: GoalHandle[int]) -> AsyncIterator[int]:
     yield 1
 
@@ -263,6 +302,16 @@ class Yields:
             of_a_default_of_all,
             "cannot have its parameters as fields of a goal: 'pose' is the goal itself, and has",
         ),
+        (
+            of_a_field,
+            "cannot have its parameters as fields of a goal: the default of 'meters' is a",
+        ),
+        (of_a_hidden_name, "has the parameter '__meters', and a field does not begin with two"),
+        (
+            of_another_request,
+            "has its goal in the other parameters, and not in 'goal': write `goal: GoalHandle[obj",
+        ),
+        (WithClassmethod.make, "is a classmethod: an action is a method of an object"),
         (of_a_typo, "has a type that cannot be read: "),
         (Pose, "is a class: write @action above its methods"),
         (yields, "is a generator function, and @action is for functions that report and return"),

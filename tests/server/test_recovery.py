@@ -39,6 +39,7 @@ from fibaction.client import attempts
 from tests.contract.conftest import tcp_address
 from tests.support.matching import End
 from tests.support.memory_store import Fate, MemoryStore
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
@@ -744,6 +745,22 @@ async def test_a_client_that_waits_when_the_store_fails_is_told_that_the_line_is
                 with pytest.raises(ConnectionLost):
                     await goal.outcome()
                 await anyio.sleep_forever()
+
+
+@in_virtual_time()
+async def test_a_kept_goal_has_all_its_time_from_when_clients_can_reach_the_server() -> None:
+    store, settings = MemoryStore(), {"at_stop": "keep", "shutdown_timeout": 1.0}
+    first: Server = ActionServer(PAINT, Painter(stop_at=1), store=store, **settings)  # type: ignore[arg-type]  # mypy does not see what the settings are
+    async with first:
+        sent = await ActionClient(first, PAINT).send_goal(2)
+    schedule = Schedule(concurrency=1, run_timeout=10)
+    second = ActionServer(PAINT, Painter(), store=store, schedule=schedule)
+    second.hold_executors()
+    async with second:
+        goal = await ActionClient(second, PAINT).attach(sent.goal_id)
+        await anyio.sleep(60)  # of virtual time: the address is in use, say
+        second.start_executors()
+        assert await goal.result() == "painted 2"
 
 
 @pytest.mark.promise("KEEP-9")

@@ -275,5 +275,7 @@ async def test_after_the_end_a_report_raises_one_error() -> None:
         report(2)
     with pytest.raises(RuntimeError, match=text):
         await to_thread.run_sync(report, 2)
-    with pytest.raises(RuntimeError, match=r"the executor of goal \w+ does not run"):
+    with pytest.raises(
+        RuntimeError, match=r"goal \w+ does not run here now: use its handle while it runs"
+    ):
         handle.check()

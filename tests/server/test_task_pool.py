@@ -257,5 +257,5 @@ async def test_a_program_ends_in_spite_of_executors_that_do_not(backend: str) ->
     assert found["left"] >= SHUTDOWN_TIMEOUT + GRACE
     assert found["used"] < 0.1  # of half a second
     for executor in REFUSING:
-        assert f"of action {executor.__name__!r}: its executor does not end" in err
+        assert f"of action {executor.__name__!r} does not end" in err
     assert "Traceback" not in err

@@ -523,5 +523,8 @@ async def test_a_server_runs_where_no_thread_can_be_started(
     async with ActionServer(FIBONACCI, fibonacci) as server:
         assert (await ActionClient(server, FIBONACCI).call(Goal(1))).sequence
     assert [record.getMessage() for record in caplog.records] == [
-        "executors of action 'fibonacci' that block are not named here: can't start new thread"
+        (
+            "goals of action 'fibonacci' that block the event loop are not named here: can't start"
+            " new thread"
+        )
     ]

@@ -6,7 +6,7 @@ import re
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import msgspec
@@ -29,6 +29,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.testing import run_executor
 from fibaction_transports.inprocess import InProcessTransport
 
 pytestmark = pytest.mark.anyio
@@ -97,6 +98,16 @@ def client(use: Callable[[Any], Any]) -> Program:
     return program
 
 
+def with_client(use: Callable[[Any], Awaitable[object]]) -> Program:
+    """Return the program that does something with a client."""
+
+    async def program() -> None:
+        async with connect(InProcessTransport(), COUNT) as opened:
+            await use(opened)
+
+    return program
+
+
 def code(run: Callable[[], object]) -> Program:
     """Return the program that runs code without an `await`."""
 
@@ -146,6 +157,30 @@ async def returns_too_much(goal: Pose) -> dict[str, list[int]]:
 
 async def reports_half_a_character(goal: Pose, report: Report[Named]) -> None:
     await report(Named("\ud800"))
+
+
+async def awaits_its_report(goal: Pose, report: Report[int]) -> None:
+    await report  # type: ignore[misc]  # the mistake
+
+
+async def sends_by_its_report(goal: Pose, report: Report[int]) -> None:
+    report.send(1)  # type: ignore[attr-defined]  # the mistake
+
+
+async def waits_in_a_trial() -> None:
+    @action
+    async def wait() -> None:
+        await anyio.sleep_forever()
+
+    await run_executor(wait, timeout=0.01)
+
+
+async def returns_a_text_in_a_field() -> None:
+    @action
+    async def name() -> Named:
+        return Named(cast("str", 1))
+
+    await run_executor(name)
 
 
 async def yields_a_float(goal: GoalHandle[Named]) -> AsyncIterator[float]:
@@ -218,6 +253,41 @@ PROGRAMS = {
         ),
     ),
     "a rejection of another goal": (function(rejected_by_another), "was rejected: it is full$"),
+    "a report that is awaited": (
+        function(awaits_its_report),
+        "'await' expression (a report is called with one feedback: `await report(feedback)`)",
+    ),
+    "a report that sends": (
+        function(sends_by_its_report),
+        "'send' (a report is called with one feedback: `await report(feedback)`)",
+    ),
+    "a trial of a function that does not end": (
+        waits_in_a_trial,
+        "the goal of action 'wait' has not ended within 0.01 s$",
+    ),
+    "a result with a field of another type": (
+        returns_a_text_in_a_field,
+        "the function of 'name' is wrong: the result of action 'name' is not of its type",
+    ),
+    "a goal that is awaited": (
+        client(lambda goal: goal),
+        "a goal is not its result: write `await goal.result()`$",
+    ),
+    "a goal as a number": (
+        client(lambda goal: goal + 1),
+        "a goal is not its result: write `await goal.result()`$",
+    ),
+    "the ID of no goal": (
+        with_client(lambda opened: opened.attach("abc")),
+        (
+            "a goal ID has 32 hexadecimal digits, not 'abc': goal.goal_id is one, and"
+            " client.goals() lists those of the server"
+        ),
+    ),
+    "a step that is a name": (
+        with_client(lambda opened: opened.send_goal(Named("a"), step="a")),
+        "a step is made by a goal, as `goal.step('drive')`; 'a' is not one",
+    ),
     "a number of more than 64 bits": (
         function(returns_too_much),
         (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, cast
 
 import anyio
+import msgspec
 import pytest
 
 from fibaction import (
@@ -79,7 +80,7 @@ async def test_an_executor_that_takes_too_long_is_ended() -> None:
 
     with pytest.raises(TimeoutError) as caught:
         await run_executor(FIBONACCI, waits, Goal(0), timeout=0.01)
-    assert str(caught.value) == "the executor of action 'fibonacci' has not ended within 0.01 s"
+    assert str(caught.value) == "the goal of action 'fibonacci' has not ended within 0.01 s"
 
 
 NEAR: Any = "near"  # which no type checker lets pass
@@ -169,3 +170,18 @@ async def test_a_function_is_run_with_its_arguments() -> None:
     assert (await run_executor(double, number=2, by=3)).outcome.result == 6
     with pytest.raises(TypeError, match="has no executor: write ActionServer"):
         await run_executor(cast("Any", FIBONACCI), Goal(1))
+
+
+class Task(msgspec.Struct):
+    x: int
+
+    def __call__(self) -> int:
+        return self.x
+
+
+async def test_a_goal_that_can_be_called_is_the_goal_of_a_function() -> None:
+    @action
+    async def run(goal: Task) -> int:
+        return goal()
+
+    assert (await run_executor(run, Task(3))).outcome.result == 3

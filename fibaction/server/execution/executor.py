@@ -238,14 +238,14 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
             "is abandoned; what it holds, such as files and locks, stays in use until this process"
             " ends"
         )
-        return Ending(EndKind.FAILED, self._result, "the executor was abandoned")
+        return Ending(EndKind.FAILED, self._result, "it was abandoned, since it did not end")
 
     def _spared(self) -> None:
         self._tell_survival("runs on; its place in the schedule stays taken until then")
 
     def _tell_survival(self, what_follows: str) -> None:
         logger.error(
-            "goal %s of action %r: its executor does not end though it was killed, and %s",
+            "goal %s of action %r does not end though it was killed, and %s",
             self.handle.goal_id,
             self._action.name,
             what_follows,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 logger = clean_logger("fibaction.server")
 
 
-CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
+CANCELED_UNASKED = "its code ended as canceled, but no cancel was requested"
 
 
 GENERATOR = "the executor is wrong: it"
@@ -149,8 +149,10 @@ def _hint(exc: BaseException, text: str, action: Action[Any, Any, Any]) -> str:
     """Return what to write in place of what was probably meant; empty if it is not known."""
     if isinstance(exc, GoalRejected) and exc.goal_id is None:  # not of a goal that was sent
         return " (the goal is accepted by now: raise GoalAborted here, or reject it in on_goal)"
-    if not isinstance(exc, TypeError):
+    if not isinstance(exc, TypeError | AttributeError):
         return ""
+    if any(part in text for part in ("'Report'", "object Report ", "Report.__call__")):
+        return " (a report is called with one feedback: `await report(feedback)`)"
     if "'GoalHandle'" in text:
         return " (what the client sent is goal.request)"
     for kind in action.goal.classes:

@@ -122,6 +122,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._pool = TaskPool(tasks, f"goal of {self._action.name}")
         if held:
             self._pool.hold()
+        else:
+            self._dispatcher.start()
         tasks.start_soon(self.lost.run, name=f"lost goals of {self._action.name}")
         if self._keeper.has_lease:
             self._fence = self.lost.fence
@@ -130,6 +132,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def start(self) -> None:
         """Run the executors that were held back."""
+        self._dispatcher.start()
         self._pool.start()
 
     def add(

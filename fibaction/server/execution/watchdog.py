@@ -100,7 +100,9 @@ class Watch:
                 self._watchdog = _watchdogs.add(self)
             except RuntimeError as exc:  # the system has no threads, or no more of them
                 logger.warning(
-                    "executors of action %r that block are not named here: %s", self._action, exc
+                    "goals of action %r that block the event loop are not named here: %s",
+                    self._action,
+                    exc,
                 )
 
     def close(self) -> None:

@@ -75,6 +75,11 @@ class GoalParameters:
         default, name = parameter.default, parameter.name
         if default is Parameter.empty:
             return
+        if type(default).__name__ in ("Field", "FieldInfo"):
+            raise TypeError(
+                f"the default of {name!r} is a field of a class, and a function has the value"
+                f" itself: write `{name}: Annotated[int, Field(ge=1)] = 5`"
+            )
         codec = Codec(parameter.annotation)
         try:
             codec.decode(codec.encode(default))
@@ -91,11 +96,9 @@ class GoalParameters:
     def _made(self, parameters: Sequence[Parameter]) -> Any:
         name = "".join(part.title() for part in self._function.split("_")) + "Goal"
         if "pydantic" in sys.modules and any(_is_of_pydantic(one.annotation) for one in parameters):
-            from pydantic import Field
-
-            return make_dataclass(name, _fields(parameters, Field, field), kw_only=True)
+            return make_dataclass(name, _fields(parameters, _pydantic_mark, field), kw_only=True)
         is_ordered = all(one.kind is not Parameter.KEYWORD_ONLY for one in parameters)
-        fields = _fields(parameters, msgspec.Meta, msgspec.field)
+        fields = _fields(parameters, None, msgspec.field)
         return msgspec.defstruct(name, fields, kw_only=not is_ordered)
 
 
@@ -158,8 +161,24 @@ def _is_shared(default: Any) -> bool:
     return not isinstance(default, PurePath)  # of which msgspec has no schema
 
 
-def _described(annotation: Any, mark_of: Any) -> Any:
-    """Return a type whose descriptions, texts in `Annotated`, are marks that its encoding reads.
+_MARKS = (
+    *("gt", "ge", "lt", "le", "multiple_of", "pattern", "min_length", "max_length"),
+    *("title", "description", "examples"),
+)
+"""The settings that a `msgspec.Meta` and a `pydantic.Field` have by the same name."""
+
+
+def _pydantic_mark(meta: msgspec.Meta) -> Any:
+    """Return the mark of pydantic that says the same."""
+    from pydantic import Field
+
+    said = {name: value for name in _MARKS if (value := getattr(meta, name)) is not None}
+    return Field(**said, json_schema_extra=meta.extra_json_schema)
+
+
+def _described(annotation: Any, mark_of: Callable[[msgspec.Meta], Any] | None) -> Any:
+    """Return a type whose descriptions, texts in `Annotated`, are marks that its encoding reads;
+    `mark_of` makes these of the marks of msgspec.
 
     PEP 727 has such a text in an object.
     """
@@ -168,7 +187,9 @@ def _described(annotation: Any, mark_of: Any) -> Any:
     kind, *marks = get_args(annotation)
     texts = [getattr(mark, "documentation", mark) for mark in marks]
     made = [
-        mark_of(description=text) if isinstance(text, str) else mark
+        msgspec.Meta(description=text) if isinstance(text, str) else mark
         for mark, text in zip(marks, texts, strict=True)
     ]
+    if mark_of is not None:
+        made = [mark_of(mark) if isinstance(mark, msgspec.Meta) else mark for mark in made]
     return cast("Any", Annotated)[(kind, *made)]

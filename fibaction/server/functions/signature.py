@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from inspect import Parameter
 from types import SimpleNamespace
-from typing import Any, NoReturn, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
 
 from fibaction.server.functions.goal_parameters import GoalParameters
 from fibaction.server.functions.report import Report
@@ -34,7 +34,10 @@ class FunctionSignature:
         self.is_method = _is_method(function, parameters)
         """True if the first parameter is the object that the function is a method of."""
         if self.is_method:
-            del parameters[next(iter(parameters))]
+            first = next(iter(parameters))
+            if first == "cls":
+                self._fail("is a classmethod: an action is a method of an object, or a function")
+            del parameters[first]
         hints = self._hints_of(function, parameters, names)
         if "return" not in hints:
             self._fail("has no type for what it returns: write `-> str`, or `-> None`")
@@ -49,16 +52,17 @@ class FunctionSignature:
         fields: list[Parameter] = []
         for name, parameter in parameters.items():
             hint = self._hint_of(name, parameter, hints)
-            origin = get_origin(hint) or hint
+            plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+            origin = get_origin(plain) or plain
             if origin is Report:
                 self._take_once(name, self.report, "a Report")
-                if not get_args(hint):
+                if not get_args(plain):
                     what = f"has no type of feedback for {name!r}: write `{name}: Report[int]`"
                     self._fail(what)
-                self.report, (self.feedback,) = name, get_args(hint)
+                self.report, (self.feedback,) = name, get_args(plain)
             elif origin is GoalHandle:
                 self._take_once(name, self._handle, "a GoalHandle")
-                self._handle, request = name, (get_args(hint) or (None,))[0]
+                self._handle, request = name, (get_args(plain) or (None,))[0]
             else:
                 self._check_is_field(name, hint)
                 fields.append(parameter.replace(annotation=hint))
@@ -131,6 +135,10 @@ class FunctionSignature:
     def _check_is_field(self, name: str, hint: Any) -> None:
         if any((get_origin(part) or part) is Report for part in get_args(hint)):
             self._fail(f"may be called without {name!r}: a server always gives it a `Report[int]`")
+        if name.startswith("__"):
+            self._fail(
+                f"has the parameter {name!r}, and a field does not begin with two underscores"
+            )
         if (get_origin(hint) or hint) is Callable:
             self._fail(
                 f"takes a function as {name!r}, and a goal is data: write `{name}: Report[int]` for"
@@ -151,9 +159,15 @@ class FunctionSignature:
                 Parameter("goal", Parameter.POSITIONAL_ONLY, annotation=request, default=default)
             ]
         try:
-            return GoalParameters(self.name, fields, is_whole=is_whole)
+            goal = GoalParameters(self.name, fields, is_whole=is_whole)
         except TypeError as exc:
             self._fail(f"cannot have its parameters as fields of a goal: {exc}", exc)
+        if request not in (None, object, Any, goal.type):
+            self._fail(
+                f"has its goal in the other parameters, and not in {self._handle!r}: write"
+                f" `{self._handle}: GoalHandle[object]`"
+            )
+        return goal
 
     def _fail(self, what: str, cause: Exception | None = None) -> NoReturn:
         raise TypeError(f"{self.name}() {what}") from cause

@@ -58,6 +58,9 @@ class Dispatcher(Succession[GoalT]):
         """
         self._goals = goals
 
+    def start(self) -> None:
+        """Count the time of goals from now on: executors were held back until then."""
+
     def close(self) -> None:
         """Start no goals from now on: the server stops, and ends all of them."""
         self._is_closed = True

@@ -91,6 +91,7 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
         self._positioned_at = -math.inf
+        self._is_started, self._news_of_start = False, Notifier()
 
     async def open(
         self,
@@ -102,6 +103,12 @@ class GoalDispatcher(Dispatcher[GoalT]):
         self._goals, self._changed = goals, changed
         self._shared = await self._join(key_places)
         tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
+
+    def start(self) -> None:
+        if not self._is_started:
+            self._is_started = True
+            self._shared.scheduler.restart(self, current_time())
+            self._news_of_start.notify()
 
     async def _join(self, key_places: OpenKeyPlaces) -> SharedScheduler:
         """Return the scheduler of all servers with this schedule."""
@@ -227,6 +234,8 @@ class GoalDispatcher(Dispatcher[GoalT]):
     async def _keep_time(self) -> None:
         shared = self._shared
         try:
+            if not self._is_started:
+                await self._news_of_start.wait()
             while True:
                 shared.wake_at = shared.scheduler.next_due
                 with anyio.CancelScope(deadline=shared.wake_at):

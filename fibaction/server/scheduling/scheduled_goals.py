@@ -248,6 +248,12 @@ class TimedGoals:
         self.interrupted: OrderedDict[GoalID, Entry] = OrderedDict()
         """Those that were interrupted, since then."""
 
+    def restart(self, owner: object, now: float) -> None:
+        """Let the goals of an owner begin only now."""
+        for entry in [one for one in self.running.values() if one.owner is owner]:
+            entry.since = now
+            self.running.move_to_end(entry.goal_id)
+
     def tell(self, entry: Entry, now: float) -> Order:
         """Let a goal take its successor over, for a time."""
         self.told[entry.goal_id] = entry

@@ -190,6 +190,10 @@ class Scheduler:
         self._start(successor, now)
         return successor.goal_id
 
+    def restart(self, owner: object, now: float) -> None:
+        """Let the goals of an owner that have a place to run begin only now."""
+        self._timed.restart(owner, now)
+
     def due(self, now: float, limit: int | None = None) -> list[Order]:
         """Return orders that are due because time has passed, at most `limit`."""
         orders: list[Order] = []

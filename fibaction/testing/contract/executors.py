@@ -211,7 +211,7 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     ),
     (
         says_canceled_though_nobody_asked,
-        "the executor ended as canceled, but no cancel was requested",
+        "its code ended as canceled, but no cancel was requested",
         [1],
     ),
     (says_canceled_with_a_reason, "no light", None),

@@ -103,6 +103,11 @@ ANSWERS: dict[str, tuple[bytes, type[Exception], str]] = {
         "^HTTP 404: Not Found; this may be another web server: check the port and the path$",
     ),
     "forbidden": (http_answer(403, "a page"), AuthenticationFailed, "HTTP 403: a page"),
+    "forbidden without a word": (
+        b"HTTP/1.1 403 \r\nContent-Length: 0\r\n\r\n",
+        AuthenticationFailed,
+        "nothing at /arm, or this client may not use it; an action that is mounted is at /arm/, wi",
+    ),
     "full": (http_answer(503, "it is full"), LimitReached, "HTTP 503: it is full"),
     "a broken body": (
         b"HTTP/1.1 502 Bad Gateway\r\nTransfer-Encoding: chunked\r\n\r\nxyz\r\n",

@@ -155,6 +155,10 @@ class ClientHandshake:
             InvalidURL, UnicodeError: The host cannot be part of a request.
         """
         self._subprotocol = subprotocol
+        self._missing = f"there is nothing at {target}, or this client may not use it"
+        """The meaning of an answer without words."""
+        if not target.endswith("/"):
+            self._missing += f"; an action that is mounted is at {target}/, with a slash"
         self._http = h11.Connection(h11.CLIENT, max_incomplete_event_size=LONGEST_HEAD)
         self._key = generate_nonce()
         headers = [
@@ -218,7 +222,7 @@ class ClientHandshake:
         # A page of another server says nothing to a user of this one.
         is_text = dict(answer.headers).get(b"content-type", b"").startswith(b"text/plain")
         text = excerpt((is_text and self._text()) or answer.reason.decode("latin-1"))
-        said = f"HTTP {status}: {text}"
+        said = f"HTTP {status}: {text or self._missing}"
         if status in FULL:
             return LimitReached(said)
         if status in AWAY:
