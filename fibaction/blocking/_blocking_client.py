@@ -164,7 +164,7 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
     def goals(self, *, results: bool = False) -> list[GoalInfo]:
         """Return every goal that the server knows: those that have ended, then the active ones.
 
-        With `results`, each that has ended is asked for its result, one request for each.
+        With `results`, fetch the result of each goal that has ended, too, by one request each.
 
         Raises:
             ActionError: As for `ActionClient.goals`.

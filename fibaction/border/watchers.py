@@ -80,8 +80,8 @@ class Watcher:
         """Take note of the end of a goal."""
 
     def left(self, action: str, info: GoalInfo, reason: str) -> None:
-        """Take note that an accepted goal is this server's no longer: its store keeps it for the
-        next start, or another server has it.
+        """Take note that an accepted goal no longer belongs to this server: its store keeps it for
+        the next start, or another server has it.
         """
 
     def closed(self, info: ActionInfo) -> None:

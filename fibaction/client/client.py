@@ -56,8 +56,8 @@ OneT = TypeVar("OneT")
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     """A client of one action at one endpoint, which need not be closed.
 
-    It belongs to one event loop: what waits raises `RuntimeError` in another thread, for this class
-    as for `ClientGoal`.
+    It belongs to one event loop: in another thread, the methods that wait, and those of its
+    goals, raise `RuntimeError`.
 
     For example:
 
@@ -263,8 +263,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
         With `after`, the feedback begins after that number, as far back as the server remembers:
         `goal.feedback.number` is the number of the feedback that was read last. `attempt` is the
-        attempt that the number is of, `goal.feedback.attempt`; if the server has run the goal again
-        since, the feedback begins with the first of the new attempt.
+        attempt in which that number counts, `goal.feedback.attempt`; if the server has run the goal
+        again since, the feedback begins with the first of the new attempt.
 
         Raises:
             UnknownGoal: The server has no such goal.
@@ -302,7 +302,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     async def goals(self, *, results: bool = False) -> list[GoalInfo]:
         """Return every goal that the server knows: those that have ended, then the active ones.
 
-        With `results`, each that has ended is asked for its result, one request for each.
+        With `results`, fetch the result of each goal that has ended, too, by one request each.
 
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.

@@ -100,7 +100,8 @@ class ClientGoal(AsyncItems, AsyncBlock, HasResult, Generic[FeedbackT, ResultT])
         """The number of feedback messages that were not delivered, because they were not read in
         time.
 
-        It counts the messages before the last one that was read; at the end of the feedback, all.
+        It counts messages before the last one that was read and, once the feedback has ended,
+        all of them.
         The rest of an attempt that ended with its server is not known, and not counted.
         """
         return self.feedback.dropped

@@ -141,7 +141,7 @@ class GoalHandle(Generic[GoalT]):
     # Children
 
     def step(self, name: str, *, wait_for_end: bool = False) -> GoalStep:
-        """Return a step of this goal, as which its executor sends another goal, its child.
+        """Return a step of this goal, with which its executor sends another goal, its child.
 
             await pick.call(Pick("cup"), step=goal.step("pick"))
 

@@ -217,8 +217,8 @@ class ActionInfo(msgspec.Struct, frozen=True):
 class Action(Generic[GoalT, FeedbackT, ResultT]):
     """A name, and the types of the goal, the feedback and the result.
 
-    A type is any that msgspec can encode and decode strictly: a `msgspec.Struct`, a dataclass, an
-    attrs class, a `TypedDict`, a builtin. It may also be a pydantic model, or have models in it,
+    Each type is one that msgspec can encode and decode strictly: a `msgspec.Struct`, a dataclass,
+    an attrs class, a `TypedDict`, a builtin. It may also be a pydantic model, or contain models,
     which validate by their own rules. If feedback and result have one type, an executor that yields
     both marks the result with `Return`.
 

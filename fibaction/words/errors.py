@@ -214,7 +214,7 @@ class ProtocolError(ActionError):
 class InvalidMessage(ProtocolError):
     """This side's message is too large or malformed; it was not sent.
 
-    A goal that is larger than the server's limit is an example.
+    For example, a goal is larger than the server's limit.
     """
 
 
@@ -228,8 +228,8 @@ class StoreError(ActionError):
 class TransportError(ActionError):
     """The server could not be reached as asked.
 
-    If it is none of those below: an address or the types of an action cannot be used, or a package
-    that the transport needs is not installed.
+    This class itself, and none of its subclasses, means that an address or the types of an action
+    cannot be used, or that a package is missing that the transport needs.
     """
 
 
@@ -252,7 +252,7 @@ class ConnectionLost(TransportError):
 
 
 class GoalKept(ConnectionLost):
-    """This server tells nothing more about the goal, which the next one may know.
+    """This server reports nothing more about the goal; the next server may know it.
 
     It has stopped and keeps the goal in its store, or its store has failed.
     """
@@ -269,8 +269,8 @@ class AuthenticationFailed(TransportError):
 class LimitReached(TransportError):
     """A limit of the server or of the client is reached.
 
-    Examples are a server that is full, too many requests at once, and an answer that is larger than
-    the client accepts.
+    For example, the server is full, there are too many requests at once, or an answer is larger
+    than the client accepts.
     """
 
 

@@ -141,8 +141,8 @@ def digest_of(payload: bytes) -> bytes:
 class Sender(msgspec.Struct, frozen=True):
     """The client that sends a goal, as the transport identifies it.
 
-    As text, `str(sender)`, it is for people to read, for example `robot7 at 127.0.0.1:51234`, or
-    empty if nothing is known.
+    `str(sender)` is a text for people, for example `robot7 at 127.0.0.1:51234`; it is empty if
+    nothing is known.
 
     For example:
 
@@ -251,14 +251,14 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     @property
     def waited(self) -> float | None:
         """The seconds from its acceptance to the begin of its first attempt; None if that is not
-        known. If the server's clock was set back between, it is 0 at least.
+        known. It is never negative, even if the server's clock was set back in between.
         """
         return None if self.began_at is None else max(0, self.began_at - self.stamp) / 1e9
 
     @property
     def ran(self) -> float | None:
         """The seconds from the begin of its first attempt to its end; None if one of them is not
-        known. If the server's clock was set back between, it is 0 at least.
+        known. It is never negative, even if the server's clock was set back in between.
         """
         if self.began_at is None or self.ended_at is None:
             return None

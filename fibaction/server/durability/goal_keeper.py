@@ -20,7 +20,7 @@ A goal that belongs to another server by now is lost for this one alone: a write
 the answers that wait: those about a lost goal change nothing any more. The same goal may come back
 as another record, so a refusal is about a record, and not about an ID.
 
-Of most goals that have ended, the store keeps the outcome. A goal that was given up is kept whole,
+The store keeps the outcome of most goals that have ended. A goal that was given up is kept whole,
 with its last checkpoint, so that a person can look at it and run it again.
 
 Without a store, a server has just a `Keeper`.

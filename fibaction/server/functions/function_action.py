@@ -31,13 +31,13 @@ MOST_THREADS = 64
 class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, ResultT, CallT]):
     """An action that `action` has made of a function, which is its executor.
 
-    `connect` and `call` take it as any action, and `serve` takes it without an `ActionServer`. For
-    a server with settings, write `ActionServer(drive, schedule=...)`.
+    `connect` and `call` take it like any other action, and `serve` takes it without an
+    `ActionServer`. For a server with settings, write `ActionServer(drive, schedule=...)`.
 
     It can be called as the function that it was, for example by tests: `await drive(meters=3)`.
 
-    That of a method is, as an attribute of the class, the definition for clients, and as an
-    attribute of an object the action that is served with this object:
+    For a method, `Robot.move` is the definition for clients, and `robot.move` is the action that is
+    bound to the object `robot`, for servers:
 
         class Robot:
             @action
@@ -140,7 +140,7 @@ class FunctionAction(Action[Any, FeedbackT, ResultT], Generic[P, FeedbackT, Resu
     def goal_of(self, /, *args: P.args, **kwargs: P.kwargs) -> Arguments[P]:
         """Return the goal with which a server calls the function with these arguments.
 
-        It serves where options stand beside several arguments:
+        Use it to give options in addition to several arguments:
 
             await call(url, drive, drive.goal_of(3, speed=0.5), on_feedback=print)
 

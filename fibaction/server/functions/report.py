@@ -39,12 +39,12 @@ MOST_LATE = 1000
 class Report(Generic[FeedbackT_contra]):
     """Sends feedback of a function: `await report(feedback)`.
 
-    The call is what a `yield` is to a generator. The feedback is encoded and sent at once; the
-    `await` waits if the client is slow, lets other tasks run, and is where a cancel arrives.
+    It is for a function what `yield` is for a generator. The feedback is encoded and sent at once;
+    the `await` waits if the client is slow, lets other tasks run, and is where a cancel arrives.
 
-    It works wherever the function has it called: in helpers, in tasks that it has started, in
-    callbacks, which call it without `await` and so do not wait, and in threads. In a thread the
-    call waits itself, and raises `GoalCanceled` if the goal is to stop.
+    Helpers, tasks that the function has started, callbacks and threads may call it, too. A callback
+    calls it without `await`, and does not wait. In a thread, the call itself waits, and raises
+    `GoalCanceled` if the goal is to stop.
     """
 
     __slots__ = ("_late", "_running", "_takers", "_thread", "_turns")

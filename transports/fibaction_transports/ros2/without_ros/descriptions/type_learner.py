@@ -7,8 +7,8 @@ An action whose interface file is not found here is looked up at the nodes that 
 feedback, with the service `get_type_description` that nodes have since ROS 2 Jazzy. A question
 needs the hash of a type, and endpoints announce the hashes of their messages only: so a node of
 rclpy describes the feedback, and not the goal and the result. The nodes of this project announce
-the hash of the action, too, and describe all of it. Of nodes on Fast DDS 3, as of ROS 2 Kilted, the
-types of all messages are asked by TypeLookup first; they count if they have the announced hashes.
+the hash of the action, too, and describe all of it. Nodes on Fast DDS 3, which ROS 2 Kilted has,
+are first asked by TypeLookup for the types of all messages, which count if their hashes match.
 
 Requests and answers announce their hashes, too. Where files define several versions of a type, they
 tell which of them the server has.
