@@ -12,6 +12,9 @@ field. These dangers of a complete validator do not exist here:
   reference is an error. Nothing is ever retrieved.
 - Regular expressions (`pattern`, `patternProperties`) are ignored, because a short one can take
   years.
+- Of `if`, `dependentSchemas` and `unevaluatedProperties` it is only known that they may describe
+  fields, which are let through. `tests/schema/test_official_suite.py` names all differences from
+  the official tests of JSON Schema.
 - `JsonSchema` reads a schema before its first use, and finds values of the wrong type, references
   to nothing, and references that lead only to themselves.
 - `Check` counts steps, by `fibaction.schema.steps`. A step is the visit of one value with one

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from fibaction.schema.check import Check, Mismatch
-from fibaction.schema.keywords import in_json
-from fibaction.schema.steps import are_equal
-from fibaction.words.plain_data import is_map
+from fibaction.schema.keywords import frozen, in_json
+from fibaction.schema.steps import Extent, are_equal
+from fibaction.words.plain_data import is_list, is_map
 
 
 class Visited(Protocol):
@@ -65,6 +65,14 @@ def _enum(part: Visited, check: Check, value: Any, nesting: int, is_open: bool) 
 def _const(part: Visited, check: Check, value: Any, nesting: int, is_open: bool) -> Any:
     if not are_equal(check.steps, in_json(value), part.schema["const"]):
         check.note(part.schema, "const", value, part.schema["const"], is_other_kind=True)
+    return value
+
+
+def _unique(part: Visited, check: Check, value: Any, nesting: int, is_open: bool) -> Any:
+    if is_list(value) and part.schema["uniqueItems"]:
+        check.steps.spend(Extent.of(value).size)
+        if len(set(map(frozen, value))) < len(value):
+            check.note(part.schema, "uniqueItems", value, True)
     return value
 
 
@@ -152,6 +160,7 @@ def _reference(part: Visited, check: Check, value: Any, nesting: int, is_open: b
 COMBINATIONS: dict[str, Callable[[Visited, Check, Any, int, bool], Any]] = {
     "enum": _enum,
     "const": _const,
+    "uniqueItems": _unique,
     "propertyNames": _property_names,
     "anyOf": _any_of,
     "oneOf": _one_of,

@@ -10,6 +10,7 @@ thread, as the documents of strangers are everywhere.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Coroutine, Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -19,6 +20,31 @@ from fibaction.words.errors import GoalRejected, RejectionCode
 
 if TYPE_CHECKING:
     from fibaction.schema.payload import GoalCodec
+
+_PLACED = re.compile(r"([^`]*(?:`[^`]*`[^`]*)*) - at `\$([^`]*)`")
+_DATE_TIME = "must be a date and time with seconds, such as 2026-01-31T12:00:00Z"
+_DURATION = "must be a duration in days, hours, minutes and seconds, such as P1DT2H30M"
+_CLEAR = {
+    "Invalid RFC3339 encoded datetime": _DATE_TIME,
+    "Expected `datetime` with a timezone component": f"{_DATE_TIME}, and tell the offset from UTC",
+    "Expected `datetime` with no timezone component": (
+        "must be a date and time without an offset from UTC, such as 2026-01-31T12:00:00"
+    ),
+    "Invalid RFC3339 encoded date": "must be a date such as 2026-01-31",
+    "Invalid RFC3339 encoded time": "must be a time with seconds, such as 12:00:00",
+    "Expected `time` with a timezone component": (
+        "must be a time with its offset from UTC, such as 12:00:00Z"
+    ),
+    "Expected `time` with no timezone component": (
+        "must be a time without an offset from UTC, such as 12:00:00"
+    ),
+    "Only units 'D', 'H', 'M', and 'S' are supported when parsing ISO8601 durations": _DURATION,
+    "Invalid ISO8601 duration": _DURATION,
+    "Invalid UUID": "must be a UUID such as 00000000-0000-0000-0000-000000000000",
+}
+"""Sentences in place of those of msgspec, for texts that the check by the schema takes, since
+pydantic does.
+"""
 
 Pause: TypeAlias = Callable[[], None]
 
@@ -53,7 +79,7 @@ class GoalCheck:
         await in_turn(len(goal), lambda pause: self._check(goal, misread, pause))
 
     def _check(self, goal: bytes, misread: str, pause: Pause | None) -> None:
-        text = self._mismatch(goal, pause) or misread
+        text = self._mismatch(goal, pause) or _readable(misread)
         if text:
             raise GoalRejected(text, code=RejectionCode.UNREADABLE)
 
@@ -71,3 +97,14 @@ class GoalCheck:
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError):
             pass  # it is not msgpack, and the types have told that
         return ""
+
+
+def _readable(misread: str) -> str:
+    """Return the error of the types as sentences that begin with the field."""
+    if "; " in misread and misread.count("`$") > 1:  # of pydantic, which tells several
+        return "; ".join(map(_readable, misread.split("; ")))
+    found = _PLACED.fullmatch(misread)
+    if found is None:
+        return misread
+    text, place = found.groups()
+    return f"goal{place} {_CLEAR[text]}" if text in _CLEAR else f"goal{place}: {text}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from typing import Any, cast
+from urllib.parse import unquote
 
 from fibaction.words.plain_data import is_list, is_map, is_number, quoted
 
@@ -58,6 +59,7 @@ _SHAPES: dict[str, Callable[[object], bool]] = {
     "multipleOf": _is_unit,
     "type": _is_type,
     "required": _is_names,
+    "uniqueItems": lambda value: isinstance(value, bool),
 }
 """The test that the value of each keyword must pass."""
 
@@ -125,7 +127,7 @@ class JsonSchema:
                 f' "#/$defs/Name" are followed, and nothing is fetched'
             )
         found = self.root
-        for step in reference.split("/")[1:]:
+        for step in unquote(reference).split("/")[1:]:  # RFC 6901, section 6
             step = step.replace("~1", "/").replace("~0", "~")
             if is_map(found) and step in found:
                 found = found[step]

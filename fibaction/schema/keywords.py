@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import datetime
+import math
+import re
 import uuid
 from collections.abc import Callable, Collection
-from typing import Any, TypeAlias
+from contextlib import suppress
+from datetime import date, datetime, time, timedelta
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
 
@@ -39,13 +42,34 @@ PYTHON_TYPES: dict[str, frozenset[type]] = {
 IN_JSON = frozenset[type]().union(*PYTHON_TYPES.values())
 """The types that values have in JSON."""
 
-_FORMAT_TYPES: dict[str, Any] = {
-    "date-time": datetime.datetime,
-    "date": datetime.date,
-    "time": datetime.time,
-    "duration": datetime.timedelta,
-    "uuid": uuid.UUID,
+_STAMP = re.compile(r"[-+]?\d{1,20}(?:\.\d{1,9})?", re.ASCII)
+_LASTS = re.compile(
+    r"[-+]?P(?=.*\d)(?:\d+(?:[.,]\d*)?[YMWD])*(?:T(?:\d+(?:[.,]\d*)?[HMS])*)?"
+    r"|[-+]?(?=.)(?:\d+ ?d(?:ays?)?,? ?)?(?:\d+:\d\d(?::\d\d(?:\.\d+)?)?)?",
+    re.ASCII | re.IGNORECASE,
+)
+
+
+def _iso(*kinds: Any) -> tuple[Callable[[str], Any], ...]:
+    """Return what reads a text of ISO 8601, or seconds since 1970, as pydantic does."""
+    return (*(kind.fromisoformat for kind in kinds), _STAMP.fullmatch)
+
+
+_READERS: dict[str, tuple[Any, tuple[Callable[[str], Any], ...]]] = {
+    "date-time": (datetime, _iso(datetime)),
+    "date-time-local": (Annotated[datetime, msgspec.Meta(tz=False)], ()),
+    "date": (date, _iso(date, datetime)),
+    "time": (time, _iso(time)),
+    "partial-time": (Annotated[time, msgspec.Meta(tz=False)], ()),
+    "duration": (timedelta, (_LASTS.fullmatch,)),
+    "uuid": (uuid.UUID, (uuid.UUID,)),
 }
+"""For each format the type of msgspec whose texts it has, and what reads the texts that servers
+with pydantic take as well. A server that does not take one says so.
+"""
+
+_NEARLY = 1e-9
+"""The difference from a multiple that a number may have, as a part of it: pydantic allows that."""
 
 
 def is_of_type(value: Any, expected: Any) -> bool:
@@ -56,22 +80,46 @@ def is_of_type(value: Any, expected: Any) -> bool:
 
 
 def is_multiple_of(value: Any, unit: Any) -> bool:
-    """Return whether a number is a multiple of another one, as far as floats can tell."""
+    """Return whether a number is a multiple of another one, as far as floats can tell: 19.99 is one
+    of 0.01.
+    """
     if isinstance(value, int) and isinstance(unit, int):
         return value % unit == 0
     try:
-        return float(value / unit).is_integer()
+        number, step = float(value), float(unit)
+        nearly = min(_NEARLY * max(1.0, abs(number)), step / 1000)
+        return abs(math.remainder(number, step)) <= nearly or (number / step).is_integer()
     except OverflowError:  # a float cannot tell
         return True
+    except ValueError:  # infinity
+        return False
 
 
 def _format(value: str, expected: Any) -> bool:
-    if expected in _FORMAT_TYPES:
-        try:
-            msgspec.convert(value, _FORMAT_TYPES[expected])
-        except (msgspec.ValidationError, ValueError):
-            return False
-    return True
+    if expected not in _READERS:
+        return True
+    kind, readers = _READERS[expected]
+    with suppress(msgspec.ValidationError, ValueError):
+        msgspec.convert(value, kind)
+        return True
+    for read in readers:
+        with suppress(ValueError, OverflowError):
+            if read(value) is not None:
+                return True
+    return False
+
+
+def frozen(value: Any) -> Any:
+    """Return a key that is the same for all values that are equal in JSON. Numbers are text in it,
+    since a stranger can choose many with the same hash.
+    """
+    value = in_json(value)
+    if is_map(value):
+        return "{", frozenset((str(name), frozen(one)) for name, one in value.items())
+    if is_list(value):
+        return "[", *map(frozen, value)
+    is_whole = type(value) is float and value.is_integer()
+    return repr(int(value) if is_whole else value)
 
 
 def _is_at_least(value: Any, least: Any) -> bool:

@@ -34,8 +34,10 @@ _TYPES = {
 }
 _FORMAT_NAMES = {
     "date-time": "a date and time in ISO 8601",
+    "date-time-local": "a date and time in ISO 8601 without an offset from UTC",
     "date": "a date in ISO 8601",
     "time": "a time in ISO 8601",
+    "partial-time": "a time in ISO 8601 without an offset from UTC",
     "duration": "a duration in ISO 8601",
     "uuid": "a UUID",
 }
@@ -51,6 +53,7 @@ _LIMITS = {
     "maxItems": "has more than {} items",
     "minProperties": "has fewer than {} fields",
     "maxProperties": "has more than {} fields",
+    "uniqueItems": "has an item twice",
     "oneOf": "fits more than one alternative",
     "not": "is a value that the schema excludes",
     "false": "is a value where the schema allows none",

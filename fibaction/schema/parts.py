@@ -34,8 +34,10 @@ MAX_LEVELS = 10
 
 _NONE: frozenset[type] = frozenset()
 _ALTERNATIVES = {"anyOf", "oneOf"}
-_COMBINING = {"$ref", "allOf", *_ALTERNATIVES}
-"""Keywords of a schema that may allow more fields than its own."""
+_OPENING = {"if", "then", "else", "dependentSchemas", "unevaluatedProperties"}
+"""Keywords that may describe fields, and are not checked themselves."""
+_DESCRIBING = {"properties", "$ref", "allOf", *_ALTERNATIVES, *_OPENING}
+"""Keywords that may describe fields; with several of them, none says which fields there are."""
 
 _Test: TypeAlias = tuple[str, Comparison, Any]
 """A keyword, its comparison, and the value of the keyword."""
@@ -44,7 +46,7 @@ _Test: TypeAlias = tuple[str, Comparison, Any]
 CHECKED = {
     *("type", "contentEncoding", "required", "properties", "additionalProperties"),
     *("patternProperties", "items", "prefixItems"),
-    *COMBINATIONS,
+    *(*COMBINATIONS, *_OPENING),
     *(word for words in COMPARISONS.values() for word in words),
 }
 """All keywords that have an effect."""
@@ -96,7 +98,8 @@ class SchemaPart:
         self._cost = 1 + len(self.schema.get("required", ())) + len(known) // 10
         combines = [combine for word, combine in COMBINATIONS.items() if word in words]
         self._combines = [false] if schema is False else combines
-        self._is_open = "properties" in words and not words.isdisjoint(_COMBINING)
+        closed = self.schema.get("unevaluatedProperties") is False
+        self._is_open = len(words & _DESCRIBING) - closed > 1
         self._is_base64 = self.schema.get("contentEncoding") == "base64"
         kinds: Any = self.schema.get("type", ())
         self._names: list[str] = list(kinds) if is_list(kinds) or not kinds else [kinds]

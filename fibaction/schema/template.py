@@ -24,8 +24,10 @@ MOST_MULTIPLES = 10
 _EMPTY: dict[str, Any] = {"integer": 0, "number": 0.0, "string": "", "boolean": False, "null": None}
 FORMATS = {
     "date-time": "2026-01-31T12:00:00Z",
+    "date-time-local": "2026-01-31T12:00:00",
     "date": "2026-01-31",
     "time": "12:00:00",
+    "partial-time": "12:00:00",
     "duration": "PT1S",
     "uuid": "00000000-0000-0000-0000-000000000000",
 }
@@ -142,8 +144,8 @@ def _number(part: dict[Any, Any], zero: float) -> Any:
 
 
 def _multiple(unit: float, limit: float, zero: float, *, beyond: bool = False) -> float:
-    """Return the first multiple of a unit that is at least a limit, or `beyond` it, and that passes
-    the check, which is made with floats; or else the limit.
+    """Return the first multiple of a unit that is at least a limit, or `beyond` it, and that is
+    one to msgspec, too, which compares floats; or else the limit.
     """
     try:
         first = int(limit // unit) + 1 if beyond else -int(-limit // unit)
@@ -152,6 +154,7 @@ def _multiple(unit: float, limit: float, zero: float, *, beyond: bool = False) -
     for count in range(first, first + MOST_MULTIPLES):
         number = count * unit
         is_whole = not isinstance(zero, int) or number == int(number)
-        if is_whole and is_multiple_of(number, unit):
+        is_exact = isinstance(number, int) or float(number / unit).is_integer()
+        if is_whole and is_exact and is_multiple_of(number, unit):
             return type(zero)(number)
     return limit

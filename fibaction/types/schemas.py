@@ -1,9 +1,12 @@
-"""The JSON Schema of a type of msgspec, with the defaults of fields that a function makes, and with
-the descriptions of fields that are plain text: `Annotated[int, "How far."]`.
+"""The JSON Schema of a type of msgspec, with what msgspec leaves out.
 
-msgspec leaves these out, since a function may return another value each time. But a client that
-does not know a default cannot show what the server will get. So the function is called twice: what
-it returns both times is the default, and what differs, such as a random ID, is left to the server.
+- The defaults of fields that a function makes, since it may return another value each time. But a
+  client that does not know a default cannot show what the server will get. So the function is
+  called twice: what it returns both times is the default, and what differs, such as a random ID, is
+  left to the server.
+- The descriptions of fields that are plain text: `Annotated[int, "How far."]`.
+- The formats of times that may be without an offset from UTC. They are named as pydantic names
+  them, so that a form shows a picker, and the check names the field.
 """
 
 from __future__ import annotations
@@ -28,7 +31,8 @@ def schema_of(
     Raises:
         TypeError: JSON Schema cannot describe the type.
     """
-    objects = list(_objects(inspect.type_info(message_type), set()))
+    info = inspect.type_info(message_type)
+    objects = list(_objects(info, set()))
     types = [message_type, *(kind.cls for kind in objects)]
     (schema, *references), parts = msgspec.json.schema_components(
         types, schema_hook=describe, ref_template="#/$defs/{name}"
@@ -37,6 +41,10 @@ def schema_of(
         _, _, name = reference["$ref"].rpartition("/")
         _add_defaults(parts[name], kind.fields)
         _add_descriptions(parts[name], kind)
+        known = parts[name].get("properties", {})
+        for field in kind.fields:
+            _add_formats(known.get(field.encode_name), field.type)
+    _add_formats(schema, info)
     return {**schema, "$defs": parts} if parts else schema
 
 
@@ -67,6 +75,40 @@ def _add_descriptions(part: dict[str, Any], kind: Any) -> None:
         texts = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, str)]
         if texts and is_map(shown):
             shown.setdefault("description", texts[0])
+
+
+def _add_formats(part: Any, kind: inspect.Type) -> None:
+    """Add the formats of times to the schema of a type, but for types with fields in it."""
+    while isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    if not is_map(part):
+        return
+    match kind:
+        case inspect.DateTimeType():
+            part.setdefault("format", "date-time-local" if kind.tz is False else "date-time")
+        case inspect.TimeType():
+            part.setdefault("format", "time")
+        case inspect.CollectionType():
+            _add_formats(part.get("items"), kind.item_type)
+        case inspect.DictType():
+            _add_formats(part.get("additionalProperties"), kind.value_type)
+        case inspect.TupleType():
+            for one, inner in zip(part.get("prefixItems", ()), kind.item_types, strict=False):
+                _add_formats(one, inner)
+        case inspect.UnionType():
+            # Before types with fields, and null, which msgspec moves to the end.
+            for one, inner in zip(part.get("anyOf", ()), _others_in(kind), strict=False):
+                _add_formats(one, inner)
+        case _:
+            pass
+
+
+def _others_in(kind: inspect.UnionType) -> Iterator[inspect.Type]:
+    for one in kind.types:
+        bare = one.type if isinstance(one, inspect.Metadata) else one
+        has_fields = isinstance(bare, inspect.StructType) and not bare.array_like
+        if not (has_fields or isinstance(bare, inspect.NoneType)):
+            yield one
 
 
 def constant_of(factory: Any, plain: Callable[[Any], Any] | None = None) -> Any:

@@ -8,7 +8,7 @@ import { kindOf, resolverOf } from "./schema.js";
 import { isPicked, pickedOf, textOfPicked } from "./time_field.js";
 
 test("dates and times have a picker, other texts do not", () => {
-  for (const format of ["date-time", "date", "time"]) assert.ok(isPicked({ format }));
+  for (const format of ["date-time", "date-time-local", "date", "time", "partial-time"]) assert.ok(isPicked({ format }));
   for (const format of [undefined, "uuid", "duration", "toString"]) assert.ok(!isPicked({ format }));
 });
 
@@ -27,6 +27,8 @@ test("what is picked has an offset, unless the text before had none", () => {
   assert.equal(textOfPicked("2026-01-31T12:00", "2026-01-01T00:00:00", "date-time"), "2026-01-31T12:00:00");
   assert.equal(textOfPicked("12:30", "01:00:00Z", "time"), "12:30:00Z");
   assert.equal(textOfPicked("12:30:15", "01:00:00", "time"), "12:30:15");
+  assert.equal(textOfPicked("12:30", "01:00:00", "partial-time"), "12:30:00");
+  assert.equal(textOfPicked("2026-01-31T12:00", "", "date-time-local"), "2026-01-31T12:00:00");
 });
 
 test("an object has rows of keys and values if its schema allows keys without names", () => {

@@ -105,6 +105,7 @@ def test_a_schema_with_fields_allows_no_others() -> None:
     assert fits({"a": {"b": 1}}, schema)
     assert not fits({"c": 1}, schema)
     assert not fits({"a": {"c": 1}}, schema)
+    assert not fits({"c": 1}, {"properties": {"a": {}}, "unevaluatedProperties": False})
 
 
 @pytest.mark.parametrize(
@@ -114,6 +115,11 @@ def test_a_schema_with_fields_allows_no_others() -> None:
         {"properties": {"a": {}}, "anyOf": [{"properties": {"b": {}}}]},
         {"properties": {"a": {}}, "oneOf": [{"properties": {"b": {}}}]},
         {"properties": {"a": {}}, "$ref": "#/$defs/b", "$defs": {"b": {"properties": {"b": {}}}}},
+        {"allOf": [{"properties": {"a": {}}}], "anyOf": [{"properties": {"b": {}}}]},
+        {"properties": {"a": {}}, "if": {}, "then": {"properties": {"b": {}}}},
+        {"properties": {"a": {}}, "dependentSchemas": {"a": {"properties": {"b": {}}}}},
+        {"properties": {"a": {}}, "unevaluatedProperties": {}},
+        {"$ref": "#/$defs/b", "unevaluatedProperties": {}, "$defs": {"b": {"properties": {}}}},
         {"properties": {"a": {}}, "patternProperties": {"b": {}}, "additionalProperties": False},
     ],
 )

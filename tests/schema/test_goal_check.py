@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from datetime import UTC, datetime, time, timedelta
+from typing import Annotated, Any
+from uuid import UUID
 
 import msgspec
 import pytest
 
-from fibaction import GoalRejected, RejectionCode
+from fibaction import GoalRejected, ProtocolError, RejectionCode
 from fibaction.schema.goal_check import GoalCheck
 from fibaction.types.action import Codec
 
@@ -49,6 +51,48 @@ async def test_a_large_goal_is_checked_when_it_is_waited_for() -> None:
     assert checking is not None
     with pytest.raises(GoalRejected, match='goal has no field "note"'):
         await checking
+
+
+def test_a_time_that_only_the_type_refuses_is_told_with_its_field_and_a_right_one() -> None:
+    class Times(msgspec.Struct):
+        at: datetime
+        naive: Annotated[datetime, msgspec.Meta(tz=False)] = datetime(2026, 1, 1)
+        aware: Annotated[datetime, msgspec.Meta(tz=True)] = datetime(2026, 1, 1, tzinfo=UTC)
+        every: timedelta = timedelta()
+        days: list[time] = []
+        id: UUID = UUID(int=0)
+
+    codec = Codec(Times)
+    for field, text, told in [
+        ("at", "2025-01-01T00:00Z", "goal.at must be a date and time with seconds, such as 2026-"),
+        ("naive", "2025-01-01T00:00:00Z", "goal.naive must be a date and time in ISO 8601 without"),
+        ("aware", "2025-01-01T00:00:00", "goal.aware must be .*, and tell the offset from UTC$"),
+        ("every", "P2W", "goal.every must be a duration in days, hours, minutes and seconds, such"),
+        ("days", ["12:00"], r"goal\.days\[0\] must be a time with seconds, such as 12:00:00$"),
+        ("id", f"urn:uuid:{UUID(int=0)}", "goal.id must be a UUID such as 0000"),
+    ]:
+        goal = packed({"at": "2026-01-01T00:00:00", field: text})
+        with pytest.raises(ProtocolError) as caught:
+            codec.decode(goal)
+        with pytest.raises(GoalRejected, match=f"^{told}"):
+            GoalCheck(codec.schema).check(goal, str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("misread", "told"),
+    [
+        ("too far - at `$.meters`", "goal.meters: too far"),
+        ("a; b - at `$.a`", "goal.a: a; b"),
+        (
+            "Expected `A` - at `$[...].b[1]`; No - at `$.b`",
+            "goal[...].b[1]: Expected `A`; goal.b: No",
+        ),
+        ("a `$ b `$", "a `$ b `$"),
+    ],
+)
+def test_the_error_of_a_type_begins_with_the_field(misread: str, told: str) -> None:
+    with pytest.raises(GoalRejected, match=f"^{re.escape(told)}$"):
+        GoalCheck(Codec(Drive).schema).check(packed({"meters": 2.0}), misread)
 
 
 @pytest.mark.parametrize("schema", [{"$ref": "#/no/such/part"}, {}])

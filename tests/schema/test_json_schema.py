@@ -14,12 +14,19 @@ from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
         ("", None),
         ("#/$defs/a", {"title": "a"}),
         ("#/$defs/b~1c~0d", {"title": "b"}),
+        ("#/$defs/50%25", {"title": "c"}),
+        ("#/$defs/a%22b", {"title": "d"}),
         ("#/prefixItems/1", False),
     ],
 )
 def test_a_reference_is_a_path_within_the_schema(reference: str, found: Any) -> None:
     root = {
-        "$defs": {"a": {"title": "a"}, "b/c~d": {"title": "b"}},
+        "$defs": {
+            "a": {"title": "a"},
+            "b/c~d": {"title": "b"},
+            "50%": {"title": "c"},
+            'a"b': {"title": "d"},
+        },
         "prefixItems": [True, False],
     }
     schema = JsonSchema(root)

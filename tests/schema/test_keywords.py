@@ -8,6 +8,7 @@ from fibaction.schema.check import Check
 from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.parts import SchemaParts
 
+UUID = "12345678-1234-5678-1234-567812345678"
 NAN = float("nan")
 
 
@@ -23,15 +24,23 @@ NAN = float("nan")
         ("exclusiveMaximum", 2, [1, NAN], [2]),
         ("multipleOf", 2, [4, 4.0, "a", 10**400], [3, 4.5, NAN, float("inf")]),
         ("multipleOf", 5e-324, [10**400], [NAN]),
+        ("multipleOf", 0.01, [19.99, 0.3, -19.99, 1e22], [19.995, 0.001]),
+        ("multipleOf", 0.5, [1e308], [0.4]),
         ("minLength", 2, ["ab", 1], ["a"]),
         ("maxLength", 2, ["ab", [1, 2, 3]], ["abc"]),
         ("format", "date", ["2026-01-31", 5], ["soon", "\ud800"]),
-        ("format", "duration", ["PT1S"], ["P" + "9" * 1000 + "D"]),
-        ("format", "uuid", ["12345678-1234-5678-1234-567812345678"], ["1"]),
+        ("format", "duration", ["PT1S", "P2W", "P1M", "1 day, 1:00:00"], ["P", "PT", "soon"]),
+        ("format", "date-time", ["2025-01-01T00:00Z", "2025-01-01T00:00:00"], ["12:00"]),
+        ("format", "date-time-local", ["2025-01-01T00:00:00"], ["2025-01-01T00:00:00Z"]),
+        ("format", "time", ["12:00", "12:00:00Z"], ["noon"]),
+        ("format", "partial-time", ["12:00:00"], ["12:00:00Z"]),
+        ("format", "uuid", [UUID, f"urn:uuid:{UUID}"], ["1"]),
         ("format", "regex", ["("], []),
         ("contentEncoding", "base64", ["aGk=", 5], ["?", "a", "ü"]),
         ("contentEncoding", "gzip", ["?"], []),
         ("minItems", 1, [[1], "", {}], [[]]),
+        ("uniqueItems", True, [[1, True, "1", None], "aa", [[1], [2]]], [[1, 1.0], [{"a": 1}] * 2]),
+        ("uniqueItems", False, [[1, 1]], []),
         ("maxItems", 1, [[1], "ab"], [[1, 2]]),
         ("minProperties", 1, [{"a": 1}, ""], [{}]),
         ("maxProperties", 1, [{"a": 1}], [{"a": 1, "b": 2}]),

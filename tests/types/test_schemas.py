@@ -6,6 +6,7 @@ import itertools
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime, time
 from types import GenericAlias
 from typing import Annotated, Any, Generic, NamedTuple, NotRequired, TypedDict, TypeVar
 
@@ -161,3 +162,40 @@ def test_a_field_and_a_type_have_their_descriptions() -> None:
     assert told["description"] == "A shape.\n\n    Indented."
     described = {name: part.get("description") for name, part in told["properties"].items()}
     assert described == {"x": "How far.", "y": "How high.", "place": "Where."}
+
+
+class Times(msgspec.Struct):
+    any: datetime
+    naive: Annotated[datetime, msgspec.Meta(tz=False)] | None
+    first: Annotated[datetime, msgspec.Meta(description="When.")] | Point | None
+    listed: list[time]
+    named: dict[str, datetime]
+    pair: tuple[datetime, int]
+    own: Annotated[datetime, msgspec.Meta(extra_json_schema={"format": "mine"})]
+    zoned: Annotated[time, msgspec.Meta(tz=True)]
+    bare: Annotated[time, msgspec.Meta(tz=False)]
+
+
+def test_times_have_a_format_with_an_offset_from_utc_and_without() -> None:
+    fields = schema_of(Times)["$defs"]["Times"]["properties"]
+    pair, _ = fields["pair"]["prefixItems"]
+    found = {
+        **fields,
+        "naive": fields["naive"]["anyOf"][0],
+        "first": fields["first"]["anyOf"][0],
+        "listed": fields["listed"]["items"],
+        "named": fields["named"]["additionalProperties"],
+        "pair": pair,
+    }
+    assert {name: one["format"] for name, one in found.items()} == {
+        "any": "date-time",
+        "naive": "date-time-local",
+        "first": "date-time",
+        "listed": "time",
+        "named": "date-time",
+        "pair": "date-time",
+        "own": "mine",
+        "zoned": "time",
+        "bare": "partial-time",
+    }
+    assert schema_of(datetime) == {"type": "string", "format": "date-time"}

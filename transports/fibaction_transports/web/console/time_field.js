@@ -3,7 +3,12 @@
 import { h } from "./dom.js";
 import { FieldError, labelled } from "./field_parts.js";
 
-const PICKERS = { "date-time": "datetime-local", time: "time" };
+const PICKERS = {
+  "date-time": "datetime-local",
+  "date-time-local": "datetime-local",
+  time: "time",
+  "partial-time": "time",
+};
 const OFFSET = /(?:Z|[+-]\d\d:?\d\d)$/i;
 const TIME = /\d\d:\d\d(?::\d\d)?/;
 const MINUTE = 60_000;
@@ -15,7 +20,7 @@ export function isPicked({ format }) {
 
 /** Return the value of the picker for a text, in the time of this browser; empty if it is not a time. */
 export function pickedOf(text, format) {
-  if (format === "time") {
+  if (PICKERS[format] === "time") {
     return TIME.exec(text)?.[0] ?? "";
   }
   const time = new Date(text);
@@ -25,11 +30,12 @@ export function pickedOf(text, format) {
 
 /** Return the text for what was picked. It has an offset from UTC if the text before had one. */
 export function textOfPicked(picked, before, format) {
-  const text = picked.length > (format === "time" ? 5 : 16) ? picked : `${picked}:00`;
-  if (format === "time") {
+  const isTime = PICKERS[format] === "time";
+  const text = picked.length > (isTime ? 5 : 16) ? picked : `${picked}:00`;
+  if (isTime) {
     return text + (OFFSET.exec(before)?.[0] ?? "");
   }
-  return before && !OFFSET.test(before) ? text : text + offsetAt(new Date(text));
+  return format === "date-time-local" || (before && !OFFSET.test(before)) ? text : text + offsetAt(new Date(text));
 }
 
 function offsetAt(time) {
@@ -61,7 +67,7 @@ function dateField(schema, name, value) {
 
 function pickedField(schema, name, value) {
   const { format } = schema;
-  const zone = format === "time" ? "" : ` in the time zone ${Intl.DateTimeFormat().resolvedOptions().timeZone}`;
+  const zone = format === "date-time" ? ` in the time zone ${Intl.DateTimeFormat().resolvedOptions().timeZone}` : "";
   const input = h("input", { type: "text", placeholder: format, autocomplete: "off", oninput: () => show() });
   const picker = h("input", { type: PICKERS[format], step: 1, class: "picker", "aria-label": `Choose ${name}${zone}`, title: `Choose ${name}${zone}` });
   picker.addEventListener("input", () => {
