@@ -27,7 +27,7 @@ at_once = -n auto --dist worksteal
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit programs promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi test-ros test-wheel test-pythons test-lowest release lock audit ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit programs promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi agents test-ros test-wheel test-pythons test-lowest release lock audit ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -119,6 +119,9 @@ test-lowest: build/lowest/.installed  ## Run the tests with the lowest versions 
 openapi: $(VENV)/.tools .venv-openapi/.installed  ## Try the programs of others for OpenAPI at a server: clients, random requests
 	FIBACTION_OPENAPI=required $(pytest) tests/transports/web/test_openapi_clients.py
 
+agents: $(VENV)/.tools .venv-mcp-agents/.installed .venv-a2a-agents/.installed  ## Try the agents of others at a bridge: MCP's conformance suite, fastmcp, google-adk, strands
+	FIBACTION_AGENTS=required $(pytest) tests/transports/mcp/test_official_clients.py tests/transports/a2a/test_agents_of_others.py
+
 # The trials of each night, and the measurements
 
 bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparisons.md
@@ -182,7 +185,7 @@ $(VENV)/.bench $(VENV)/.fuzz $(VENV)/.release $(VENV)/.docs: $(VENV)/.tools
 
 # With dependencies that the tests must pass without; so have the environments of ROS.
 .venv-%/.installed: pyproject.toml
-	tests/tools/venv.sh .venv-$* $(if $(filter openapi,$*),,-e . --group test) --group $*
+	tests/tools/venv.sh .venv-$* $(if $(filter openapi %-agents,$*),,-e . --group test) --group $*
 	@touch $@
 
 build/%/.installed: pyproject.toml tests/tools/lowest.py

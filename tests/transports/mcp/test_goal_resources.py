@@ -66,6 +66,7 @@ async def test_a_resource_that_is_not_there_is_an_error(uri: str) -> None:
         with pytest.raises(MCPError, match="there is no such resource: ") as caught:
             await made.client.read_resource(uri)
         assert caught.value.error.code == INVALID_PARAMS
+        assert caught.value.error.data == {"uri": uri}
 
 
 async def test_the_newest_goals_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,12 @@ import pytest
 from mcp import Client
 from mcp.shared.exceptions import MCPError
 from mcp_types import ElicitResult
-from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
+from mcp_types.jsonrpc import (
+    INTERNAL_ERROR,
+    INVALID_PARAMS,
+    METHOD_NOT_FOUND,
+    MISSING_REQUIRED_CLIENT_CAPABILITY,
+)
 
 from fibaction import ActionError, ConnectionLost, GoalID, GoalStatus, Outcome, UnknownGoal, serve
 from fibaction.words.goals import UNKNOWN_OUTCOME
@@ -269,6 +274,14 @@ async def test_in_an_earlier_protocol_there_are_no_tasks() -> None:
         assert result.structured_content["result"] == {"at": 3}
         code, _ = await error_of(client, "tasks/get", "f" * 32)
         assert code == METHOD_NOT_FOUND
+
+
+@pytest.mark.parametrize("method", ["tasks/get", "tasks/update", "tasks/cancel"])
+async def test_a_client_that_takes_no_tasks_is_told_what_it_must_declare(method: str) -> None:
+    async with tasking(extensions=[]) as (_, client):
+        code, text = await error_of(client, method, "f" * 32)
+        assert code == MISSING_REQUIRED_CLIENT_CAPABILITY
+        assert EXTENSION in text
 
 
 async def test_a_task_outlives_its_bridge() -> None:

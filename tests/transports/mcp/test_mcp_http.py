@@ -14,12 +14,14 @@ import pytest
 from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 from mcp_types import ElicitResult, InputRequiredResult
+from mcp_types.jsonrpc import HEADER_MISMATCH
 
 from fibaction import InvalidURL, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.mcp import McpHttpTransport
+from fibaction_transports.mcp.goal_tasks import EXTENSION
 from tests.support.certificates import pems
 from tests.support.loop_times import LoopTimes
 from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
@@ -95,32 +97,51 @@ async def test_the_answer_of_another_client_does_not_send_a_goal() -> None:
         assert robot.sent == []
 
 
-async def test_a_large_goal_keeps_nobody_waiting() -> None:
+def modern(
+    method: str, named: str, params: dict[str, Any], **capabilities: Any
+) -> tuple[bytes, dict[str, str]]:
+    """Return the body and the headers of a request of the protocol without a handshake."""
     meta = {
         "io.modelcontextprotocol/protocolVersion": "2026-07-28",
         "io.modelcontextprotocol/clientInfo": {"name": "test", "version": "1"},
-        "io.modelcontextprotocol/clientCapabilities": {},
+        "io.modelcontextprotocol/clientCapabilities": capabilities,
     }
-    goal = {"meters": 3, "more": [[]] * 250_000}
-    params = {"name": "arm-drive", "arguments": goal, "_meta": meta}
-    body = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params})
-    headers = {
+    request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": {**params, "_meta": meta}}
+    return json.dumps(request).encode(), {
         "Accept": "application/json, text/event-stream",
         "Content-Type": "application/json",
         "MCP-Protocol-Version": "2026-07-28",
-        "Mcp-Method": "tools/call",
-        "Mcp-Name": "arm-drive",
+        "Mcp-Method": method,
+        "Mcp-Name": named,
     }
+
+
+async def test_a_large_goal_keeps_nobody_waiting() -> None:
+    goal = {"meters": 3, "more": [[]] * 250_000}
+    params = {"name": "arm-drive", "arguments": goal}
+    body, headers = modern("tools/call", "arm-drive", params)
     async with (
         served(unasked=["*"]) as (robot, url),
         httpx2.AsyncClient(headers=GOOD, trust_env=False, timeout=PATIENCE) as http,
         LoopTimes() as times,
     ):
-        answer = await http.post(url, content=body.encode(), headers=headers)
+        answer = await http.post(url, content=body, headers=headers)
 
         assert 'no field \\"more\\"' in answer.text
         assert times.longest < 0.5
         assert robot.sent == []
+
+
+async def test_a_header_that_names_another_task_is_an_error() -> None:
+    body, headers = modern("tasks/get", "a" * 32, {"taskId": "b" * 32}, extensions={EXTENSION: {}})
+    async with (
+        served() as (_, url),
+        httpx2.AsyncClient(headers=GOOD, trust_env=False, timeout=PATIENCE) as http,
+    ):
+        answer = await http.post(url, content=body, headers=headers)
+
+        assert answer.status_code == 400
+        assert answer.json()["error"]["code"] == HEADER_MISMATCH
 
 
 @pytest.mark.parametrize(

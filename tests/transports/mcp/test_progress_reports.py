@@ -34,7 +34,7 @@ async def test_feedback_with_progress_is_reported_with_its_total() -> None:
 
 
 async def test_other_feedback_is_counted() -> None:
-    assert await told("a", "b") == [(1, None, '"a"'), (2, None, '"b"')]
+    assert await told("a", "b") == [(1, None, "a"), (2, None, "b")]
 
 
 async def test_progress_that_does_not_increase_is_not_reported() -> None:

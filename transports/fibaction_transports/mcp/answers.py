@@ -125,9 +125,12 @@ def json_text(value: Any) -> str:
 
 
 def feedback_text(feedback: Any) -> str:
-    """Return feedback as a short text, or as a longer one if it is text itself."""
-    longest = LONGEST_TEXT if isinstance(feedback, str) else LONGEST_FEEDBACK
-    return shortened(json_text(feedback), longest)
+    """Return feedback as a short text; one that is text stays as it is, so that a client can join
+    the pieces, and may be longer.
+    """
+    if isinstance(feedback, str):
+        return shortened(feedback, LONGEST_TEXT)
+    return shortened(json_text(feedback), LONGEST_FEEDBACK)
 
 
 ReportProgress: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]

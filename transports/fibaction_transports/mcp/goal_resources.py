@@ -89,7 +89,8 @@ class GoalResources:
                 raise ValueError(f"the address of a goal is {SCHEME}ID")
             goal = await find_goal(self._goals, uri.removeprefix(SCHEME))
         except (ValueError, ToolError) as exc:
-            raise MCPError(INVALID_PARAMS, f"there is no such resource: {exc}") from exc
+            message = f"there is no such resource: {exc}"
+            raise MCPError(INVALID_PARAMS, message, {"uri": uri}) from exc
         text = json_text(goal_answer(goal).structured_content)
         told = TextResourceContents(uri=uri, mime_type=JSON, text=text)
         return ReadResourceResult(contents=[told])

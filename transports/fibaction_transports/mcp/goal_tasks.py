@@ -32,13 +32,20 @@ from typing import Any
 
 from mcp.server.context import ServerRequestContext
 from mcp.shared.exceptions import MCPError
+from mcp.shared.inbound import MCP_NAME_HEADER, decode_header_value
 from mcp_types import (
     CallToolResult,
     CancelTaskRequestParams,
     GetTaskRequestParams,
     RequestParams,
 )
-from mcp_types.jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, METHOD_NOT_FOUND
+from mcp_types.jsonrpc import (
+    HEADER_MISMATCH,
+    INTERNAL_ERROR,
+    INVALID_PARAMS,
+    METHOD_NOT_FOUND,
+    MISSING_REQUIRED_CLIENT_CAPABILITY,
+)
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
 from fibaction.words.errors import ActionError, UnknownGoal
@@ -97,34 +104,35 @@ class GoalTasks:
         """Return the newest status of a task.
 
         Raises:
-            MCPError: There is none of that ID.
+            MCPError: There is none of that ID, or the client takes no tasks.
         """
-        if (task := self._asked.find(context, params.task_id)) is not None:
+        if (task := self._asked_task(context, params.task_id)) is not None:
             return _asked_members(task)
-        return detailed(await self._find(context, params.task_id))
+        return detailed(await self._find(params.task_id))
 
     async def update(self, context: Context, params: UpdateTaskParams) -> dict[str, Any]:
         """Take the answer of a user; any other input is acknowledged.
 
         Raises:
-            MCPError: There is none of that ID.
+            MCPError: There is none of that ID, or the client takes no tasks.
         """
-        if (task := self._asked.find(context, params.task_id)) is not None:
+        if (task := self._asked_task(context, params.task_id)) is not None:
             await self._asked.take(task, params.input_responses)
             return {}
-        await self._find(context, params.task_id)
+        await self._find(params.task_id)
         return {}
 
     async def cancel(self, context: Context, params: CancelTaskRequestParams) -> dict[str, Any]:
         """Cancel the goal of a task.
 
         Raises:
-            MCPError: There is none of that ID, or it may not be canceled so, or continues.
+            MCPError: There is none of that ID, the client takes no tasks, or the goal may not be
+                canceled so, or continues.
         """
-        if (task := self._asked.find(context, params.task_id)) is not None:
+        if (task := self._asked_task(context, params.task_id)) is not None:
             task.cancel()
             return {}
-        goal = await self._find(context, params.task_id)
+        goal = await self._find(params.task_id)
         if goal.outcome is not None:
             return {}
         action = goal.action
@@ -144,9 +152,23 @@ class GoalTasks:
             raise MCPError(INTERNAL_ERROR, f"the server rejects the cancel: {rejected}")
         return {}
 
-    async def _find(self, context: Context, task_id: str) -> AgentGoal[ToolAction]:
+    def _asked_task(self, context: Context, task_id: str) -> AskedTask | None:
+        """Return a task that has no goal yet, if there is one of this ID."""
         if context.protocol_version not in MODERN_PROTOCOL_VERSIONS:
             raise MCPError(METHOD_NOT_FOUND, "tasks need the protocol 2026-07-28 or later")
+        if not wants_task(context):
+            raise MCPError(
+                MISSING_REQUIRED_CLIENT_CAPABILITY,
+                f"a request about a task must declare the extension {EXTENSION}",
+                {"requiredCapabilities": {"extensions": {EXTENSION: {}}}},
+            )
+        named = context.request and context.request.headers.get(MCP_NAME_HEADER)
+        if named and decode_header_value(named) != task_id:  # a proxy may have read it
+            reason = f"the header {MCP_NAME_HEADER} names another task than the request"
+            raise MCPError(HEADER_MISMATCH, reason)
+        return self._asked.find(context, task_id)
+
+    async def _find(self, task_id: str) -> AgentGoal[ToolAction]:
         try:
             return await find_goal(self._goals, task_id)
         except ToolError as exc:
