@@ -27,7 +27,7 @@ ANSWERS = {
     "limit the goals": ["howto/schedule.md"],
     "methods": ["howto/resources.md"],
     "metrics": ["howto/observe.md"],
-    "multiprocessing": ["howto/threads_and_processes.md"],
+    "multiprocessing": ["howto/progress.md"],
     "no feedback": ["troubleshooting.md"],
     "opentelemetry": ["howto/observe.md"],
     "preempt": ["howto/schedule.md"],
@@ -37,12 +37,27 @@ ANSWERS = {
     "restart": ["howto/reconnecting.md"],
     "retry": ["howto/reconnecting.md"],
     "same type": ["howto/generators.md"],
-    "serial port": ["howto/threads_and_processes.md"],
+    "serial port": ["howto/progress.md"],
     "several machines": ["howto/fleet.md"],
     "transport": ["howto/write_a_transport.md"],
     "websocket": ["howto/in_a_web_application.md"],
 }
 """Words that people type, and the pages that answer them."""
+TASKS = {
+    "function": "tutorial.md#serve-the-function-and-call-it",
+    "cancel": "tutorial.md#async-with-cancels-await-does-not",
+    "progress bar": "howto/progress.md#file-copy-with-a-progress-bar",
+    "concurrency": "howto/schedule.md#queue-limit-concurrency-preempt",
+    "crash": "howto/survive_a_crash.md#survive-a-crash",
+    "token": "howto/secure.md#tokens-permissions-and-tls",
+    "without ros": "howto/ros2_without_ros.md#a-robot-from-a-laptop-without-ros",
+    "fleet": "howto/fleet.md#a-fleet-workers-on-several-machines",
+    "test": "testing.md#test-executors-and-clients",
+    "browser": "howto/with_curl.md#in-the-browser",
+    "mcp": "howto/agents.md#agents-mcp-and-a2a",
+    "nav2": "howto/nav2.md#nav2-moveit-ros2_control",
+}
+"""Tasks of a stranger, as a word that names each, and the headings where they are shown."""
 
 
 def texts_of(module: Path) -> Iterator[str]:
@@ -100,3 +115,33 @@ def test_a_word_that_people_type_finds_the_page_that_answers_it(
         if line.startswith("#")
     )
     assert word in headings
+
+
+def links_of(page: Path) -> set[str]:
+    """The pages that a page leads to, and their headings."""
+    targets = re.findall(r"\]\(([^)\s:]+)\)", page.read_text(encoding="utf-8"))
+    found = {(page.parent / target).resolve().relative_to(DOCS).as_posix() for target in targets}
+    return found | {target.partition("#")[0] for target in found}
+
+
+@pytest.mark.parametrize(("word", "target"), TASKS.items())
+def test_a_task_of_a_stranger_is_two_clicks_from_the_first_page_and_in_a_heading(
+    word: str, target: str
+) -> None:
+    near = links_of(DOCS / "index.md")
+    pages = {name for name in near if name.endswith(".md")}
+    near = near.union(*(links_of(DOCS / name) for name in pages))
+    name, _, anchor = target.partition("#")
+    page = (DOCS / name).read_text(encoding="utf-8")
+    (heading, *_) = (
+        line.lower() for line in page.splitlines() if line.startswith("#") and slug(line) == anchor
+    )
+
+    assert word in heading
+
+    assert name in near
+
+
+def slug(heading: str) -> str:
+    """The anchor of a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")

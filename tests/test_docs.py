@@ -489,6 +489,7 @@ def test_the_navigation_leads_to_every_page() -> None:
 
     found = sorted(pages_in(settings["project"]["nav"]))
     assert found == sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md"))
+    assert len(found) <= 50, "a reader finds nothing among more: join the page with another"
 
 
 def test_a_search_does_not_find_the_pages_about_the_project() -> None:
@@ -500,7 +501,7 @@ def test_a_search_does_not_find_the_pages_about_the_project() -> None:
         for page in pages_in(project)
         if not (DOCS / page).read_text("utf-8").startswith("---\nsearch:\n  exclude: true\n---\n")
     }
-    assert found == {"compatibility.md"}  # which users need
+    assert not found
 
 
 def test_the_page_of_tasks_leads_to_every_page_about_one() -> None:

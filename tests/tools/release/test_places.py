@@ -17,7 +17,6 @@ OF_SOMETHING_ELSE = (
     "CHANGELOG.md",  # each version, by its section
     "docs/benchmarks/",  # measured with it
     "docs/comparisons.md",  # the same
-    "docs/compatibility.md",  # an example of two versions
     "docs/contributing.md",  # an example of a command
     "docs/figures/",  # measured with it
     "docs/first_action.md",  # of the package on the page
