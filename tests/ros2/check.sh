@@ -2,8 +2,9 @@
 # Run the tests with ROS 2 in an environment, and look at what they cover: `check.sh FOLDER`.
 #
 # `timeout` ends a process that hangs despite the timeouts of the tests. The tests wait for other
-# processes half of the time, so two of them run at once. Two files of `dds://` run here, too: they
-# use parts of both halves that rclpy's tests do not. One needs types that this environment has not.
+# processes half of the time, so two of them run at once. Some files of `dds://` and `zenoh://` run
+# here, too: they use parts of both halves that rclpy's tests do not. One needs types that this
+# environment has not.
 set -e
 rm -f .coverage-ros .coverage-ros.*
 failures() { ls "${FIBACTION_SECOND_TRIES:-nowhere}"/*.json 2>/dev/null | wc -l; }
@@ -13,7 +14,7 @@ FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml \
     timeout --foreground --kill-after=10 1200 \
     "$1/bin/python" -m pytest tests/ros2 -n 2 --dist loadfile \
     tests/transports/ros2/test_dds_transport.py tests/transports/ros2/test_learned_types.py \
-    tests/transports/ros2/test_zenoh_node.py \
+    tests/transports/ros2/test_middlewares.py tests/transports/ros2/test_zenoh_node.py \
     --deselect tests/transports/ros2/test_zenoh_node.py::test_a_server_that_does_not_describe_its_services_is_asked_for_the_feedback \
     -o faulthandler_timeout=75 -o faulthandler_exit_on_timeout=true
 "$1/bin/python" -m coverage combine --quiet

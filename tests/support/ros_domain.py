@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from fibaction_transports.ros2.node import middlewares
 from fibaction_transports.rtps.ports import multicast_port
+from tests.support.ports import free_port
 
 DOMAINS = 102
 """The number of domain IDs whose UDP ports are below those that Linux assigns by itself."""
@@ -73,6 +75,7 @@ def own_domain() -> Iterator[pytest.MonkeyPatch]:
     with claim, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(number))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        for name in ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"):
+        for name in ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "RMW_IMPLEMENTATION"):
             patch.delenv(name, raising=False)
+        patch.setattr(middlewares, "LOOKED_AT", free_port())  # nobody listens there
         yield patch

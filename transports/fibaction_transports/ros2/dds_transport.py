@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar, Unpack
 
 from fibaction.border.abc import Diagnosis
 from fibaction.border.settings import TransportSettings
+from fibaction_transports.ros2.node.middlewares import middlewares_at
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.ros_transport import RosTransport
 
@@ -41,4 +42,8 @@ class DdsTransport(RosTransport):
         """See `Transport.diagnose`."""
         from fibaction_transports.ros2.on_dds.diagnosis import diagnose_domain  # needed here only
 
-        return await diagnose_domain(self._dds, self._settings, seconds, action)
+        there = await middlewares_at(self._hosts())
+        return await diagnose_domain(self._dds, self._settings, there, seconds, action)
+
+    def _hosts(self) -> list[str]:
+        return [*super()._hosts(), *self._dds.domain().static_peers]

@@ -77,6 +77,7 @@ class Ros2Transport(RosTransport):
         from fibaction_transports.ros2.on_rclpy import RclpyAdapter  # which needs rclpy
 
         super().__init__(RclpyAdapter(node, own, open_scout), made)
+        self.is_on_zenoh = is_zenoh_named(os.environ)
 
     @classmethod
     def from_url(  # type: ignore[override]  # it may be of another class

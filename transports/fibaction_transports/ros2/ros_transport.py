@@ -11,13 +11,15 @@ from urllib.parse import SplitResult, urlencode
 
 import msgspec
 
-from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.abc import Connection, Diagnosis, Endpoint
 from fibaction.wire.transport import ConfiguredTransport
 from fibaction.words.errors import TransportError
 from fibaction.words.plain_data import is_list
+from fibaction_transports.ros2.client.diagnosis import diagnose_graph
 from fibaction_transports.ros2.client.endpoint import connect_actions
 from fibaction_transports.ros2.names import ActionNames, action_names
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
+from fibaction_transports.ros2.node.middlewares import LOCALHOST, middlewares_at
 from fibaction_transports.ros2.node.ros_node import RosAdapter, RosTypes
 from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
 from fibaction_transports.ros2.settings import RosSettings
@@ -29,6 +31,8 @@ class RosTransport(ConfiguredTransport):
     shares_address = True
     scheme: ClassVar[str]
     """The scheme of its URLs."""
+    is_on_zenoh: bool = False
+    """True if its nodes are in Zenoh, and not in DDS."""
 
     def __init__(self, adapter: RosAdapter, settings: RosSettings) -> None:
         """Describe the transport, with the way to the graph; nothing is made yet."""
@@ -95,9 +99,24 @@ class RosTransport(ConfiguredTransport):
         """See `Transport.connect`. It does not look for servers, which may come later."""
         async with (
             self._adapter.open() as ros,
-            connect_actions(ros, self._settings) as connection,
+            connect_actions(ros, self._settings, self._hints) as connection,
         ):
             yield connection
+
+    async def diagnose(self, seconds: float, action: str = "") -> Diagnosis:
+        """See `Transport.diagnose`. It listens for nodes for so many seconds."""
+        there = await middlewares_at(self._hosts())
+        hints = list(there.advice(at_zenoh=self.is_on_zenoh))
+        return await diagnose_graph(self._adapter, self._settings, there, hints, seconds, action)
+
+    def _hosts(self) -> list[str]:
+        """Return the hosts at which a router of Zenoh may listen."""
+        return [LOCALHOST]
+
+    async def _hints(self) -> list[str]:
+        """Return why nodes may be at another middleware than this one."""
+        there = await middlewares_at(self._hosts())
+        return list(there.advice(at_zenoh=self.is_on_zenoh))
 
 
 def _remapped(namespace: str, full: Mapping[str, ActionNames]) -> dict[str, str]:

@@ -7,10 +7,10 @@ from urllib.parse import SplitResult
 
 from fibaction.border.settings import TransportSettings
 from fibaction.words.extras import NeedsExtra
+from fibaction_transports.ros2.node.middlewares import ROUTER_PORT
 from fibaction_transports.ros2.ros_transport import RosTransport
 
 with NeedsExtra("zenoh://", "fibaction[zenoh]"):
-    from fibaction_transports.ros2.on_zenoh.config import ROUTER_PORT
     from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ class ZenohTransport(RosTransport):
 
     settings_type: ClassVar[type[TransportSettings]] = ZenohSettings
     scheme = "zenoh"
+    is_on_zenoh = True
 
     def __init__(
         self,
@@ -58,3 +59,6 @@ class ZenohTransport(RosTransport):
             host = f"[{host}]" if ":" in host else host
             address["locators"] = (f"tcp/{host}:{ROUTER_PORT if port is None else port}",)
         return address
+
+    def _hosts(self) -> list[str]:
+        return []  # the session says which routers there are

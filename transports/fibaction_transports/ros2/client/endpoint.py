@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable, Iterable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import anyio
 from anyio import current_time
@@ -52,6 +52,7 @@ LONGEST = 4.0
 """Seconds that a look takes at most, if something is found and there is always news."""
 
 FoundT = TypeVar("FoundT")
+Hints: TypeAlias = Callable[[], Awaitable[list[str]]]
 
 
 class GraphLooks:
@@ -245,8 +246,12 @@ class _Decoder(GoalDecoder):
 class RosConnection(Connection):
     """A connection to all actions in the graph of a node."""
 
-    def __init__(self, ros: RosNode, tasks: TaskGroup, settings: RosSettings) -> None:
+    def __init__(
+        self, ros: RosNode, tasks: TaskGroup, settings: RosSettings, hints: Hints | None
+    ) -> None:
+        """`hints` returns why nodes may be elsewhere."""
         self._ros = ros
+        self._hints = hints
         self._tasks = tasks
         self._settings = settings
         self._looks = GraphLooks(ros, settings.discovery_timeout)
@@ -284,7 +289,17 @@ class RosConnection(Connection):
         infos = [_described(self._ros.types, *one) for one in named]
         for info in infos:
             self._warn_of_versions(info)
+        if not infos:
+            await self._tell_hints()
         return infos
+
+    async def _tell_hints(self) -> None:
+        """Log once why there may be no action here."""
+        hints, self._hints = self._hints, None
+        if hints is not None:
+            trouble = (await self._ros.links()).trouble
+            for hint in [*([trouble] if trouble else []), *await hints()]:
+                logger.warning("no action was found: %s", hint)
 
     async def interface_texts(self, action: ActionInfo) -> dict[str, str]:
         """See `Connection.interface_texts`. They are those of the version that the server has."""
@@ -354,11 +369,11 @@ def _nodes(ends: Iterable[EndInfo]) -> tuple[str, ...]:
 
 @asynccontextmanager
 async def connect_actions(
-    ros: RosNode, settings: RosSettings
+    ros: RosNode, settings: RosSettings, hints: Hints | None = None
 ) -> AsyncGenerator[RosConnection, None]:
-    """Connect for as long as the block lasts."""
+    """Connect for as long as the block lasts. `hints` returns why nodes may be elsewhere."""
     async with Background() as tasks:
-        connection = RosConnection(ros, tasks, settings)
+        connection = RosConnection(ros, tasks, settings, hints)
         try:
             yield connection
         finally:

@@ -31,6 +31,15 @@ from fibaction_transports.ros2.node.parts import (
 from fibaction_transports.ros2.qos import EndQos
 
 
+class Links(NamedTuple):
+    """The connections of a node to others."""
+
+    facts: dict[str, Any]
+    """Facts of a diagnosis."""
+    trouble: str
+    """A sentence that says why no other node can be there; empty if one may be."""
+
+
 class RosClock(ABC):
     """The clock of a node: the machine's, or that of a simulation (`use_sim_time`)."""
 
@@ -287,6 +296,10 @@ class RosNode(RosGraph):
         itself; a middleware that does not tell how far discovery has come may have another one.
         """
         return nullcontext(self)
+
+    async def links(self) -> Links:
+        """Return the connections to others, as far as the middleware tells of them."""
+        return Links({}, "")
 
     async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
         """Learn the types of actions that `types` does not know from their servers, if the

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from difflib import get_close_matches
 from typing import Any
 
 import anyio
@@ -11,9 +10,14 @@ from msgspec import Struct
 
 from fibaction.border.abc import Diagnosis
 from fibaction.words.errors import TransportError
-from fibaction_transports.ros2.client.mismatches import explain_mismatch
+from fibaction_transports.ros2.client.diagnosis import (
+    NO_ACTION,
+    action_problems,
+    served_actions,
+)
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
+from fibaction_transports.ros2.node.middlewares import Middlewares
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter
 from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.on_dds.topic_names import topic_name
@@ -51,7 +55,7 @@ class DomainView(Struct, frozen=True, kw_only=True):
 
 
 async def diagnose_domain(
-    adapter: DdsAdapter, ends: RosSettings, seconds: float, action: str = ""
+    adapter: DdsAdapter, ends: RosSettings, there: Middlewares, seconds: float, action: str = ""
 ) -> Diagnosis:
     """Listen in a domain for some seconds; then say what was heard, and what may be wrong.
 
@@ -63,8 +67,9 @@ async def diagnose_domain(
         await anyio.sleep(seconds)
         view = _view(node, settings, origins)
         own = node.network.addresses
-        problems = list(_problems(node, ends, action, view)) if action else []
+        problems = list(_problems(node, ends, action)) if action else []
     facts = {
+        **there.facts(),
         "domain": {"number": settings.domain, "from": origins["domain"]},
         "discovery": {"range": settings.discovery_range.value, "from": origins["range"]},
         "static_peers": view.peers,
@@ -85,7 +90,8 @@ async def diagnose_domain(
         **({"problems": problems} if action else {}),
     }
     is_found = not problems if action else bool(view.participants)
-    return Diagnosis(is_found, facts, (*advice(view, problems), *adapter.left_out()))
+    elsewhere = there.advice(at_zenoh=False)
+    return Diagnosis(is_found, facts, (*advice(view, problems), *elsewhere, *adapter.left_out()))
 
 
 def _groups(settings: DomainSettings) -> Iterator[str]:
@@ -129,17 +135,11 @@ def _view(node: DdsNode, settings: DomainSettings, origins: dict[str, str]) -> D
         nodes=sorted(
             name for remote in remotes for name in node.graph.nodes_of(remote.data.prefix)
         ),
-        actions=list(_actions(node)),
+        actions=served_actions(node),
         datagrams=_datagrams(node),
         is_only_here=sources <= here,
         ports=(discovery_port(settings.domain, own.number), data_port(settings.domain, own.number)),
     )
-
-
-def _actions(node: DdsNode) -> Iterator[dict[str, Any]]:
-    for topic, type_name in node.served_actions():
-        servers = sorted({end.node for end in node.publishers(topic) if end.node})
-        yield {"name": topic.removesuffix(FEEDBACK), "type": type_name, "servers": servers}
 
 
 def _datagrams(node: DdsNode) -> dict[str, int]:
@@ -159,15 +159,10 @@ def _datagrams(node: DdsNode) -> dict[str, int]:
 # What is wrong
 
 
-def _problems(node: DdsNode, ends: RosSettings, action: str, view: DomainView) -> Iterator[str]:
+def _problems(node: DdsNode, ends: RosSettings, action: str) -> Iterator[str]:
     """Yield a sentence for each reason why an action cannot be used."""
-    names = action_names(node.resolve, action)
-    full = names.feedback.removesuffix(FEEDBACK)
-    if not any(one["name"] == full for one in view.actions):
-        near = get_close_matches(full, [one["name"] for one in view.actions], 1)
-        yield f"the action {full} has no server{f'; did you mean {near[0]}?' if near else ''}"
-    if mismatch := explain_mismatch(node, names, ends):
-        yield f"{full}: {mismatch}"
+    yield from action_problems(node, ends, action)
+    full = action_names(node.resolve, action).feedback.removesuffix(FEEDBACK)
     yield from _type_problems(node, full)
 
 
@@ -209,7 +204,7 @@ def advice(view: DomainView, problems: list[str]) -> Iterator[str]:
         if view.is_only_here:
             yield _beyond(view, "only programs of this machine were heard")
         if not (view.actions or problems):
-            yield "nodes were heard, and none of them serves an action"
+            yield NO_ACTION
     for peer in view.peers:
         if view.participants and not peer["heard"]:
             yield f"nothing was heard from the static peer {peer['host']}: does it let UDP in?"

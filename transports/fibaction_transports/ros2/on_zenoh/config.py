@@ -13,13 +13,12 @@ from msgspec import Struct
 
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import TransportError, text_of
+from fibaction_transports.ros2.node.middlewares import ROUTER_PORT
 
 FILE: Final = "ZENOH_SESSION_CONFIG_URI"
 """The variable with the path of a file, which replaces the default as a whole."""
 OVERRIDE: Final = "ZENOH_CONFIG_OVERRIDE"
 """The variable with `key=json5;key=json5`, which is applied after the file."""
-ROUTER_PORT: Final = 7447
-"""The port of a router of Zenoh."""
 QUERIES_TIMEOUT: Final = 600.0
 """Seconds for which a request waits for its answer at most, as in ROS."""
 

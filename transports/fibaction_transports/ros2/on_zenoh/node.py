@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 from typing import TypeVar
 
 import zenoh
+from anyio import to_thread
 from anyio.abc import TaskGroup
 
 from fibaction.border.event_loop import Background
@@ -19,6 +20,7 @@ from fibaction_transports.ros2.node.parts import (
     RequestSink,
     UnansweredSink,
 )
+from fibaction_transports.ros2.node.ros_node import Links
 from fibaction_transports.ros2.on_zenoh.config import Configuration
 from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
@@ -45,6 +47,15 @@ from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
 from fibaction_transports.ros2.without_ros.node_start import NodeStart
 from fibaction_transports.ros2.without_ros.own_node import OwnNode
+
+NO_ROUTER = (
+    "no router and no peer of Zenoh is connected: `ros2 run rmw_zenoh_cpp rmw_zenohd` starts a"
+    " router, or, without ROS, `fibaction router`"
+)
+NO_NODES = (
+    "the router has heard of no other node of this domain: nodes that were started before it was"
+    " restarted may have to be started again; is"
+)
 
 EndT = TypeVar("EndT", bound=NodePart)
 
@@ -164,6 +175,22 @@ class ZenohNode(OwnNode):
         else:
             assert isinstance(part, ZenohPublisher | ZenohSubscription | ZenohProvider)
             part.declared.undeclare()
+
+    async def links(self) -> Links:
+        """See `RosNode.links`."""
+        info = self.session.session.info
+        routers, peers = await to_thread.run_sync(lambda: (info.routers_zid(), info.peers_zid()))
+        facts = {
+            "domain": self._domain,
+            "session": self.session.zid,
+            "zenoh_routers": [str(one) for one in routers],
+            "zenoh_peers": [str(one) for one in peers],
+        }
+        if not (routers or peers):
+            return Links(facts, NO_ROUTER)
+        if self.graph.nodes() <= {self.full_name}:
+            return Links(facts, f"{NO_NODES} ROS_DOMAIN_ID {self._domain} there, too?")
+        return Links(facts, "")
 
     def _end(self, kind: str, name: str, of: MessageType | ServiceType, qos: EndQos) -> OwnEnd:
         """Return a new end."""
