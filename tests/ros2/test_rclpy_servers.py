@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterator
 from time import perf_counter
 from typing import Any, TypeAlias, cast
 
@@ -31,6 +31,7 @@ from tests.ros2.stock.ours import TYPE, action
 from tests.ros2.stock.process import peer
 from tests.ros2.stock.tutorial_server import STEP
 from tests.ros2.stock.waiting import eventually
+from tests.ros2.zenoh_peer import SCHEMES, middleware, router_for, url_of
 from tests.support.fibonacci import Feedback, Goal, Result
 from tests.support.matching import End
 
@@ -47,17 +48,23 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-@pytest.fixture(scope="module", params=["ros2", "dds"])
-def scheme(request: pytest.FixtureRequest) -> str:
-    """The way of our end: through rclpy, or over our own DDS."""
-    return str(request.param)
+@pytest.fixture(scope="module", params=SCHEMES)
+def scheme(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The way of our end: through rclpy, over our own DDS, or over Zenoh where its peer is."""
+    with router_for(request.param):
+        yield request.param
 
 
 @pytest.fixture(scope="module")
 async def connection(anyio_backend: str, scheme: str) -> AsyncGenerator[ClientConnection, None]:
     """To a stock server, and to that of the tutorial."""
-    url = f"{scheme}://our_client"
-    async with peer("server"), peer("tutorial_server"), connect(url) as found:
+    url = url_of(scheme, "our_client")
+    nodes = middleware(scheme)
+    async with (
+        peer("server", **nodes),
+        peer("tutorial_server", **nodes),
+        connect(url) as found,
+    ):
         for name in ("stock", "stock_hasty", "tutorial"):
             await found.client(action(name)).wait_for_server(20)
         yield found
@@ -286,7 +293,8 @@ async def test_a_server_that_is_there_is_found_at_once(client: Client) -> None:
 
 
 async def test_a_server_that_is_not_there_is_not_found(scheme: str) -> None:
-    async with connect(f"{scheme}://another", action("missing"), discovery_timeout=0.3) as missing:
+    where = url_of(scheme, "another")
+    async with connect(where, action("missing"), discovery_timeout=0.3) as missing:
         start = perf_counter()
         with pytest.raises(ServerNotFound, match="missing"):
             await missing.wait_for_server(0.3)
@@ -324,7 +332,8 @@ async def test_an_action_of_another_type_under_the_same_name_finds_no_server(
         result=Result,
         type_name="test_msgs/action/Fibonacci",
     )
-    async with connect(f"{scheme}://another", other, discovery_timeout=0.5) as stranger:
+    where = url_of(scheme, "another")
+    async with connect(where, other, discovery_timeout=0.5) as stranger:
         with pytest.raises(ServerNotFound):
             await stranger.send_goal(Goal(1))
     assert await client.call(Goal(2)) == Result([0, 1, 1])
