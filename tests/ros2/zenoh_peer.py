@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 PREFIX = os.environ.get("FIBACTION_ZENOH_PEER", "")
@@ -45,10 +45,9 @@ def router_for(scheme: str) -> Iterator[None]:
     if scheme == "zenoh":
         from tests.support.zenoh_router import own_router  # rclpy's tests need no library of Zenoh
 
-        context = own_router()
+        with own_router():
+            yield
     else:
-        context = nullcontext(0)
-    with context:
         yield
 
 

@@ -21,12 +21,14 @@ PATIENCE = 45.0
 """Seconds for a thousand goals, which take some 6 s, and several times that on a busy machine."""
 
 
-def contract_over(scheme: str) -> dict[str, Any]:
-    """Return the tests and their fixtures, by the names that a module has them under."""
+def contract_over(scheme: str, more: str = "") -> dict[str, Any]:
+    """Return the tests and their fixtures, by the names that a module has them under. `more` is
+    what the URL of a server has at its end, and that of a client has not.
+    """
 
     def address() -> str:
         """Return a URL with a namespace of its own."""
-        return f"{scheme}://?namespace=/t{uuid.uuid4().hex}"
+        return f"{scheme}://?namespace=/t{uuid.uuid4().hex}{more}"
 
     ways = {
         scheme: Reach(directly, address, patience=PATIENCE),

@@ -12,13 +12,15 @@ import zenoh
 from tests.support.ports import free_port
 
 
-def start_router(port: int) -> zenoh.Session:
-    """Start a router, until it is closed."""
+def start_router(port: int, *others: int, **more: object) -> zenoh.Session:
+    """Start a router, until it is closed; it connects to other routers, by their ports."""
     config = zenoh.Config()
     for key, value in {
         "mode": "router",
         "listen/endpoints": [f"tcp/127.0.0.1:{port}"],
+        "connect/endpoints": [f"tcp/127.0.0.1:{one}" for one in others],
         "scouting/multicast/enabled": False,
+        **more,
     }.items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)

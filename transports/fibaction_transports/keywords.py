@@ -51,6 +51,7 @@ class ConnectKeywords(TypedDict, total=False):
     fragment_size: int
     locators: Sequence[str]
     mode: Literal["", "peer", "client"]
+    config: str
     worker: str
     user: str
     password: str
@@ -95,6 +96,7 @@ class ServeKeywords(TypedDict, total=False):
     grace: float
     locators: Sequence[str]
     mode: Literal["", "peer", "client"]
+    config: str
     worker: str
     replicas: int
     history_days: float | None
@@ -209,6 +211,7 @@ class ZenohKeywords(OwnNodeKeywords, total=False):
 
     locators: Sequence[str]
     mode: Literal["", "peer", "client"]
+    config: str
 
 
 class HostKeywords(WireKeywords, total=False):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import count
+
 import pytest
 
 from fibaction_transports.ros2 import qos
@@ -76,7 +78,7 @@ def test_the_words_of_a_message_name_its_publisher() -> None:
 
 
 def test_our_tokens_and_words_are_those_of_rclpy() -> None:
-    made = NodeTokens(91, SESSION, "/", "stock_server")
+    made = NodeTokens(91, SESSION, count(), "/", "stock_server")
     assert made.node() == NODE
     words = STATUSES.split("/")
     status = made.end(
@@ -95,7 +97,7 @@ def test_our_tokens_and_words_are_those_of_rclpy() -> None:
 
 
 def test_a_name_in_a_namespace_keeps_its_slashes_and_a_weak_qos_is_told() -> None:
-    made = NodeTokens(0, SESSION, "/robot/left", "arm")
+    made = NodeTokens(0, SESSION, count(), "/robot/left", "arm")
     weak = EndQos(reliability="best_effort", depth=5)
     found = read_token(made.end(SUBSCRIPTION, "/robot/left/a", "a_msgs/msg/A", ANY_HASH, weak))
     assert found is not None

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import uuid
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -27,9 +29,10 @@ from fibaction import (
 from fibaction.border.urls import transport_for
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import ZenohTransport
-from fibaction_transports.ros2.on_zenoh import zenoh_adapter
-from fibaction_transports.ros2.on_zenoh.config import FILE, OVERRIDE
-from fibaction_transports.ros2.on_zenoh.node import ZenohNode, open_node
+from fibaction_transports.ros2.client import action_client
+from fibaction_transports.ros2.on_zenoh import node, session, zenoh_adapter
+from fibaction_transports.ros2.on_zenoh.config import ATTEMPTS, FILE, OVERRIDE
+from fibaction_transports.ros2.on_zenoh.node import NO_ROUTER, ZenohNode, open_node
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.ports import free_port
@@ -42,6 +45,13 @@ PATIENCE = 30.0
 
 def new_url() -> str:
     return f"zenoh://?namespace=/t{uuid.uuid4().hex}"
+
+
+def apart(url: str) -> str:
+    """Return a URL whose node shares no session with those of the plain one, as in another
+    process.
+    """
+    return f"{url}&config=queries_default_timeout=500000"
 
 
 @pytest.mark.parametrize(
@@ -249,8 +259,11 @@ async def test_goals_of_a_type_that_is_not_known_can_be_followed(
                 assert await goal.result() == Result([0])
 
 
-async def test_a_server_that_has_gone_ends_its_goals(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_server_that_has_gone_ends_its_goals_as_soon_as_its_tokens_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     nodes: list[ZenohNode] = []
+    monkeypatch.setattr(action_client, "WATCH_PAUSE", 10 * PATIENCE)  # the graph tells
 
     @asynccontextmanager
     async def open_noted(*arguments: Any) -> AsyncGenerator[ZenohNode, None]:
@@ -265,7 +278,7 @@ async def test_a_server_that_has_gone_ends_its_goals(monkeypatch: pytest.MonkeyP
     with anyio.fail_after(PATIENCE):
         with monkeypatch.context() as patch:
             patch.setattr(zenoh_adapter, "open_node", open_noted)
-            serving = serve(ActionServer(FIBONACCI, execute), new_url())
+            serving = serve(ActionServer(FIBONACCI, execute), apart(new_url()))
             (url,) = await serving.__aenter__()
         try:
             async with connect(url, FIBONACCI) as client:
@@ -277,21 +290,174 @@ async def test_a_server_that_has_gone_ends_its_goals(monkeypatch: pytest.MonkeyP
             await serving.__aexit__(None, None, None)
 
 
+@asynccontextmanager
+async def restarted(port: int) -> AsyncGenerator[Callable[[], Awaitable[None]], None]:
+    """Run a router; gives a function that stops it, and starts it again when it is called twice."""
+    routers = [start_router(port)]
+
+    async def change() -> None:
+        if routers:
+            await anyio.to_thread.run_sync(routers.pop().close)
+        else:
+            routers.append(start_router(port))
+
+    try:
+        yield change
+    finally:
+        for one in routers:
+            await anyio.to_thread.run_sync(one.close)
+
+
 async def test_peers_go_on_while_their_router_is_away_and_after_it_is_back() -> None:
     port = free_port()
     where = f"zenoh://127.0.0.1:{port}?namespace=/t{uuid.uuid4().hex}"
     with anyio.fail_after(PATIENCE):
-        first = start_router(port)
-        try:
-            async with (
-                serve(ActionServer(FIBONACCI, fibonacci), where) as (url,),
-                connect(url, FIBONACCI) as client,
-            ):
-                assert await client.call(Goal(1)) == Result([0, 1])
-                await anyio.sleep(0.3)  # until the peers are connected, which nothing tells
-                await anyio.to_thread.run_sync(first.close)
+        async with (
+            restarted(port) as change,
+            serve(ActionServer(FIBONACCI, fibonacci), apart(where)) as (url,),
+            connect(url, FIBONACCI) as client,
+        ):
+            assert await client.call(Goal(1)) == Result([0, 1])
+            await anyio.sleep(0.3)  # until the peers are connected, which nothing tells
+            await change()
+            assert await client.call(Goal(2)) == Result([0, 1, 1])
+            await change()
+            assert await client.call(Goal(1)) == Result([0, 1])
+
+
+@pytest.mark.parametrize("reconnect", [True, False])
+async def test_a_client_of_a_router_waits_until_it_is_back_and_loses_no_goal(
+    reconnect: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    port, go_on = free_port(), anyio.Event()
+
+    async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        yield Feedback([0])
+        await go_on.wait()
+        yield Result([0])
+
+    where = f"zenoh://127.0.0.1:{port}?namespace=/t{uuid.uuid4().hex}"
+    with anyio.fail_after(PATIENCE):
+        async with (
+            restarted(port) as change,
+            serve(ActionServer(FIBONACCI, execute), where) as (url,),
+            connect(f"{url}&mode=client&reconnect={str(reconnect).lower()}", FIBONACCI) as client,
+        ):
+            goal = await client.send_goal(Goal(1))
+            assert await anext(goal.feedback) == Feedback([0])
+            await change()
+            if not reconnect:
+                with pytest.raises(ConnectionLost, match="the server of 'fibonacci' has gone away"):
+                    await goal.result()
+                return
+            while "is silent, and is waited for" not in caplog.text:  # noqa: ASYNC110
+                await anyio.sleep(0.01)
+            await change()
+            go_on.set()
+            assert await goal.result() == Result([0])
+            assert await client.call(Goal(1)) == Result([0])
+
+
+async def test_a_router_may_come_after_both_ends_and_there_may_be_two() -> None:
+    one, two = free_port(), free_port()
+    space = f"namespace=/t{uuid.uuid4().hex}"
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), f"zenoh://127.0.0.1:{one}?{space}"),
+            connect(f"zenoh://127.0.0.1:{two}?{space}", FIBONACCI) as client,
+            restarted(one),
+        ):
+            joined = start_router(two, one)
+            try:
+                await client.wait_for_server()
                 assert await client.call(Goal(2)) == Result([0, 1, 1])
-                first = start_router(port)
-                assert await client.call(Goal(1)) == Result([0, 1])
-        finally:
-            await anyio.to_thread.run_sync(first.close)
+            finally:
+                await anyio.to_thread.run_sync(joined.close)
+
+
+@pytest.mark.parametrize(("attempts", "told"), [("2", 2), ("0", 1), ("-1", 0), ("", 1), ("x", 1)])
+async def test_a_router_is_looked_for_as_the_environment_says(
+    attempts: str, told: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def times() -> int:
+        return caplog.text.count(NO_ROUTER)
+
+    monkeypatch.setattr(node, "ROUTER_PAUSE", 0.05)
+    monkeypatch.setenv(ATTEMPTS, attempts)
+    port = free_port()
+    connecting = connect(f"zenoh://127.0.0.1:{port}")
+    with anyio.fail_after(PATIENCE):
+        if attempts == "0":  # for ever
+            with anyio.move_on_after(1):
+                async with connecting:
+                    raise AssertionError  # pragma: no cover
+            assert times() > 2
+            return
+        async with connecting:
+            while times() < told:  # noqa: ASYNC110
+                await anyio.sleep(0.01)
+        assert times() == told
+
+
+async def test_the_nodes_of_a_process_share_a_session_and_each_removes_what_is_its_own() -> None:
+    where = new_url()
+    with anyio.fail_after(PATIENCE):
+        async with connect(where, FIBONACCI) as client:
+            for _ in range(2):
+                async with serve(ActionServer(FIBONACCI, fibonacci), where):
+                    assert len({one.zid for one in session._OPEN.values()}) == 1
+                    await client.wait_for_server()
+                    assert await client.call(Goal(1)) == Result([0, 1])
+                with pytest.raises(ServerNotFound):
+                    await client.call(Goal(1))
+    assert not session._OPEN
+
+
+async def test_zenohs_own_values_are_followed_and_wrong_ones_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    users = tmp_path / "users"
+    users.write_text("me:secret")
+    port = free_port()
+    router = start_router(port, **{"transport/auth/usrpwd/dictionary_file": str(users)})
+    where = f"zenoh://127.0.0.1:{port}?mode=client&config="
+    user = 'transport/auth/usrpwd/user="me";transport/auth/usrpwd/password='
+    try:
+        with anyio.fail_after(PATIENCE):
+            async with connect(f'{where}{user}"secret"') as connection:
+                assert await connection.actions() == []
+            with pytest.raises(TransportError, match="cannot open a session of Zenoh"):
+                async with connect(f'{where}{user}"guessed"'):
+                    pass  # pragma: no cover
+            with pytest.raises(TransportError, match="config: no/such/key=1 is not valid in Zenoh"):
+                async with connect(f"{where}no/such/key=1"):
+                    pass  # pragma: no cover
+    finally:
+        await anyio.to_thread.run_sync(router.close)
+
+
+def test_a_process_that_was_forked_is_told_so() -> None:
+    program = """
+import os, sys
+import anyio
+from fibaction import TransportError, connect
+
+async def look():
+    async with connect("zenoh://"):
+        pass
+
+anyio.run(look)
+if (child := os.fork()) == 0:
+    try:
+        anyio.run(look)
+    except TransportError as exc:
+        print(exc, flush=True)
+    os._exit(0)
+os.waitpid(child, 0)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert "cannot be used in a process that was forked" in done.stdout
+    assert 'multiprocessing with "spawn"' in done.stdout

@@ -26,8 +26,8 @@ of all statuses; the streams of the goals are told here.
 stream of statuses is pending. `Presence` knows by the graph, and by signs of life, whether there is
 a server. If it has fallen silent, it is waited for; when it is there again, requests whose answers
 are missing are sent again. If there is none, everything that is pending ends with `ConnectionLost`,
-after `LAST_WORDS` seconds for what is still on its way. A server that was restarted has another
-ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
+after `RosNode.last_words` seconds for what is still on its way. A server that was restarted has
+another ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
 
 *A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
 status list (`FollowedGoals`). Feedback that is late or lost is noticed at the end of the goal, if
@@ -68,8 +68,6 @@ QUEUE = 10
 """Feedback that the middleware may hold, as a multiple of what a goal keeps for its reader. The
 queue holds the feedback of all goals until the thread that takes it gets its turn, which may be
 late on a busy machine; most of the time it is empty."""
-LAST_WORDS = 0.25
-"""Seconds for messages to arrive that a server has sent before it left."""
 NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
 
 logger = clean_logger("fibaction.ros2")
@@ -92,6 +90,7 @@ class RosActionClient:
         self._lists = StatusLists(self.stamps.from_ros)
         self.known = self._lists.known
         self._action = action
+        self._ros = ros
         full, services = action_names(ros.resolve, action), qos.services(settings.services_qos)
         # Subscriptions first. A server that knows the clients then knows these, too, so that its
         # messages arrive once it answers.
@@ -279,7 +278,7 @@ class RosActionClient:
         while True:
             while not self._is_pending():
                 await self._pending.wait()
-            await anyio.sleep(WATCH_PAUSE)
+            await self._ros.graph_news(WATCH_PAUSE)
             if self._is_pending():
                 await self._look_for_server()
             self._followed.retry_overdue()
@@ -299,10 +298,10 @@ class RosActionClient:
                 logger.info("%s: its server is silent, and is waited for", self._action)
         else:
             self._was_silent = False
-            await anyio.sleep(LAST_WORDS)
+            await anyio.sleep(self._ros.last_words)
             # Of two servers one may have left: its parts leave the graph one after another, and
             # meanwhile their numbers do not match, as if none was there.
-            if not self.presence.is_there():
+            if not (self.presence.is_there() or self.presence.may_return()):
                 self._fail(self._gone())
                 self.known.clear()
 
@@ -329,7 +328,7 @@ class RosActionClient:
         self._forget_gone()
         left = [one for one in self._followed if self.presence.have_gone(one.servers)]
         if left:
-            await anyio.sleep(LAST_WORDS)
+            await anyio.sleep(self._ros.last_words)
             self._followed.fail(self._gone(), left)
 
     def _forget_gone(self) -> None:

@@ -99,7 +99,7 @@ class Presence:
         for client in self._clients:
             matched = matched and client.is_available()
         self._note_look(matched)
-        is_silent = matched and self._is_doubted() and self._all_have_leases()
+        is_silent = self._is_doubted() and self._all_have_leases() if matched else self._ros.is_cut
         if not is_silent and matched:
             self._silent_since = None
         elif self._silent_since is None and is_silent and not self._has_left():
@@ -162,7 +162,7 @@ class Presence:
             self._check_ros()
             if current_time() >= self._deadline and not self.may_return():
                 raise ServerNotFound(self._why_not_found())
-            await anyio.sleep(LOOK_PAUSE)
+            await self._ros.graph_news(LOOK_PAUSE)
         self._deadline = -math.inf  # from now on, a server that leaves is missed at once
 
     def check_versions(self) -> frozenset[bytes]:
@@ -213,7 +213,7 @@ class Presence:
     async def _come(self) -> None:
         while not self.is_there():
             self._check_ros()
-            await anyio.sleep(LOOK_PAUSE)
+            await self._ros.graph_news(LOOK_PAUSE)
 
     def _check_ros(self) -> None:
         if not self._ros.is_up:

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Any, NamedTuple
 
+import anyio
+
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.convert.conversion import RosAction
 from fibaction_transports.ros2.convert.message_types import MessageKind
@@ -193,6 +195,8 @@ class RosNode(RosGraph):
     """The namespace, for example `/robot`; `/` without one."""
     tells_signs: bool
     """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
+    last_words: float = 0.25
+    """Seconds for messages to arrive that a server has sent before it left the graph."""
 
     def __init__(self) -> None:
         self._lost: list[Callable[[ConnectionLost], None]] = []
@@ -201,6 +205,11 @@ class RosNode(RosGraph):
     def is_up(self) -> bool:
         """True if ROS can still be used."""
         return self.error is None
+
+    @property
+    def is_cut(self) -> bool:
+        """True if the node has lost its network, which may come back: the graph is unknown then."""
+        return False
 
     @abstractmethod
     def resolve(self, name: str) -> str:
@@ -290,6 +299,12 @@ class RosNode(RosGraph):
         """
 
     # The graph
+
+    async def graph_news(self, seconds: float) -> None:
+        """Wait until the graph may have changed, and at most so many seconds. By default, nothing
+        tells, and it takes all of them.
+        """
+        await anyio.sleep(seconds)
 
     def observed(self) -> AbstractAsyncContextManager[GraphView]:
         """Return a view of the graph to look at while the block lasts. By default, it is the node

@@ -5,6 +5,7 @@ environment, and the settings of a URL.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -15,6 +16,9 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import TransportError, text_of
 from fibaction_transports.ros2.node.middlewares import ROUTER_PORT
 
+ATTEMPTS: Final = "ZENOH_ROUTER_CHECK_ATTEMPTS"
+"""The variable with the number of times that a router is looked for before the start: 0 is without
+an end, and less than 0 is not at all."""
 FILE: Final = "ZENOH_SESSION_CONFIG_URI"
 """The variable with the path of a file, which replaces the default as a whole."""
 OVERRIDE: Final = "ZENOH_CONFIG_OVERRIDE"
@@ -38,11 +42,12 @@ _DEFAULT = {
     "queries_default_timeout": int(QUERIES_TIMEOUT * 1000),
     "transport/shared_memory/enabled": False,
     "transport/link/tx/lease": 10_000,
+    "transport/link/rx/max_message_size": 268_435_456,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
 }
-"""The default of `rmw_zenoh_cpp`, with two exceptions. The lease is 60 s there: others learn within
-this time that this machine has vanished. And there a session waits half a second for peers to
-connect.
+"""The default of `rmw_zenoh_cpp`, with three exceptions. There the lease, within which others learn
+that this machine has vanished, is 60 s, a session waits half a second for peers to connect, and a
+message may have 1 GiB.
 """
 
 logger = clean_logger("fibaction.ros2")
@@ -56,6 +61,22 @@ class Configuration(Struct, frozen=True, kw_only=True):
     locators: Sequence[str]
     """The routers or peers to connect to; none if the file or the default says them."""
     environ: Mapping[str, str]
+    values: str = ""
+    """Values that count before all others, as in `ZENOH_CONFIG_OVERRIDE`."""
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """The part that configurations have in common whose nodes can share a session."""
+        variables = (self.environ.get(one, "") for one in (FILE, OVERRIDE))
+        return (self.mode, *self.locators, self.values, *variables)
+
+    @property
+    def attempts(self) -> float | None:
+        """The number of looks for a router before the start; None if that is not asked."""
+        try:
+            return int(self.environ.get(ATTEMPTS, "")) or math.inf
+        except ValueError:
+            return None
 
     def made(self) -> zenoh.Config:
         """Return it as the library has it.
@@ -64,7 +85,7 @@ class Configuration(Struct, frozen=True, kw_only=True):
             TransportError: The file cannot be read, or a value is not valid.
         """
         config = self._base()
-        for key, value in self._overrides():
+        for key, value in _pairs(self.environ.get(OVERRIDE, "")):
             try:
                 config.insert_json5(key, value)
             except zenoh.ZError:
@@ -75,6 +96,13 @@ class Configuration(Struct, frozen=True, kw_only=True):
         if self.mode:
             given["mode"] = self.mode
         _insert(config, given)
+        for key, value in _pairs(self.values):
+            try:
+                config.insert_json5(key, value)
+            except zenoh.ZError as exc:
+                raise TransportError(
+                    f"config: {key}={excerpt(value)} is not valid in Zenoh: {text_of(exc)}"
+                ) from exc
         if json.loads(config.get_json("mode") or "null") == "client":
             _insert(config, {"listen/endpoints": []})
         return config
@@ -89,16 +117,17 @@ class Configuration(Struct, frozen=True, kw_only=True):
         _insert(config, _DEFAULT)
         return config
 
-    def _overrides(self) -> list[tuple[str, str]]:
-        parts = (one.partition("=") for one in self.environ.get(OVERRIDE, "").split(";") if one)
-        return [(key.strip(), value.strip()) for key, _, value in parts]
-
     def advice(self, error: Exception) -> str:
         """Return what to do when a session cannot be opened."""
         return (
             f"{text_of(error)}; is a router there? `ros2 run rmw_zenoh_cpp rmw_zenohd` starts"
             " one, and mode=peer needs none"
         )
+
+
+def _pairs(text: str) -> list[tuple[str, str]]:
+    parts = (one.partition("=") for one in text.split(";") if one)
+    return [(key.strip(), value.strip()) for key, _, value in parts]
 
 
 def _insert(config: zenoh.Config, values: Mapping[str, object]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.node.graph_view import DiscoveryState
 from fibaction_transports.ros2.node.parts import EndInfo
@@ -37,6 +38,8 @@ class ZenohGraph(RosGraph):
         """The ends of each kind and name."""
         self._publishers: dict[bytes, bytes] = {}
         """The IDs of publishers in the graph, by those in their messages."""
+        self.news = Notifier()
+        """Notifies when tokens come or go."""
         self._changes = 0
         self._is_complete = False
         self._is_full = False
@@ -50,7 +53,7 @@ class ZenohGraph(RosGraph):
                 self._is_full = True
                 logger.warning("more than %d tokens of ROS: the others are ignored", MOST_TOKENS)
             return
-        self._changes += 1
+        self._note_change()
         self._entities[token] = entity
         self._ends.setdefault((entity.kind, entity.topic), {})[token] = entity
         if entity.kind == PUBLISHER:
@@ -61,13 +64,17 @@ class ZenohGraph(RosGraph):
         entity = self._entities.pop(token, None)
         if entity is None:
             return
-        self._changes += 1
+        self._note_change()
         self._is_full = False
         place = entity.kind, entity.topic
         del self._ends[place][token]
         if not self._ends[place]:
             del self._ends[place]
         self._publishers.pop(entity.wire_gid, None)
+
+    def _note_change(self) -> None:
+        self._changes += 1
+        self.news.notify()
 
     def note_complete(self) -> None:
         """Note that all tokens have come that were there at the beginning."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -105,23 +106,26 @@ class Entity(Struct, frozen=True, kw_only=True, dict=True):
 
 
 class NodeTokens:
-    """Makes the tokens of one node, the only one of its session."""
+    """Makes the tokens of one node."""
 
-    def __init__(self, domain: int, session: str, namespace: str, name: str) -> None:
-        self._head = f"{_SPACE}/{domain}/{session}/0"
+    def __init__(
+        self, domain: int, session: str, numbers: Iterator[int], namespace: str, name: str
+    ) -> None:
+        """`numbers` are those of the session that are still free."""
+        self._number = next(numbers)
+        self._numbers = numbers
+        self._head = f"{_SPACE}/{domain}/{session}/{self._number}"
         self._tail = f"%/{_escaped(namespace)}/{name}"
-        self._count = 0
 
     def node(self) -> str:
         """Return the token of the node itself."""
-        return f"{self._head}/0/{NODE}/{self._tail}"
+        return f"{self._head}/{self._number}/{NODE}/{self._tail}"
 
     def end(self, kind: str, topic: str, type_name: str, type_hash: str, qos: EndQos) -> str:
         """Return a new token for an end."""
-        self._count += 1
         told = NO_HASH if type_hash == ANY_HASH else type_hash
         words = f"{_escaped(topic)}/{dds_type(type_name)}/{told}/{_qos_text(qos)}"
-        return f"{self._head}/{self._count}/{kind}/{self._tail}/{words}"
+        return f"{self._head}/{next(self._numbers)}/{kind}/{self._tail}/{words}"
 
 
 def read_token(token: str) -> Entity | None:

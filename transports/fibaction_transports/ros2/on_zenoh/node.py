@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
-from typing import TypeVar
+from typing import Final, TypeVar
 
+import anyio
 import zenoh
 from anyio import to_thread
 from anyio.abc import TaskGroup
 
 from fibaction.border.event_loop import Background
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError, text_of
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
@@ -56,14 +58,19 @@ NO_NODES = (
     "the router has heard of no other node of this domain: nodes that were started before it was"
     " restarted may have to be started again; is"
 )
+ROUTER_PAUSE: Final = 1.0
+"""Seconds until a router is looked for again."""
 
 EndT = TypeVar("EndT", bound=NodePart)
+
+logger = clean_logger("fibaction.ros2")
 
 
 class ZenohNode(OwnNode):
     """A node over Zenoh."""
 
     tells_signs = False
+    last_words = 0.05
     scheme = "zenoh"
 
     def __init__(
@@ -78,11 +85,16 @@ class ZenohNode(OwnNode):
         self._domain = domain
         self._tasks = tasks
         self.graph = ZenohGraph()
-        self._tokens = NodeTokens(domain, session.zid, start.name.namespace, start.name.name)
+        self._tokens = NodeTokens(
+            domain, session.zid, session.numbers, start.name.namespace, start.name.name
+        )
         self._parts: dict[NodePart, zenoh.LivelinessToken] = {}
         """The parts, each with the token that announces it."""
+        self._links: dict[str, None] = {}
+        self._had_link = False
+        self._hear_links()
         self._hear_tokens()
-        self.session.keep(self._announce(self._tokens.node()))
+        self._announce(self._tokens.node())
         questions = ServiceQuestions(self)
         super().__init__(self.graph, start, types, questions)
 
@@ -95,15 +107,49 @@ class ZenohNode(OwnNode):
             change(str(sample.key_expr))
 
         session.keep(
-            liveliness.declare_subscriber(everything, session.handler(changed), history=True)
+            liveliness.declare_subscriber(everything, session.sample_handler(changed), history=True)
         )
 
         # The subscription does not say when it has told all that was there; a query after it does.
-        handler = session.handler(ignore_reply, self.graph.note_complete)
+        handler = session.reply_handler(ignore_reply, self.graph.note_complete)
         liveliness.get(everything, handler)
+
+    def _hear_links(self) -> None:
+        links = self._links
+
+        def changed(event: zenoh.TransportEvent) -> None:
+            other = str(event.transport.zid)
+            if event.kind == zenoh.SampleKind.PUT:
+                links[other], self._had_link = None, True
+            else:
+                links.pop(other, None)
+            self.graph.news.notify()
+
+        handler = self.session.handler(changed)
+        info = self.session.session.info
+        self.session.keep(info.declare_transport_events_listener(handler, history=True))
+
+    @property
+    def is_cut(self) -> bool:
+        return self._had_link and not self._links
+
+    async def graph_news(self, seconds: float) -> None:
+        with anyio.move_on_after(seconds):
+            await self.graph.news.wait()
+
+    async def find_router(self, attempts: float) -> None:
+        """Look so many times for a router or a peer; the log tells each time that there is none."""
+        while not self._links and attempts > 0:
+            attempts -= 1
+            with anyio.move_on_after(ROUTER_PAUSE):
+                while not self._links:
+                    await self.graph.news.wait()
+            if not self._links:
+                logger.warning(NO_ROUTER)
 
     def _announce(self, token: str) -> zenoh.LivelinessToken:
         declared = self.session.session.liveliness().declare_token(token)
+        self.session.keep(declared)
         self.graph.add(token)
         return declared
 
@@ -169,12 +215,12 @@ class ZenohNode(OwnNode):
         token = self._parts.pop(part, None)
         if token is None:
             return  # it is no part of Zenoh, as a `NoLifeWatch`
-        token.undeclare()
+        self.session.remove(token)
         if isinstance(part, ZenohCaller):
             part.close()
         else:
             assert isinstance(part, ZenohPublisher | ZenohSubscription | ZenohProvider)
-            part.declared.undeclare()
+            self.session.remove(part.declared)
 
     async def links(self) -> Links:
         """See `RosNode.links`."""
@@ -218,4 +264,9 @@ async def open_node(
         TransportError: The session cannot be opened.
     """
     async with open_session(configuration) as session, Background() as tasks:
-        yield ZenohNode(session, domain, start, types, tasks)
+        node = ZenohNode(session, domain, start, types, tasks)
+        if (attempts := configuration.attempts) is None:
+            tasks.start_soon(node.find_router, 1.0, name="look for a router")
+        else:
+            await node.find_router(attempts)
+        yield node

@@ -40,7 +40,7 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     hash_of,
     read_attachment,
 )
-from fibaction_transports.ros2.on_zenoh.session import ZenohSession
+from fibaction_transports.ros2.on_zenoh.session import Drops, ZenohSession
 from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 
 LONGEST: Final = 10.0**9
@@ -139,7 +139,7 @@ class ZenohCaller(ServiceCaller):
         self._open[number] = _OpenRequest(current_time() + FIRST_NUDGE, 0)
         if len(self._open) > OPEN_REQUESTS:
             self._open.popitem(last=False)
-        handler = self._session.handler(
+        handler = self._session.reply_handler(
             partial(self._receive, number), partial(self._note_end, number)
         )
         words = attachment(number, self._gid)
@@ -236,13 +236,13 @@ class ZenohProvider(ServiceProvider):
     ) -> None:
         self._session = session
         self._key = end.key
-        self._service = end.name
         self._decode = service_type.Request.codec.decode
         self._encode = service_type.Response.codec.encode
         self._take = take
-        self.declared = session.session.declare_queryable(
-            end.key, session.query_handler(self._receive), complete=True
-        )
+        self._drops = Drops(f"requests to {end.name}")
+        handler = session.query_handler(self._receive)
+        self.declared = session.session.declare_queryable(end.key, handler, complete=True)
+        session.keep(self.declared)
 
     def _receive(self, query: zenoh.Query) -> None:
         payload, words = query.payload, query.attachment
@@ -256,7 +256,7 @@ class ZenohProvider(ServiceProvider):
         return self._take(QueryHeader(query, read.number, read.gid), request)
 
     def _reject(self, query: zenoh.Query, problem: str) -> None:
-        logger.error("a request to %s was dropped: %s", self._service, problem)
+        self._drops.note(problem)
         self._session.sender.send(partial(_reply_error, query, problem), len(problem))
 
     def answer(self, header: QueryHeader, response: Any) -> bool:

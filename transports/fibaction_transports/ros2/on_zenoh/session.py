@@ -1,4 +1,5 @@
-"""A session of Zenoh: what arrives in its threads, and a thread that sends.
+"""The session of Zenoh that the nodes of a process share, and a node's part of it: what arrives in
+its threads, and a thread that sends.
 
 Theory of operation
 -------------------
@@ -15,16 +16,22 @@ On the event loop, only methods of the library are called that release the inter
 wait for a lock, as those do that declare something. `Session.is_closed` does not: a thread that has
 the lock may be about to call back, and waits for the interpreter.
 
-Both queues are bounded in bytes. Beyond the bound, messages of topics are dropped, counted and
-told in the log; requests and answers are not, since there is one answer for each request.
+Both queues are bounded in bytes. Beyond the bound, messages of topics, requests and new tokens are
+dropped, counted and told in the log. Answers are not: only the first one to a request is taken.
+
+A session costs some threads, sockets and megabytes, so all nodes of a process share one for each
+configuration. A process that was forked from one with a session cannot open another: the threads of
+the library are not there, and opening would wait for them for ever.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from itertools import count
 from queue import SimpleQueue
-from threading import Thread
+from threading import Event, Lock, Thread
 from typing import Any, Final, TypeVar
 
 import anyio
@@ -40,36 +47,48 @@ from fibaction_transports.ros2.on_zenoh.config import Configuration
 MOST_BYTES: Final = 64 * 1024 * 1024
 """Bytes that may wait to be sent, or for the event loop, before messages of topics are dropped."""
 
+OVERHEAD: Final = 500
+"""Bytes that an item has in a queue beside its content."""
+
 ItemT = TypeVar("ItemT")
 
 logger = clean_logger("fibaction.ros2")
 
 
-class QueuedBytes:
-    """The bytes in a queue: one thread puts them in, and another one takes them out."""
+class Drops:
+    """Counts what is dropped. The 1st, 2nd, 4th, 8th and so on are told in the log."""
 
     def __init__(self, what: str) -> None:
         self._what = what
-        self._put = 0
-        self._taken = 0
-        self.dropped = 0
-        """Messages that were dropped."""
+        self.count = 0
 
-    def put(self, size: int) -> None:
-        """Note bytes that have been put in."""
-        self._put += size
+    def note(self, why: object, number: int = 1) -> None:
+        """Note that so many were dropped."""
+        before, self.count = self.count, self.count + number
+        if before.bit_length() < self.count.bit_length():
+            logger.warning("%s: %d dropped so far: %s", self._what, self.count, why)
 
-    def take(self, size: int) -> None:
-        """Note bytes that have been taken out."""
-        self._taken += size
+
+class QueuedBytes:
+    """The bytes in a queue, which any thread puts in or takes out."""
+
+    def __init__(self, what: str, why: str) -> None:
+        self._why = why
+        self._held = 0
+        self._lock = Lock()
+        self.drops = Drops(what)
+        """The items that were dropped."""
+
+    def change(self, size: int) -> None:
+        """Note bytes that have been put in, or taken out if they are negative."""
+        with self._lock:
+            self._held += size
 
     def has_room(self) -> bool:
         """Return whether a message may be put in; otherwise it is dropped, and counted."""
-        if self._put - self._taken < MOST_BYTES:
+        if self._held < MOST_BYTES:
             return True
-        self.dropped += 1
-        if self.dropped & (self.dropped - 1) == 0:  # 1, 2, 4, 8 and so on
-            logger.warning("%d messages were dropped: %s", self.dropped, self._what)
+        self.drops.note(self._why)
         return False
 
 
@@ -77,15 +96,21 @@ class SendingThread:
     """A thread that sends, since that may have to wait."""
 
     def __init__(self) -> None:
-        self.held = QueuedBytes("the network is too slow for what is sent")
+        self.held = QueuedBytes("messages of topics", "the network is too slow for what is sent")
         self._queue: SimpleQueue[tuple[Callable[[], object], int] | None] = SimpleQueue()
         self._thread = Thread(target=self._run, name="fibaction-zenoh", daemon=True)
         self._thread.start()
 
     def send(self, act: Callable[[], object], size: int) -> None:
         """Send something of so many bytes, after all that was sent before."""
-        self.held.put(size)
+        self.held.change(size)
         self._queue.put((act, size))
+
+    def flush(self) -> None:
+        """Wait until everything is sent that was to be sent before."""
+        sent = Event()
+        self.send(sent.set, 0)
+        sent.wait()
 
     def close(self) -> None:
         """Send what is left, and end the thread."""
@@ -100,55 +125,114 @@ class SendingThread:
             except zenoh.ZError as exc:
                 logger.info("something could not be sent: %s", text_of(exc))
             finally:
-                self.held.take(size)
+                self.held.change(-size)
 
 
-class ZenohSession:
-    """An open session."""
+class SharedSession:
+    """An open session of this process."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self.session = session
         self.zid = str(session.zid())
         """The ID of the session."""
-        self.is_closed = False
         self.sender = SendingThread()
-        self.inbox = QueuedBytes("more has arrived than this program takes")
+        self.numbers = count()
+        """Numbers for nodes and their ends."""
+        self.users = 0
+        """The nodes that use it."""
+
+    def close(self) -> None:
+        """Send what is left, and close."""
+        self.sender.close()
+        self.session.close()
+
+
+_OPEN: dict[tuple[str, ...], SharedSession] = {}
+_OPENERS: set[int] = set()
+"""The process that has opened a session; after a fork, that is another one."""
+_LOCK = Lock()
+
+
+def _join(configuration: Configuration) -> SharedSession:
+    """Return the session of this process with a configuration; the first node opens it."""
+    if _OPENERS - {os.getpid()}:
+        raise TransportError(
+            "Zenoh cannot be used in a process that was forked from one that has used it: use"
+            ' multiprocessing with "spawn" or "forkserver", or fork before the first connection'
+        )
+    with _LOCK:
+        shared = _OPEN.get(configuration.key)
+        if shared is None:
+            _OPENERS.add(os.getpid())
+            shared = _OPEN[configuration.key] = SharedSession(zenoh.open(configuration.made()))
+        shared.users += 1
+        return shared
+
+
+def _leave(configuration: Configuration, shared: SharedSession) -> None:
+    with _LOCK:
+        shared.users -= 1
+        if shared.users:
+            return
+        del _OPEN[configuration.key]
+    shared.close()
+
+
+class ZenohSession:
+    """A node's part of a session."""
+
+    def __init__(self, shared: SharedSession) -> None:
+        self.session = shared.session
+        self.zid = shared.zid
+        self.numbers = shared.numbers
+        self.is_closed = False
+        self.sender = shared.sender
+        self.inbox = QueuedBytes("what arrives", "it is more than this program takes")
         """The bytes of messages that wait for the event loop."""
         self.mailbox = Mailbox(lambda: None)
         self._kept: list[Any] = []
 
-    def handler(
-        self, take: Callable[[ItemT], None], end: Callable[[], None] | None = None
-    ) -> zenoh.handlers.Callback[ItemT]:
-        """Return a handler whose items `take` gets on the event loop. `end` is called there when
-        no more will come.
-        """
+    def handler(self, take: Callable[[ItemT], None]) -> zenoh.handlers.Callback[ItemT]:
+        """Return a handler whose items `take` gets on the event loop."""
         put = self.mailbox.put
+        return zenoh.handlers.Callback(lambda item: put([(take, item)]), indirect=False)
 
-        def ended(_: None) -> None:
-            assert end is not None
-            end()
+    def reply_handler(
+        self, take: Callable[[zenoh.Reply], None], end: Callable[[], None]
+    ) -> zenoh.handlers.Callback[zenoh.Reply]:
+        """Return a handler of answers to a request: of the first one, and of the first error. `end`
+        is called when no more will come.
+        """
+        put, seen = self.mailbox.put, set[bool]()
+
+        def arrived(reply: zenoh.Reply) -> None:
+            is_error = reply.ok is None
+            if is_error not in seen:
+                seen.add(is_error)
+                put([(take, reply)])
 
         return zenoh.handlers.Callback(
-            lambda item: put([(take, item)]),
-            (lambda: put([(ended, None)])) if end else None,
-            indirect=False,
+            arrived, lambda: put([(lambda _: end(), None)]), indirect=False
         )
 
-    def message_handler(
+    def sample_handler(
         self, take: Callable[[zenoh.Sample], None]
     ) -> zenoh.handlers.Callback[zenoh.Sample]:
-        """Return a handler of messages, some of which are dropped if too many wait."""
+        """Return a handler of messages and tokens, some of which are dropped if too many wait.
+        Tokens that go are not.
+        """
         held, put = self.inbox, self.mailbox.put
 
-        def taken(sample: zenoh.Sample) -> None:
-            held.take(len(sample.payload))
+        def taken(item: tuple[zenoh.Sample, int]) -> None:
+            sample, size = item
+            held.change(-size)
             take(sample)
 
         def arrived(sample: zenoh.Sample) -> None:
-            if held.has_room():
-                held.put(len(sample.payload))
-                put([(taken, sample)])
+            if sample.kind == zenoh.SampleKind.DELETE or held.has_room():
+                size = len(sample.payload) + OVERHEAD
+                held.change(size)
+                put([(taken, (sample, size))])
 
         return zenoh.handlers.Callback(arrived, indirect=False)
 
@@ -158,50 +242,63 @@ class ZenohSession:
         """Return a handler of requests. If too many wait, more end without an answer."""
         held, put = self.inbox, self.mailbox.put
 
-        def taken(query: zenoh.Query) -> None:
-            held.take(_size(query))
+        def taken(item: tuple[zenoh.Query, int]) -> None:
+            query, size = item
+            held.change(-size)
             take(query)
 
         def arrived(query: zenoh.Query) -> None:
             if held.has_room():
-                held.put(_size(query))
-                put([(taken, query)])
+                payload = query.payload
+                size = OVERHEAD + (0 if payload is None else len(payload))
+                held.change(size)
+                put([(taken, (query, size))])
             else:
                 query.drop()
 
         return zenoh.handlers.Callback(arrived, indirect=False)
 
-    def keep(self, *declared: Any) -> None:
-        """Keep declarations until the session is closed: what is not kept is undeclared."""
-        self._kept += declared
+    def keep(self, declared: Any) -> None:
+        """Keep a declaration until the session is closed: what is not kept is undeclared."""
+        self._kept.append(declared)
+
+    def remove(self, declared: Any) -> None:
+        """Undeclare what was kept."""
+        self._kept.remove(declared)
+        declared.undeclare()
 
     def close(self) -> None:
-        """Send what is left, and close. It may take a moment, so not on the event loop."""
+        """Send what is left, and remove everything in the opposite order. It may take a moment, so
+        not on the event loop.
+        """
         self.is_closed = True
-        self.sender.close()
-        self.session.close()
+        self.sender.flush()
+        for one in reversed(self._kept):
+            with suppress(zenoh.ZError):  # the whole session is closed
+                one.undeclare()
         self._kept.clear()
-
-
-def _size(query: zenoh.Query) -> int:
-    payload = query.payload
-    return 0 if payload is None else len(payload)
 
 
 @asynccontextmanager
 async def open_session(configuration: Configuration) -> AsyncGenerator[ZenohSession, None]:
-    """Open a session for as long as the block lasts.
+    """Open a session for as long as the block lasts, or join that of another node.
 
     Raises:
-        TransportError: A configuration is not valid, or in mode `client` no router answers.
+        TransportError: A configuration is not valid, in mode `client` no router answers, or the
+            process was forked from one with a session.
     """
     try:
         # A thread of its own: without a router, it takes half a second.
-        opened = await to_thread.run_sync(lambda: zenoh.open(configuration.made()))
+        shared = await to_thread.run_sync(_join, configuration)
     except zenoh.ZError as exc:
         advice = configuration.advice(exc)
         raise TransportError(f"cannot open a session of Zenoh: {advice}") from exc
-    session = ZenohSession(opened)
+    session = ZenohSession(shared)
+
+    def close() -> None:
+        session.close()
+        _leave(configuration, shared)
+
     try:
         async with Background() as tasks:
             tasks.start_soon(session.mailbox.run, name="zenoh mailbox")
@@ -210,6 +307,6 @@ async def open_session(configuration: Configuration) -> AsyncGenerator[ZenohSess
             finally:
                 with anyio.CancelScope(shield=True):
                     # The event loop runs meanwhile: callbacks may be under way.
-                    await to_thread.run_sync(session.close)
+                    await to_thread.run_sync(close)
     finally:
         session.mailbox.close()

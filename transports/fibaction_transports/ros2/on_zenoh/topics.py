@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import zenoh
 from zenoh import ext
 
-from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.node.parts import (
     LifeSigns,
     LifeWatch,
@@ -20,16 +19,18 @@ from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
     PUBLISHER,
     SUBSCRIPTION,
+    Attachment,
     OwnEnd,
     attachment,
     hash_of,
     read_attachment,
 )
-from fibaction_transports.ros2.on_zenoh.session import ZenohSession
+from fibaction_transports.ros2.on_zenoh.session import Drops, ZenohSession
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
 
-logger = clean_logger("fibaction.ros2")
+MOST_PUBLISHERS: Final = 1_000
+"""Publishers of a topic whose last messages are known."""
 
 
 class ZenohPublisher(TopicPublisher):
@@ -69,6 +70,7 @@ class ZenohPublisher(TopicPublisher):
             self.declared = session.session.declare_publisher(
                 end.key, congestion_control=congestion
             )
+        session.keep(self.declared)
 
     def publish(self, message: Any) -> None:
         self.publish_bytes(self._encode(message))
@@ -107,7 +109,12 @@ class ZenohSubscription(TopicSubscription):
         self._hash = hash_of(message_type)
         self._take = take
         self.declared: Any  # a subscriber, whose types are incomplete
-        handler = session.message_handler(self._receive)
+        self._unread = Drops(f"messages on {end.name}")
+        self._lost = Drops(f"messages on {end.name}")
+        self._must_be_whole = qos.reliability == "reliable" and qos.durability == "volatile"
+        self._numbers: dict[bytes, int] = {}
+        """The number of the last message of each publisher, that of the last one at the end."""
+        handler = session.sample_handler(self._receive)
         if qos.durability == "transient_local":
             history = ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)
             self.declared = ext.declare_advanced_subscriber(
@@ -120,14 +127,26 @@ class ZenohSubscription(TopicSubscription):
             )
         else:
             self.declared = session.session.declare_subscriber(end.key, handler)
+        session.keep(self.declared)
 
     def _receive(self, sample: zenoh.Sample) -> None:
         words = sample.attachment
         read = None if words is None else read_attachment(words.to_bytes())
         if read is None:
-            logger.info("a message on %s was dropped: it has no attachment of ROS", self._topic)
-        else:
-            self._take(sample.payload.to_bytes(), self._graph.publisher(read.gid))
+            self._unread.note("they have no attachment of ROS")
+            return
+        if self._must_be_whole:
+            self._note_number(read)
+        self._take(sample.payload.to_bytes(), self._graph.publisher(read.gid))
+
+    def _note_number(self, read: Attachment) -> None:
+        """Count what is missing: a publisher of rclpy drops messages if its queue is full."""
+        before = self._numbers.pop(read.gid, read.number)
+        self._numbers[read.gid] = read.number
+        if len(self._numbers) > MOST_PUBLISHERS:
+            del self._numbers[next(iter(self._numbers))]
+        if read.number > before + 1:
+            self._lost.note("their publisher, or the way, was overloaded", read.number - before - 1)
 
     def publisher_count(self) -> int:
         return self._graph.count_connected(PUBLISHER, self._topic, self._hash)

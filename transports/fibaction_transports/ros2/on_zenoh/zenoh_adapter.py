@@ -29,6 +29,9 @@ class ZenohSettings(OwnNodeSettings, frozen=True, kw_only=True):
     """`peer` connects to the nodes that it learns of from a router, and continues when the router
     stops; `client` speaks through the router only, and needs less memory. Without it, that of the
     configuration of ROS, or `peer`."""
+    config: str = ""
+    """Values of Zenoh's own configuration, which count before all others, as `key=json5;key=json5`:
+    for example `transport/auth/usrpwd/user="me";transport/auth/usrpwd/password="secret"`."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -54,7 +57,10 @@ class ZenohAdapter(RosAdapter):
         """See `RosAdapter.open`."""
         start, settings = node_start(self._node), self._settings
         configuration = Configuration(
-            mode=settings.mode, locators=settings.locators, environ=os.environ
+            mode=settings.mode,
+            locators=settings.locators,
+            environ=os.environ,
+            values=settings.config,
         )
         given = self._node.domain_id
         domain = domain_in(os.environ) if given is None else given
