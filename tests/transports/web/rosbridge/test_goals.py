@@ -29,6 +29,27 @@ async def test_every_end_is_told_as_the_libraries_show_it(serving: Serving) -> N
 
 
 @pytest.mark.parametrize(
+    "kind", ["arduinobot_msgs/action/Fibonacci", "arduinobot_msgs/Fibonacci", "", None]
+)
+async def test_a_goal_may_name_its_type_in_each_form(kind: str | None, serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(goal(1, feedback=False, action_type=kind))
+        assert await client.hear() == result({"sequence": [1]})
+
+
+async def test_a_goal_of_another_type_is_told_what_the_action_has(serving: Serving) -> None:
+    robot = Robot()
+    async with serving(robot.server) as served, served.connect() as client:
+        await client.say(goal(1, action_type="nav2_msgs/action/Spin"))
+        why = (
+            "the type of 'fibonacci' is arduinobot_msgs/action/Fibonacci, and not"
+            " nav2_msgs/action/Spin"
+        )
+        assert await client.hear() == result(why, 0, ok=False)
+    assert robot.runs == 0
+
+
+@pytest.mark.parametrize(
     ("order", "values", "reason"), [(50, {}, {}), (51, {"sequence": [5, 1]}, {"reason": "stopped"})]
 )
 async def test_a_cancel_arrives_at_once(

@@ -41,12 +41,13 @@ class SendActionGoal(msgspec.Struct, tag_field="op", tag="send_action_goal"):
     """Request to send a goal."""
 
     action: str
+    action_type: str | None = None
     id: ClientID = None
     args: Arguments = None
     feedback: bool = False
     fragment_size: FragmentSize = None
     cancel_on_disconnect: bool = False
-    """True if the goal ends when its client does not come back."""
+    """True if the goal is canceled when its connection is lost."""
     meta: dict[str, str] | None = None
     """Text that goes with the goal, for traces: see `SendGoal.meta`."""
 

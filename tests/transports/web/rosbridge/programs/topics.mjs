@@ -30,7 +30,7 @@ const succeeded = new Promise((resolve) => {
   });
 });
 await hasBegun;
-const action = new Action({ ros: sender, name: "/fibonacci", actionType: "any" });
+const action = new Action({ ros: sender, name: "/fibonacci", actionType: "arduinobot_msgs/action/Fibonacci" });
 action.sendGoal({ order: 3 }, () => {});
 await told;
 await succeeded;

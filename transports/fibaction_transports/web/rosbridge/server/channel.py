@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import anyio
 from anyio.abc import ByteStream
 
 from fibaction.border.event_loop import Background
@@ -144,15 +143,13 @@ async def _serve(
     async with Background() as tasks:
         tasks.start_soon(channel.translator.topics.run, channel.wake_writer)
         await server.serve(channel)
-    bound = channel.translator.calls.bound_goals()
-    # With "cancel" all goals of a lost client end, by the rules of the server.
-    if bound and server.settings.orphans == "keep":
-        server.tasks.start_soon(_cancel_later, server, channel.peer, bound)
+    # A client cannot come back to its goals: a new connection does not know them.
+    if bound := channel.translator.calls.bound_goals():
+        server.tasks.start_soon(_cancel, server, channel.peer, bound)
 
 
-async def _cancel_later(server: WireServer, peer: str, bound: list[tuple[str, GoalID]]) -> None:
-    """Cancel the goals of a client whose connection is lost, after the time of all clients."""
-    await anyio.sleep(server.settings.grace)
+async def _cancel(server: WireServer, peer: str, bound: list[tuple[str, GoalID]]) -> None:
+    """Cancel the goals of a client whose connection is lost."""
     logger.info("%s is gone: canceling its goals with cancel_on_disconnect: %d", peer, len(bound))
     for action, goal_id in bound:
         try:

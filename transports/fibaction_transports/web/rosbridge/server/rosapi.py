@@ -68,6 +68,11 @@ def topic_types(info: ActionInfo) -> tuple[str, str]:
     return info.type_name and f"{info.type_name}_FeedbackMessage", STATUS_TYPE
 
 
+def short_type(name: str) -> str:
+    """Return the name of a type in its short form, such as `action_msgs/GoalStatusArray`."""
+    return name.replace("/action/", "/").replace("/msg/", "/")
+
+
 def _topic_types(infos: Sequence[ActionInfo]) -> dict[str, str]:
     """Return the types of all topics, by the names of the topics."""
     return {

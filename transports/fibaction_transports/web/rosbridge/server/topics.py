@@ -56,6 +56,7 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
     FEEDBACK_SUFFIX,
     STATUS_SUFFIX,
     known_name,
+    short_type,
     topic_types,
 )
 from fibaction_transports.web.rosbridge.server.watched_action import WatchedAction
@@ -127,7 +128,7 @@ class Topics:
         if endpoint is None or not sent.type:
             return ""
         kind = topic_types(endpoint.info)[sent.topic.endswith(STATUS_SUFFIX)]
-        if not kind or _without_folder(kind) == _without_folder(sent.type):
+        if not kind or short_type(kind) == short_type(sent.type):
             return ""
         return f"its type is {kind}, and not {excerpt(sent.type)}"
 
@@ -274,8 +275,3 @@ def action_of(topic: str) -> str:
         if topic.endswith(suffix):
             return topic.removesuffix(suffix)
     return ""
-
-
-def _without_folder(name: str) -> str:
-    """Return the name of a type in its short form, such as `action_msgs/GoalStatusArray`."""
-    return name.replace("/action/", "/").replace("/msg/", "/")

@@ -83,6 +83,7 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
     cancel_request,
     known_name,
     service_of,
+    short_type,
 )
 from fibaction_transports.web.rosbridge.server.topics import Topics
 from fibaction_transports.web.rosbridge.types.goal_arguments import GoalArguments
@@ -203,6 +204,9 @@ class RosbridgeTranslator:
         endpoint = self._endpoints.get(action)
         if endpoint is None:
             return b""  # the session tells the client
+        kind, given = endpoint.info.type_name, sent.action_type
+        if kind and given and short_type(kind) != short_type(given):
+            raise PayloadError(f"the type of {action!r} is {kind}, and not {excerpt(given)}")
         arguments = self._arguments.get(action)
         if arguments is None or arguments.info is not endpoint.info:
             arguments = self._arguments[action] = GoalArguments(endpoint.info)
