@@ -11,6 +11,7 @@ the answer waits for all writes before it.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Generic
 
 from anyio import Semaphore, create_task_group, current_time
@@ -19,17 +20,20 @@ from fibaction.border.event_loop import Slices
 from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.runs import Runs
+from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.life import Phase
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.types.action import FeedbackT, GoalT, ResultT
-from fibaction.words.errors import CancelRejected
-from fibaction.words.goals import CancelAnswer, GoalID
+from fibaction.words.errors import CancelRejected, UnknownGoal
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.statuses import GoalStatus
 
 CANCELS_DECIDED_AT_ONCE = 100
 """Calls of `on_cancel` that one cancel waits for at the same time."""
+
+_NOT_HERE = (CancelCode.UNKNOWN_GOAL_ID, CancelCode.GOAL_TERMINATED)
 
 
 class Cancels(Generic[GoalT, FeedbackT, ResultT]):
@@ -38,6 +42,7 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
     def __init__(
         self,
         registry: GoalRegistry,
+        logs: GoalLogs,
         runs: Runs[GoalT, FeedbackT, ResultT],
         keeper: Keeper,
         callbacks: GoalCallbacks[GoalT],
@@ -49,6 +54,7 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         `interrupt`.
         """
         self._registry = registry
+        self._logs = logs
         self._runs = runs
         self._keeper = keeper
         self._callbacks = callbacks
@@ -74,7 +80,11 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         for goal in cancellation.candidates:
             if goal.phase is Phase.LOST:
                 cancellation.leave_out(goal)
-        return cancellation.answer()
+        answer = cancellation.answer()
+        if goal_id is not None and answer.return_code in _NOT_HERE:
+            with suppress(UnknownGoal):
+                self._logs.find(goal_id)  # raises `GoalKept` for a goal that lives in the store
+        return answer
 
     async def _cancel_together(self, cancellation: Cancellation) -> None:
         """Cancel goals, and wait for several calls of an async `on_cancel` at the same time."""

@@ -204,7 +204,7 @@ class GoalLogs:
         Raises:
             UnknownGoal: The goal has been forgotten.
         """
-        goal = self._find(goal_id)
+        goal = self.find(goal_id)
         own = goal.sender.owner == sender.owner
         return self._log_of(goal).follow(feedback=feedback, own=own, after=0)
 
@@ -216,14 +216,20 @@ class GoalLogs:
         Raises:
             UnknownGoal: The goal was never accepted, or has been forgotten.
         """
-        return self._log_of(self._find(goal_id)).follow(own=own, after=after, attempt=attempt)
+        return self._log_of(self.find(goal_id)).follow(own=own, after=after, attempt=attempt)
 
     def owner_of(self, goal_id: GoalID) -> bytes:
         """Return the owner of a goal; empty if it is unknown: see `Endpoint.owner_of`."""
         goal = self._registry.find(goal_id, now=self.now())
         return b"" if goal is None else goal.sender.owner
 
-    def _find(self, goal_id: GoalID) -> GoalRecord:
+    def find(self, goal_id: GoalID) -> GoalRecord:
+        """Return a goal that is active or remembered.
+
+        Raises:
+            UnknownGoal: The goal was never accepted, or has been forgotten.
+            GoalKept: The goal is not here, and this server has let go of goals that it keeps.
+        """
         goal = self._registry.find(goal_id, now=self.now())
         if goal is None:
             raise UnknownGoal(goal_id) if self.kept is None else copy_of(self.kept)

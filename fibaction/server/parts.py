@@ -106,6 +106,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         )
         self.cancels = Cancels(
             registry,
+            logs,
             runs,
             keeper,
             callbacks,

@@ -174,6 +174,44 @@ async def test_a_deadline_goes_on_after_a_restart() -> None:
     assert deadlines == [pytest.approx(500, abs=1), pytest.approx(500, abs=60)]
 
 
+ASKED = 10
+
+
+@pytest.mark.promise("KEEP-6")
+async def test_a_cancel_of_a_goal_that_a_stopping_server_keeps_does_not_come_too_late() -> None:
+    store, is_released = MemoryStore(), anyio.Event()
+
+    def note() -> float:
+        if store.is_holding:
+            is_released.set()
+        return 0
+
+    store.delay = note
+    errors: list[Exception] = []
+
+    async def cancel(server: Server) -> None:
+        await is_released.wait()
+        async with anyio.create_task_group() as tasks:
+            for _ in range(ASKED):  # in any order with what ends the server
+                tasks.start_soon(ask, server)
+            await anyio.wait_all_tasks_blocked()
+            assert errors == []
+            store.release()
+
+    async def ask(server: Server) -> None:
+        with pytest.raises(GoalKept) as caught:
+            await server.cancel_goals(ID)
+        errors.append(caught.value)
+
+    async with anyio.create_task_group() as tasks:
+        async with ActionServer(PAINT, wait, store=store, at_stop="keep") as server:
+            await server.send_goal(ID, PAINT.goal.encode(1000))
+            await anyio.sleep(1)
+            store.hold()
+            tasks.start_soon(cancel, server)
+    assert len(errors) == ASKED
+
+
 # Goals that belong to another server by now
 
 
