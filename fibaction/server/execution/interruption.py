@@ -24,6 +24,11 @@ and `fence` interrupts the coroutine, and says that it may not continue. `Steppe
 wait for that cancellation in place of the step (`_detour`). Only a coroutine that shields itself
 continues.
 
+Code of anyio and trio expects a cancellation by level: the exit of `anyio.abc.Process`, for
+example, waits for its process, and kills it when it is canceled again. So while the coroutine waits
+in such an exit, which its cancellation passes, the shield is open, and each `await` there is
+canceled (see `exits`). When the executor's own code waits, the shield is set again.
+
 Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
 its tasks, and clean-up there needs a shield of its own. On trio, a nursery that is open around
 clean-up absorbs the cancellation.
@@ -52,6 +57,7 @@ from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cance
 from anyio.lowlevel import checkpoint
 
 from fibaction.server.execution.abandoned import MOST_KILLS, AbandonedCoroutine, keep_for_ever
+from fibaction.server.execution.exits import leaves_by_level
 from fibaction.server.execution.turns import Turns
 
 T = TypeVar("T")
@@ -152,6 +158,7 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
 
     __slots__ = (
         "_arrived",
+        "_by_level",
         "_by_outcome",
         "_context",
         "_coroutine",
@@ -161,6 +168,7 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         "_kills",
         "_on_abandoned",
         "_on_spared",
+        "_passes",
         "_scopes",
         "fence",
         "pending",
@@ -189,6 +197,8 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         self._on_spared = on_spared
         self._current = current or Current()
         self._arrived = False
+        self._passes = False  # true until a scope of the coroutine's own is canceled
+        self._by_level = False
         self._by_outcome = False
         self._kills = 0
         self.fence: Callable[[], bool] | None = None
@@ -257,7 +267,7 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         self.slice_end = perf_counter() + self._scopes.turns.slice
         current.steps = self
         # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
-        error = type(typ)() if self._arrived else typ
+        error = type(typ)() if self._arrived or self._by_level else typ
         try:
             return self._suspend(self._context.run(self._coroutine.throw, error))
         finally:
@@ -291,7 +301,7 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         if isinstance(error, get_cancelled_exc_class()):
             if self.pending:
                 self.pending = False
-                self._arrived = True
+                self._arrived = self._passes = True
                 self.fence = None  # what follows is clean-up
                 if self._detour is not None:
                     self._detour.close()
@@ -300,6 +310,8 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
                 self._kills += 1
                 if self._kills > MOST_KILLS:
                     self._survive()
+            elif not (self._arrived or self._by_level):
+                self._passes = False
 
     def _survive(self) -> None:
         if self._scopes.phase >= ScopesPhase.DOOMED:
@@ -311,11 +323,12 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
 
     def _suspend(self, waiting_for: Any) -> Any:
         self._scopes.on_wait()
-        if self._arrived and self._scopes.phase < ScopesPhase.KILLED:
+        if self._passes and self._scopes.phase < ScopesPhase.KILLED:
             rest = self._scopes.rest
             rest.shield = True
-            self._arrived = self._by_outcome and self._is_unwinding()
-            rest.shield = not self._arrived
+            self._arrived = self._arrived and self._by_outcome and self._is_unwinding()
+            self._by_level = leaves_by_level(self._coroutine)
+            rest.shield = not (self._arrived or self._by_level)
         return waiting_for
 
     def _is_unwinding(self) -> bool:
