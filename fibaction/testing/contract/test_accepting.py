@@ -95,7 +95,7 @@ async def test_on_goal_sees_the_goal_and_its_reason_reaches_the_client(
     ("goal", "reason"),
     [
         ({"order": "ten"}, 'goal.order must be a whole number, not "ten"'),
-        ({"order": 1.0}, "Expected `int`, got `float` - at `$.order`"),
+        ({"order": 1.0}, "goal.order: Expected `int`, got `float`"),
         ({}, "goal.order is missing"),
         ("10", 'goal must be a map of fields, not "10"'),
     ],
