@@ -72,7 +72,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     result: bytes | None = None
     """The result of a goal that has ended, or what there is of it."""
     reason: str = ""
-    """The reason of the end."""
+    """The reason of the end; before it, the reason for which the goal is a suspect."""
     feedback_count: int = 0
     """The number of feedback messages of the last attempt; known after the end."""
     ended_at: int = 0
@@ -94,6 +94,13 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
         """The status that clients know: an active goal that has begun is EXECUTING."""
         has_begun = self.attempt and self.status is GoalStatus.ACCEPTED
         return GoalStatus.EXECUTING if has_begun else self.status
+
+    @property
+    def is_suspect(self) -> bool:
+        """True of a goal of an earlier process that may have ended it: it was the second time that
+        the goal has lost an attempt since its last new checkpoint, or a later one.
+        """
+        return self.status is GoalStatus.ACCEPTED and self.lost + self.is_running >= 2
 
     @property
     def outcome(self) -> Outcome[bytes]:

@@ -84,7 +84,7 @@ class MonitoredGoal:
             queue_length=waiting.queue_length,
             began_at=info.began_at or self.info.began_at,
             ended_at=info.ended_at or self.info.ended_at,
-            reason=info.reason or self.info.reason,
+            reason=info.reason or ("" if status.is_active else self.info.reason),
         )
 
     def add_feedback(self, event: GoalFeedback[Any]) -> int:

@@ -116,7 +116,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.recovery = Recovery(
             action, registry, runs, logs, dispatcher, watchers, self.admission, settings
         )
-        self.capacity = Capacity(registry, keeper, dispatcher)
+        self.capacity = Capacity(registry, keeper, dispatcher, runs)
 
     async def open(self, stack: AsyncExitStack, *, held: bool) -> None:
         """Open the store, and start the tasks. The stack ends both. If `held`, no executor runs
@@ -263,10 +263,17 @@ class Capacity:
     nothing is told, so a server that has too many looks again after a while.
     """
 
-    def __init__(self, registry: GoalRegistry, keeper: Keeper, dispatcher: Dispatcher[Any]) -> None:
+    def __init__(
+        self,
+        registry: GoalRegistry,
+        keeper: Keeper,
+        dispatcher: Dispatcher[Any],
+        runs: Runs[Any, Any, Any],
+    ) -> None:
         self._registry = registry
         self._keeper = keeper
         self._dispatcher = dispatcher
+        self._runs = runs
         self._is_open = False
         self._told = False, False
         self._shortage = Notifier()
@@ -287,6 +294,8 @@ class Capacity:
         if self._is_open:
             if self._registry.goals_left > 0:
                 running, waiting = self._dispatcher.capacity()
+                if self._runs.suspects.goals:
+                    running, waiting = 0.0, max(waiting, 1.0)
             elif self._registry.has_too_many_bytes:
                 self._shortage.notify()
         has_room = running > 0, waiting > 0

@@ -233,8 +233,8 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     ended_at: int | None = None
     """The time of the end; None if the goal is active, or if the transport does not carry it."""
     reason: str = ""
-    """The reason of an abort or a cancel, cut to 200 characters; empty if there is none, or if the
-    transport does not carry it."""
+    """The reason of an abort or a cancel, or why an active goal is a suspect, and runs alone; cut
+    to 200 characters; empty if there is none, or if the transport does not carry it."""
     result: Any = None
     """The result of a goal that has ended; None unless `ActionClient.goals(results=True)` has asked
     for it."""

@@ -103,6 +103,8 @@ def test_a_reason_or_a_result_is_shown_as_far_as_there_is_room() -> None:
     assert lines[2].startswith("cccccccc  /arm/pick"), "an end is worth more than a whole ID"
     assert lines[2].endswith("  -       the arm is stuck the arm is stuck the arm …")
     assert "RESULT" not in in_columns(rows, actions=True, width=70, now=2.0)[0]
+    suspect = GoalRow("a", GoalInfo(A, 1, GoalStatus.EXECUTING, reason="a suspect"))
+    assert in_columns([suspect], actions=True, now=2.0)[1].endswith("  -       a suspect")
 
 
 def test_ids_are_cut_where_they_still_differ() -> None:

@@ -109,7 +109,10 @@ def test_the_newest_place_counts_until_the_goal_waits_no_more(
 
 
 def test_times_and_the_reason_stay_once_they_are_known(monitor: Monitor) -> None:
-    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.EXECUTING, began_at=2))
+    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.EXECUTING, began_at=2, reason="a suspect"))
+    assert the_goal(monitor).info.reason == "a suspect"
+    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.EXECUTING))
+    assert the_goal(monitor).info.reason == ""
     monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.ABORTED, ended_at=3, reason="stuck"))
     monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.EXECUTING, 7))
 

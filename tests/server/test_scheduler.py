@@ -471,6 +471,17 @@ def test_a_goal_that_is_lost_is_told_and_ordered_nothing_more() -> None:
     assert scheduler.leave(ONE, 100) == [Order(Act.START, TWO)]
 
 
+def test_a_goal_that_was_lost_and_goes_on_has_all_its_time_and_gives_way() -> None:
+    scheduler = told(2, run_timeout=7)
+    scheduler.lose(ONE)
+    assert scheduler.go_on(goal(9), 100) == scheduler.go_on(TWO, 100) == []
+    assert scheduler.go_on(ONE, 100) == [Order(Act.INTERRUPT, ONE, f"preempted by {TWO}")]
+    scheduler.leave(ONE, 101)
+    scheduler.lose(TWO)
+    assert scheduler.go_on(TWO, 200) == []
+    assert scheduler.next_due == 207
+
+
 def test_an_id_that_is_used_again_has_its_own_successor() -> None:
     scheduler = Scheduler(Schedule(concurrency=2, when_full="preempt", handover=math.inf))
     three, four, five = map(goal, (3, 4, 5))

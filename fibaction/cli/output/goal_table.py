@@ -254,15 +254,16 @@ def in_columns(
     """Return the rows as lines below a line of headings. With `width`, they are made to fit."""
     now = time.time() if now is None else now
     digits, family = 32, Family(row.info for row in rows)
+    ends = [row.end or excerpt(row.info.reason) for row in rows]
     table = _cells(rows, family, digits, now, actions=actions)
-    needed = _width(table) + (GOOD_END if any(row.end for row in rows) else 0)
+    needed = _width(table) + (GOOD_END if any(ends) else 0)
     if width is not None and needed > width:
         digits = unambiguous([*(row.goal_id for row in rows), *family.parents])
         table = _cells(rows, family, digits, now, actions=actions)
     spare = None if width is None else width - _width(table)
     if spare is not None and spare < 0:
         table = _narrowed(table, -spare)
-    return _with_ends(aligned(table), [row.end for row in rows], width)
+    return _with_ends(aligned(table), ends, width)
 
 
 def _with_ends(lines: list[str], ends: list[str], width: int | None) -> list[str]:

@@ -129,10 +129,12 @@ class GoalTable:
         return None if progress is None else progress.fraction
 
     def _latest(self, goal: GoalSnapshot) -> Text:
-        """Return the reason or the result of a goal that has ended, or else the latest feedback."""
+        """Return the reason or the result of a goal that has ended, or why it runs alone, or else
+        the latest feedback.
+        """
         end = self._details.end(goal.key).line
         latest = goal.latest.line if goal.latest else ""
-        return Text(end or latest, no_wrap=True, overflow="ellipsis")
+        return Text(end or excerpt(goal.info.reason) or latest, no_wrap=True, overflow="ellipsis")
 
 
 def _right(text: str) -> Text:

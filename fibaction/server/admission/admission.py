@@ -227,7 +227,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise Busy(DRAINING)
         sent = offer.sent
         goal_id, sender = sent.goal_id, sent.sender
-        offer.is_running = self._dispatcher.offer(goal_id, offer.request, sender, sent.deadline)
+        has_turn = self._dispatcher.offer(goal_id, offer.request, sender, sent.deadline)
+        offer.is_running = has_turn and not self._runs.suspects.goals
         offer.goal = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )

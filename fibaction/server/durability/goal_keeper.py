@@ -60,6 +60,7 @@ from fibaction.server.durability.keeper import (
     Keeper,
     KeeperEvents,
 )
+from fibaction.server.execution.suspects import suspects_here
 from fibaction.server.life import LIFE, Effect, Event, Phase
 from fibaction.words.errors import GoalKept, StoreError, copy_of
 from fibaction.words.goals import Outcome
@@ -222,24 +223,27 @@ class GoalKeeper(Keeper):
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
         """Keep a checkpoint, and return the number of the write."""
         stored = _stored(goal)
-        earlier, lost = stored.checkpoint, stored.lost
+        earlier, lost, reason = stored.checkpoint, stored.lost, stored.reason
         if state != earlier:  # the lost attempts have brought the goal further
-            stored.checkpoint, stored.lost = state, 0
+            stored.checkpoint, stored.lost, stored.reason = state, 0, ""
         number = self._written + 1
 
         def too_large(error: RecordTooLarge) -> None:
             self._too_large[number] = error
             if stored.checkpoint is state:
-                stored.checkpoint, stored.lost = earlier, lost
+                stored.checkpoint, stored.lost, stored.reason = earlier, lost, reason
 
         return self._write(self._journal.checkpoint, goal, stored, None, too_large)
 
     async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
-        if not goal.phase.is_open or goal.stored is None:
+        stored = goal.stored
+        if not goal.phase.is_open or stored is None:
             raise RuntimeError(f"goal {goal.goal_id} has ended, and keeps no checkpoint")
         await self.kept(self.checkpoint(goal, encode()))
         if goal.phase is Phase.LOST:
             raise GoalTaken(GOAL_IS_TAKEN)
+        if goal.suspicion and not stored.lost:
+            suspects_here().clear(goal)
 
     def _write_end(self, run: AnyRun) -> None:
         """Write the outcome; one that is too large is replaced by the reason."""

@@ -71,6 +71,9 @@ if TYPE_CHECKING:
 ASKED_AT_ONCE = 16
 """Goals for which the user's function is asked at the same time."""
 
+SUSPECT = "a suspect, which runs alone: {} attempts have ended with their process"
+"""The reason that is told of an active goal, and the warning of the log."""
+
 logger = clean_logger("fibaction.server")
 
 
@@ -137,7 +140,10 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
 
     def claim(self, stored: StoredGoal) -> None:
         """Take a goal over in the next turn of the event loop."""
-        self._claimed.append(stored)
+        if stored.is_suspect:
+            self._claimed.appendleft(stored)  # before it has its trial, no other goal may begin
+        else:
+            self._claimed.append(stored)
         if len(self._claimed) == 1:
             self._news.notify()
 
@@ -254,9 +260,11 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
 
     def _go_on(self, goal: GoalRecord, stored: StoredGoal, request: GoalT) -> None:
         """Let a goal continue, with another attempt."""
-        logger.info(
-            "goal %s of action %r: attempt %d", goal.goal_id, self._action.name, stored.attempt + 1
-        )
+        name, stored.reason = self._action.name, ""
+        if stored.is_suspect:
+            goal.suspicion = stored.reason = SUSPECT.format(stored.lost)
+            logger.warning("goal %s of action %r: %s", goal.goal_id, name, stored.reason)
+        logger.info("goal %s of action %r: attempt %d", goal.goal_id, name, stored.attempt + 1)
         goal.attempt = stored.attempt + 1
         if goal.goal_id in self._runs.lost.executions:
             self._tasks.start_soon(self._begin_later, goal, request)

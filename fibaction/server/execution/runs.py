@@ -27,6 +27,8 @@ finished.
 
 The dispatcher is told of each goal whose executor is gone (`_leave`), even after a killed one has
 ended at last, and for goals that end without one. From then on, the goal takes no place.
+
+A goal that has its turn begins at once, unless it or another one is a suspect: see `suspects`.
 """
 
 from __future__ import annotations
@@ -50,6 +52,7 @@ from fibaction.server.execution.executor import Execution, ExecutorPhase, Fence,
 from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.lost_executors import LEASE_IS_OVER, LostExecutors
+from fibaction.server.execution.suspects import Suspects, suspects_here
 from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
@@ -71,7 +74,7 @@ if TYPE_CHECKING:
 # Looked up for each goal: a name of this module is found faster than a member of an enum.
 BEGIN, EXECUTE, END = Event.BEGIN, Event.EXECUTE, Event.END
 CALLED, GONE = ExecutorPhase.CALLED, ExecutorPhase.GONE
-LOST = Phase.LOST
+LOST, WAITING = Phase.LOST, Phase.WAITING
 
 logger = clean_logger("fibaction.server")
 
@@ -114,6 +117,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._pool: TaskPool
+        self._tasks: TaskGroup
+        self.suspects: Suspects
+        """The suspects of the event loop, once the server is open."""
         self._step = keeper.life.step
         keeper.life.carry_out(self._acts())
 
@@ -124,6 +130,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._pool.hold()
         else:
             self._dispatcher.start()
+        self._tasks = tasks
+        self.suspects = suspects_here()
+        self.suspects.join(self)
         tasks.start_soon(self.lost.run, name=f"lost goals of {self._action.name}")
         if self._keeper.has_lease:
             self._fence = self.lost.fence
@@ -159,11 +168,43 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         return log
 
     def begin(self, goal_id: GoalID) -> None:
-        """Run the executor of a goal that waits, beginning in the next turn of the event loop."""
+        """Run the executor of a goal that waits, beginning in the next turn of the event loop, or
+        after suspects.
+        """
         run = self._runs.get(goal_id)
-        if run is not None:
-            run.goal.place = NO_PLACE
+        if run is None:
+            return
+        run.goal.place = NO_PLACE
+        if run.goal.suspicion:
+            self.suspects.add(run.goal, self)
+        elif not self.suspects.goals or self.suspects.may_begin(run.goal):
             self._step(run, BEGIN)
+            return
+        self._dispatcher.hold(goal_id)
+        self._tasks.start_soon(self._begin_later, run, name=f"goal of {self._action.name} waits")
+
+    async def _begin_later(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        goal = run.goal
+
+        def begin() -> None:
+            if goal.phase is WAITING:
+                self._step(run, BEGIN)
+                self._dispatcher.go_on(goal.goal_id)
+
+        await self.suspects.begin(goal, begin, lambda: self._runs.get(goal.goal_id) is run)
+
+    def has_begun_others(self, goal: GoalRecord) -> bool:
+        """See `suspects.Server`."""
+        parent = goal.origin.parent
+        exempt = (goal.goal_id, None if parent is None else parent.goal_id)
+        return any(
+            run.goal.phase is not WAITING and goal_id not in exempt
+            for goal_id, run in self._runs.items()
+        )
+
+    def note_suspects(self) -> None:
+        """See `suspects.Server`."""
+        self._keeper.look_at_capacity()
 
     def _call(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         assert run.execution.phase < CALLED  # an executor runs once, and not after an interruption
@@ -215,6 +256,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def _remove(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         del self._runs[run.goal.goal_id]
+        if self.suspects.goals:
+            self.suspects.left.notify()
 
     def _leave(self, goal_id: GoalID) -> None:
         # A goal that has come back has no place before its old executor is gone.
@@ -318,6 +361,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def close(self) -> None:
         """End the tasks for executors, after the last goal."""
+        self.suspects.quit(self)
         self._pool.close()
 
     def keep_for(self, reason: str) -> None:

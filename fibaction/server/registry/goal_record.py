@@ -61,6 +61,7 @@ class GoalRecord:
         "status",
         "stop_reason",
         "stored",
+        "suspicion",
         "told_status",
     )
 
@@ -117,6 +118,8 @@ class GoalRecord:
         """The reason for which the server ends the goal by itself; empty if it does not."""
         self.goes_on = False
         """True if the server interrupts this attempt, and the goal continues in another one."""
+        self.suspicion = ""
+        """The reason for which the goal is to run alone; empty if it need not: see `suspects`."""
         self.is_given_up = False
         """True if the server ends the goal instead of running it again."""
 
@@ -159,7 +162,7 @@ class GoalRecord:
         """Return the goal as an entry of a list, with this status."""
         place, length = self.place if status is INITIAL else NO_PLACE
         sender, count = str(self.sender), self.feedback_count
-        reason = "" if self.outcome is None else self.outcome.reason
+        reason = self.suspicion if self.outcome is None else self.outcome.reason
         return GoalInfo(
             self.goal_id,
             self.stamp,

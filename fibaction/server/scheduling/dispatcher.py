@@ -107,6 +107,12 @@ class Dispatcher(Succession[GoalT]):
     def left(self, goal_id: GoalID) -> None:
         """Free the place of a goal whose executor is gone; of an unknown one, do nothing."""
 
+    def hold(self, goal_id: GoalID) -> None:
+        """Order nothing for a goal that has its turn: it does not begin before it may `go_on`."""
+
+    def go_on(self, goal_id: GoalID) -> None:
+        """Take a goal as one that begins now."""
+
     def lost(self, goal_id: GoalID) -> None:
         """Order nothing more for a goal that another server has taken over, and that runs here
         until its executor is gone.

@@ -221,6 +221,12 @@ class GoalDispatcher(Dispatcher[GoalT]):
         """Tell the server that a place has become free."""
         self._changed()
 
+    def hold(self, goal_id: GoalID) -> None:
+        self._shared.scheduler.lose(goal_id)
+
+    def go_on(self, goal_id: GoalID) -> None:
+        self._shared.carry_out(self._shared.scheduler.go_on(goal_id, self._now()))
+
     def lost(self, goal_id: GoalID) -> None:
         self._overdue.discard(goal_id)
         self._shared.scheduler.lose(goal_id)

@@ -175,6 +175,18 @@ class Scheduler:
         """Order nothing more for a goal that runs. It keeps its place until it leaves."""
         self._timed.remove(goal_id)
 
+    def go_on(self, goal_id: GoalID, now: float) -> list[Order]:
+        """Take a goal that was lost as one that starts now; an unknown one changes nothing."""
+        entry = self._entries.get(goal_id)
+        if entry is None or goal_id not in entry.group.running:
+            return []
+        entry.since = now
+        self._timed.running[goal_id] = entry
+        successor = entry.successor
+        if successor is None:
+            return []
+        return [self._timed.interrupt(entry, f"preempted by {successor.goal_id}", now)]
+
     def take_over(self, goal_id: GoalID, now: float) -> GoalID | None:
         """Let the successor of a goal take its place, and the goal leave; return the successor.
 

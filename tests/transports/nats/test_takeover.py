@@ -238,6 +238,14 @@ async def test_a_taken_goal_that_does_not_begin_is_offered_to_others() -> None:
                 assert b.lost == [waiting().goal_id]
 
 
+async def test_a_suspect_that_waits_until_it_can_run_alone_is_not_offered_to_others() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b", running=1) as b:
+            a.accept(replace(waiting(), attempt=2, lost=2))
+            await sleep(4)
+            assert not b.claimed
+
+
 async def test_a_released_goal_that_is_wanted_is_taken_without_a_hint() -> None:
     async with MemoryBrokers() as shared, member(shared, "b", running=1) as b:
         await sleep(1)

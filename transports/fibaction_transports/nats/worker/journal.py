@@ -220,10 +220,13 @@ class FleetJournal(FleetHistory, GoalJournal):
 
     def offer_to_others(self, goal_id: GoalID) -> None:
         """Add a note for workers with room, if a goal waits here for a place of this worker. One
-        that waits for a place in the fleet would wait as long at another worker, and go round.
+        that waits for a place in the fleet, or until it can run alone, would wait as long at
+        another worker, and go round.
         """
         held = self._held.get(goal_id)
-        if held is not None and held.waits and not self._keeps_waiting:
+        if held is None or not held.waits:
+            return
+        if not self._keeps_waiting and not held.stored.is_suspect:
             self._broker.add_note(self._names.want(self.action), bytes(goal_id))
 
     def _failed(self, held: HeldGoal, write: Write, error: StoreError) -> None:

@@ -175,7 +175,7 @@ export class Store {
       record.setStatus(told.status, wasKnown ? Date.now() : 0);
     }
     record.setTimes(told);
-    record.reason ||= told.reason;
+    record.reason = told.reason || (record.isActive ? "" : record.reason);
     this.follow(record);
     this.change();
   }
@@ -346,6 +346,7 @@ export class Store {
   }
 
   end(record, outcome) {
+    record.reason = record.isActive ? "" : record.reason;
     record.setStatus(outcome.status);
     record.result = outcome.result ?? undefined;
     record.reason = outcome.reason || record.reason;
