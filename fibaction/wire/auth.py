@@ -117,4 +117,4 @@ def check_token(token: str) -> None:
     except UnicodeEncodeError:
         raise ValueError("token is not valid text") from None
     if size > TOKEN:
-        raise ValueError(f"token has {size} bytes, and the most are {TOKEN}")
+        raise ValueError(f"token has {size} bytes, but at most {TOKEN} are allowed")

@@ -41,7 +41,7 @@ class Limits(SettingsStruct, frozen=True):
     connections: int = 1000
     """Connections at the same time."""
     per_address: int | None = None
-    """Connections of one address at the same time, of IPv6 those of one network of 64 bits; None
+    """Connections of one address at the same time; with IPv6, of one network of 64 bits. None is
     for any number. Clients behind one proxy have one address."""
     goals: int = 10_000
     """Goals that one connection may follow at the same time."""

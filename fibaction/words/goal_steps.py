@@ -1,4 +1,4 @@
-"""`GoalStep`: one step of a goal, as which its executor sends another goal, its child.
+"""`GoalStep`: one step of a goal, with which its executor sends another goal, its child.
 
 Theory of operation
 -------------------

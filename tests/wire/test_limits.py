@@ -204,7 +204,7 @@ async def test_a_client_takes_messages_of_a_kibibyte_at_least() -> None:
         await client.say(Hello(VERSION, LONG, max_frame=LEAST_FRAME - 1))
         last = await client.hear(Goodbye)
         assert last.why == Why.PROTOCOL
-        assert last.reason.endswith("it accepts messages of 1023 bytes, and the least is 1024")
+        assert last.reason.endswith("it accepts messages of 1023 bytes, and not 1024 or more")
         await client.hear_the_end()
         assert await (await served.greet(max_frame=LEAST_FRAME)).is_served()
 
@@ -660,7 +660,7 @@ async def test_before_a_client_is_known_little_is_held_of_it() -> None:
         await client.say(Hello(VERSION, LONG, "x" * FIRST_FRAME))
         last = await client.hear(Goodbye)
         assert last.why == Why.PROTOCOL
-        assert last.reason.endswith("bytes, and the most are 4096")
+        assert last.reason.endswith("bytes, but at most 4096 are allowed")
 
 
 async def test_the_parts_of_large_messages_share_a_limit_over_all_connections() -> None:

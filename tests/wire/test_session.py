@@ -127,7 +127,7 @@ WRONG: dict[str, tuple[list[Any], tuple[Goodbye, str]]] = {
     ),
     "a session of another length": (
         [Hello(VERSION, LONG, "right", bytes(17))],
-        over("its session has 17 bytes, and the lengths are 0, 16 and 32"),
+        over("its session has 17 bytes, and not 0, 16 or 32"),
     ),
     "two hellos": ([HELLO, HELLO], over("it said hello twice")),
     "no token": ([Hello(VERSION, LONG), ListActions(1)], NO_TOKEN),

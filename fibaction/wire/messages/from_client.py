@@ -60,8 +60,8 @@ class SendGoal(WireMessage, tag=17):
     meta: dict[str, str] | None = None
     """Text that goes with the goal, for traces: at most 8 keys, and 4096 bytes of keys and values
     together. The keys `traceparent`, `tracestate` and `baggage` are those of the W3C; `detached`
-    says that the client does not wait for the goal, and `parent` and `step` of which goal it is a
-    step. Nil if there is none."""
+    says that the client does not wait for the goal, and `parent` and `step` name the goal and the
+    step that it is. Nil if there is none."""
     checked: bool = False
     """True if the client has the types of the action, or has compared the goal with its schema: the
     server ignores fields that its type does not have. If false, it rejects a goal with such a
@@ -175,7 +175,7 @@ class AskPlaces(WireMessage, tag=27):
     id: ID
     action: str
     most: Count
-    """Most goals to be told in the answer."""
+    """Largest number of goals in the answer."""
 
 
 FromClient: TypeAlias = (

@@ -174,7 +174,7 @@ class Session:
     def _welcome(self, frame: bytes) -> None:
         if len(frame) > FIRST_FRAME:  # of a line that has frames of its own
             raise ProtocolError(
-                f"its first message has {len(frame)} bytes, and the most are {FIRST_FRAME}"
+                f"its first message has {len(frame)} bytes, but at most {FIRST_FRAME} are allowed"
             )
         hello = self.client.greet(decode_from_client(frame))
         # Otherwise a request on an earlier connection could come late, and run a goal again.

@@ -65,11 +65,11 @@ class SessionClient:
             )
         if len(message.session) not in SESSION_LENGTHS:
             raise ProtocolError(
-                f"its session has {len(message.session)} bytes, and the lengths are 0, 16 and 32"
+                f"its session has {len(message.session)} bytes, and not 0, 16 or 32"
             )
         if message.max_frame < LEAST_FRAME:
             raise ProtocolError(
-                f"it accepts messages of {message.max_frame} bytes, and the least is {LEAST_FRAME}"
+                f"it accepts messages of {message.max_frame} bytes, and not {LEAST_FRAME} or more"
             )
         self._peer = self._settings.access.admit(self._address, message.token)
         if self._peer is None:

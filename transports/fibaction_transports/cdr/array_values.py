@@ -1,4 +1,4 @@
-"""Values for arrays of numbers: what is taken for them, and as which bytes.
+"""Values for arrays of numbers: the accepted forms, and the bytes of each.
 
 Numbers may be in a list, or in an object that shows its memory, such as an `array.array` or an
 array of numpy. The latter are copied as they are, if their type is the one of the field.
