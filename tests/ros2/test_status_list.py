@@ -126,6 +126,19 @@ def test_a_goal_that_a_list_has_twice_leaves_the_list_once() -> None:
     assert known.update(packed(early)) == [early]
 
 
+def test_a_line_that_is_wrong_leaves_its_goal_as_it_was(caplog: pytest.LogCaptureFixture) -> None:
+    known = ReceivedStatuses()
+    first, second = GoalInfo(ONE, 1, GoalStatus.ACCEPTED), GoalInfo(TWO, 2, GoalStatus.ACCEPTED)
+    known.update(packed(first))
+    wrong = pack_line(first)[:-1] + b"\x09"
+    for _ in range(2):
+        known.update(pack_statuses([wrong, pack_line(second)]))
+    assert list(known) == [first, second]
+    assert caplog.messages == [
+        "a goal is left out: invalid status list: 9 is not a valid GoalStatus"
+    ]
+
+
 @pytest.mark.promise("STATUS-7")
 @pytest.mark.parametrize("before", GoalStatus)
 @pytest.mark.parametrize("after", GoalStatus)

@@ -5,13 +5,14 @@ follow them.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import anyio
 
 from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 from fibaction.feeds.status_broadcast import StatusSubscription
-from fibaction.words.errors import ConnectionLost
+from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalInfo
 from fibaction.words.statuses import TRANSITIONS, GoalStatus
 from fibaction_transports.ros2.convert.status_bytes import (
@@ -24,6 +25,8 @@ from fibaction_transports.ros2.convert.status_bytes import (
 FIRST_LIST = 1.0
 """Seconds to wait for the first status list. It may never come: a server of rclpy or rclcpp that
 has never had a goal has published none."""
+
+logger = clean_logger("fibaction.ros2")
 
 
 def _shortest_ways() -> dict[tuple[GoalStatus, GoalStatus], tuple[GoalStatus, ...]]:
@@ -85,7 +88,7 @@ class ReceivedStatuses:
         """
         lines = lines_in(message)
         gone, new = differences(self._lines, lines)
-        changed = [self._info(line) for line in new]
+        changed = list(self._infos_of(new))
         steps = list[GoalInfo]()
         for info in changed:
             steps += self._steps(info)
@@ -99,9 +102,18 @@ class ReceivedStatuses:
         self._first = False
         return steps
 
-    def _info(self, line: StatusLine) -> GoalInfo:
-        info = info_of(line)
-        return GoalInfo(info.goal_id, self._stamp_of(info.goal_id, info.stamp), info.status)
+    def _infos_of(self, lines: Iterable[StatusLine]) -> Iterator[GoalInfo]:
+        """Yield the goals of lines. A line with a status that ROS does not have is left out: it
+        says nothing of its goal.
+        """
+        for line in lines:
+            try:
+                info = info_of(line)
+            except ProtocolError as exc:
+                logger.warning("a goal is left out: %s", exc)
+                continue
+            stamp = self._stamp_of(info.goal_id, info.stamp)
+            yield GoalInfo(info.goal_id, stamp, info.status)
 
     def _steps(self, info: GoalInfo) -> list[GoalInfo]:
         before = self._infos.get(info.goal_id)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fibaction.words.errors import TransportError
+from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.names import count_topic
@@ -90,4 +90,8 @@ class ReceivedCounts:
 
     def _take_one(self, message: bytes, publisher: bytes) -> None:
         found = self._ros.types.decode(message, self._ros.types.Parameter)
-        self._take(GoalID.parse(found.name), found.value.integer_value)
+        try:
+            goal_id = GoalID.parse(found.name)
+        except ValueError as exc:
+            raise ProtocolError(f"invalid number of feedback messages: {exc}") from exc
+        self._take(goal_id, found.value.integer_value)

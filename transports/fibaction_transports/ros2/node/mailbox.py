@@ -13,6 +13,7 @@ from anyio.lowlevel import EventLoopToken, current_token
 
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
+from fibaction.words.errors import ProtocolError
 
 MAILBOX = 20_000
 """Items that may wait for the event loop. With more, nothing is taken, and messages wait in the
@@ -80,6 +81,8 @@ class Mailbox:
             sink, item = self._items.popleft()
             try:
                 sink(item)
+            except ProtocolError as exc:
+                logger.warning("a message was dropped: %s", exc)
             except Exception:
                 logger.exception("a message was dropped, because it could not be handled")
 

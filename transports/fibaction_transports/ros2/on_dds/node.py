@@ -14,6 +14,7 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
+from fibaction.words.errors import ProtocolError
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     ErrorSink,
@@ -90,6 +91,8 @@ class DdsNode(OwnNode):
                 return
             try:
                 take(event.sample)
+            except ProtocolError as exc:
+                logger.warning("a message was dropped: %s", exc)
             except Exception:
                 logger.exception("a message was dropped, because it could not be handled")
         elif isinstance(event, CaughtUp) and event.reader in self._subscriptions:

@@ -42,7 +42,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.abc import Endpoint, GoalStream, Notifier
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
-from fibaction.words.errors import ActionError, GoalRejected, ProtocolError, RejectionCode
+from fibaction.words.errors import ActionError, GoalRejected, ProtocolError
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     CancelAnswer,
@@ -179,17 +179,25 @@ class RosActionServer:
         except ActionError as exc:
             reason = exc.reason if isinstance(exc, GoalRejected) else str(exc)
             self._ros.warn(f"{self._name}: goal {goal_id} rejected: {reason}")
+            return response
+        if stamp is None:
+            logger.info("%s: goal %s was sent again, and was decided before", self._name, goal_id)
         else:
             response.accepted = True
             response.stamp.sec, response.stamp.nanosec = divmod(stamp, 10**9)
         return response
 
-    async def _accept(self, goal_id: GoalID, goal: Any) -> int:
+    async def _accept(self, goal_id: GoalID, goal: Any) -> int | None:
+        """Offer a goal, and return its stamp in ROS; None if one with its ID was accepted before.
+
+        Raises:
+            ActionError: It is not accepted.
+        """
         while goal_id in self._deciding:
             # A client sends it again, or two goals clash: the first answer counts.
             await self._progress.wait()
         if goal_id in self._forwarders or goal_id in self._statuses:
-            raise GoalRejected("its ID is in use", code=RejectionCode.DUPLICATE)
+            return None
         self._deciding.add(goal_id)  # until the client has been told
         payload = self._codecs.goal.from_ros(goal)
         stream = await self._endpoint.send_goal(goal_id, payload, checked=True)
