@@ -23,5 +23,5 @@ FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml \
 if [ "$(failures)" = "$before" ]; then
     "$1/bin/python" -m coverage report --fail-under=100 \
         --include='*/fibaction_transports/ros2/*' \
-        --omit='*/ros2/on_dds/*,*/ros2/on_zenoh/*,*/ros2/without_ros/*,*/ros2/dds_*.py,*/ros2/zenoh_*.py'
+        --omit='*/ros2/messaging/*,*/ros2/on_dds/*,*/ros2/on_zenoh/*,*/ros2/without_ros/*,*/ros2/dds_*.py,*/ros2/zenoh_*.py'
 fi

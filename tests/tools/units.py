@@ -8,7 +8,14 @@ from pathlib import Path
 
 SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
-NO_ROS = ("on_dds", "on_zenoh", "without_ros", "dds_transport.py", "zenoh_transport.py")
+NO_ROS = (
+    "messaging",
+    "on_dds",
+    "on_zenoh",
+    "without_ros",
+    "dds_transport.py",
+    "zenoh_transport.py",
+)
 NOT_ELSEWHERE = [f"{ELSEWHERE}/{one}" for one in NO_ROS]
 CONTRACT = "fibaction/testing/contract"
 """The folder of tests that are installed with the product, for others to run."""

@@ -7,13 +7,28 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fibaction_transports.ros2.dds_transport import DdsTransport
+    from fibaction_transports.ros2.messaging.node import Node, open_node
+    from fibaction_transports.ros2.messaging.publisher import Publisher
+    from fibaction_transports.ros2.messaging.subscription import Subscription
     from fibaction_transports.ros2.ros2_transport import Ros2Transport
     from fibaction_transports.ros2.zenoh_transport import ZenohTransport
 
-__all__ = ["DdsTransport", "Ros2Transport", "ZenohTransport"]
+__all__ = [
+    "DdsTransport",
+    "Node",
+    "Publisher",
+    "Ros2Transport",
+    "Subscription",
+    "ZenohTransport",
+    "open_node",
+]
 
 _MODULES = {
     "DdsTransport": "dds_transport",
+    "Node": "messaging.node",
+    "Publisher": "messaging.publisher",
+    "Subscription": "messaging.subscription",
+    "open_node": "messaging.node",
     "Ros2Transport": "ros2_transport",
     "ZenohTransport": "zenoh_transport",
 }

@@ -61,6 +61,40 @@ def policies(text: str) -> dict[str, str]:
     return found
 
 
+_LEVELS = {
+    "reliability": ("best_effort", "reliable"),
+    "durability": ("volatile", "transient_local"),
+}
+"""The levels of each policy. An end that offers the first does not match one that wants the second.
+"""
+_PROFILES = {"": "", "default": "", "sensor_data": "best_effort,volatile"}
+"""The profiles of ROS by their names, as words."""
+
+
+def unmet(offered: EndQos, wanted: EndQos) -> list[str]:
+    """Return the policies of a publisher that are less than its subscription wants."""
+    return [
+        policy
+        for policy, levels in _LEVELS.items()
+        if (getattr(offered, policy), getattr(wanted, policy)) == levels
+    ]
+
+
+def of_topic(words: str, depth: int) -> EndQos:
+    """Return the quality of service of a topic: a profile of ROS by its name, or words.
+
+    Raises:
+        ValueError: A word is not known, or the depth is not positive.
+    """
+    if depth < 1:
+        raise ValueError(f"depth must be at least 1, not {depth}")
+    try:
+        return _qos(_PROFILES.get(words, words), EndQos(depth=depth))
+    except ValueError as exc:
+        known = ", ".join(name for name in _PROFILES if name)
+        raise ValueError(f"qos: {exc}, nor one of {known}") from None
+
+
 def are_reliable(words: str) -> bool:
     """Return whether the middleware sends lost messages again, which is the default."""
     return policies(words).get("reliability") != "best_effort"

@@ -17,13 +17,6 @@ from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import RosSettings
 
-_LEVELS = {
-    "reliability": ("best_effort", "reliable"),
-    "durability": ("volatile", "transient_local"),
-}
-"""The levels of each policy. An end that offers the first does not match one that wants the second.
-"""
-
 
 class _Way(NamedTuple):
     """One direction of a part of an action, between a server and this client."""
@@ -44,7 +37,8 @@ def explain_mismatch(ros: RosNode, full: ActionNames, settings: RosSettings) -> 
     advice: dict[str, dict[str, str]] = {}
     for way in _ways(ros, full, settings):
         for server in way.servers:
-            for policy in _mismatches(way, server.qos):
+            pair = (way.ours, server.qos) if way.is_to_server else (server.qos, way.ours)
+            for policy in qos.unmet(*pair):
                 theirs, ours = _word(server.qos, policy), _word(way.ours, policy)
                 verbs = ("wants", "offers") if way.is_to_server else ("offers", "wants")
                 wrong[f"{way.part}: it {verbs[0]} {theirs}, and this client {verbs[1]} {ours}"] = (
@@ -71,15 +65,6 @@ def _ways(ros: RosNode, full: ActionNames, settings: RosSettings) -> Iterator[_W
         readers, writers = ros.request_readers(name), ros.answer_writers(name)
         yield _Way("services_qos", part, readers, services, is_to_server=True)
         yield _Way("services_qos", part, writers, services)
-
-
-def _mismatches(way: _Way, theirs: EndQos) -> list[str]:
-    offered, wanted = (way.ours, theirs) if way.is_to_server else (theirs, way.ours)
-    return [
-        policy
-        for policy, (weak, strong) in _LEVELS.items()
-        if _word(offered, policy) == weak and _word(wanted, policy) == strong
-    ]
 
 
 def _word(end: EndQos, policy: str) -> str:

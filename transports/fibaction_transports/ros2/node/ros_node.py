@@ -178,25 +178,11 @@ class RosGraph(GraphView):
         """Return the ends at which servers of a service answer; none if it is not known."""
 
 
-class RosNode(RosGraph):
-    """A node in a graph of ROS.
+class NodeLife:
+    """The end of a node, of which everything hears that waits for something to arrive."""
 
-    Methods that make a part raise `TransportError` if ROS does not allow it. All parts are removed
-    when the node is closed.
-    """
-
-    types: RosTypes
-    clock: RosClock
     error: ConnectionLost | None = None
     """The reason for which nothing more will arrive, if so."""
-    full_name: str
-    """The name with the namespace, for example `/robot/arm`."""
-    namespace: str
-    """The namespace, for example `/robot`; `/` without one."""
-    tells_signs: bool
-    """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
-    last_words: float = 0.25
-    """Seconds for messages to arrive that a server has sent before it left the graph."""
 
     def __init__(self) -> None:
         self._lost: list[Callable[[ConnectionLost], None]] = []
@@ -205,6 +191,37 @@ class RosNode(RosGraph):
     def is_up(self) -> bool:
         """True if ROS can still be used."""
         return self.error is None
+
+    def on_loss(self, call: Callable[[ConnectionLost], None]) -> Callable[[], None]:
+        """Call this if nothing more will arrive. The function that is returned takes it back."""
+        self._lost.append(call)
+        return lambda: self._lost.remove(call)
+
+    def fail(self, error: ConnectionLost) -> None:
+        """End everything that is pending, and everything that is tried later, with an error."""
+        if self.error is None:
+            self.error = error
+            for call in self._lost:
+                call(error)
+
+
+class RosNode(NodeLife, RosGraph):
+    """A node in a graph of ROS.
+
+    Methods that make a part raise `TransportError` if ROS does not allow it. All parts are removed
+    when the node is closed.
+    """
+
+    types: RosTypes
+    clock: RosClock
+    full_name: str
+    """The name with the namespace, for example `/robot/arm`."""
+    namespace: str
+    """The namespace, for example `/robot`; `/` without one."""
+    tells_signs: bool
+    """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
+    last_words: float = 0.25
+    """Seconds for messages to arrive that a server has sent before it left the graph."""
 
     @property
     def is_cut(self) -> bool:
@@ -218,17 +235,6 @@ class RosNode(RosGraph):
         Raises:
             TransportError: ROS does not allow this name.
         """
-
-    def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
-        """Call this if nothing more will arrive."""
-        self._lost.append(call)
-
-    def fail(self, error: ConnectionLost) -> None:
-        """End everything that is pending, and everything that is tried later, with an error."""
-        if self.error is None:
-            self.error = error
-            for call in self._lost:
-                call(error)
 
     @abstractmethod
     def warn(self, text: str) -> None:
@@ -321,6 +327,11 @@ class RosNode(RosGraph):
         middleware can ask them. It takes a second at most.
 
         Each action is given by its feedback topic and its type.
+        """
+
+    async def learn_topic(self, topic: str, type_name: str) -> None:
+        """Learn the type of a topic's messages from its publishers, if `types` does not know it,
+        and if the middleware can ask them. It takes a second at most.
         """
 
 

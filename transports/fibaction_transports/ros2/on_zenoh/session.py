@@ -263,9 +263,9 @@ class ZenohSession:
         self._kept.append(declared)
 
     def remove(self, declared: Any) -> None:
-        """Undeclare what was kept."""
+        """Undeclare what was kept, after what was to be sent before."""
         self._kept.remove(declared)
-        declared.undeclare()
+        self.sender.send(declared.undeclare, 0)
 
     def close(self) -> None:
         """Send what is left, and remove everything in the opposite order. It may take a moment, so

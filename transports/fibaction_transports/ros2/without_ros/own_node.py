@@ -109,6 +109,9 @@ class OwnNode(RosNode):
     async def learn(self, actions: Sequence[tuple[str, str]]) -> None:
         await self._learner.learn(actions)
 
+    async def learn_topic(self, topic: str, type_name: str) -> None:
+        await self._learner.learn_topic(topic, type_name)
+
     def discovery(self) -> DiscoveryState:
         return self._graph.discovery()
 

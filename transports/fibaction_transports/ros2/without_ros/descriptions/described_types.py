@@ -11,7 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fibaction.interfaces import ActionFile, InterfaceError
-from fibaction.interfaces.files import InterfaceMessage, read_action_texts
+from fibaction.interfaces.files import (
+    InterfaceMessage,
+    read_action_texts,
+    read_message_texts,
+)
 from fibaction.interfaces.parser import parse_message
 from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.type_hashes import NO_FIELDS, TYPE_NUMBERS, type_hash
@@ -33,6 +37,7 @@ _BASES = {number: name for name, number in TYPE_NUMBERS.items() if name != "char
 _NESTED = 1
 _ARRAYS = ((144, "[]"), (96, "[<={}]"), (48, "[{}]"))
 _PARTS = ("Goal", "Result", "Feedback")
+_ANOTHER = "it has another hash"
 
 
 def described_action(
@@ -46,22 +51,8 @@ def described_action(
     Raises:
         UnusableDescription: It is not that type, or has another hash, or is too large.
     """
-    if not response.successful:
-        raise UnusableDescription(response.failure_reason)
-    described = response.type_description
-    individual = {
-        one.type_name: one
-        for one in (described.type_description, *described.referenced_type_descriptions)
-    }
-    made = _texts(individual, type_name)
-    # The sources have defaults and comments, too.
-    sources = {
-        one.type_name: one.raw_file_contents
-        for one in response.type_sources
-        if one.type_name in made and one.encoding in ("msg", "action")
-    }
-    problem = "it has another hash"
-    for texts in (made | sources, made):
+    problem = _ANOTHER
+    for texts in _variants(response, _texts(_individual(response), type_name)):
         try:
             file = _action_in(texts, type_name)
         except UnusableDescription as exc:
@@ -70,6 +61,50 @@ def described_action(
         if _hash(file, is_whole=bool(action)) == (action or feedback):
             return file
     raise UnusableDescription(problem)
+
+
+def described_message(
+    response: DescriptionResponse, type_name: str, wanted: str
+) -> InterfaceMessage:
+    """Return a message as another node describes it, whose type has the hash that is wanted.
+
+    Raises:
+        UnusableDescription: It is not that type, or has another hash, or is too large.
+    """
+    problem = _ANOTHER
+    for texts in _variants(response, _messages(_individual(response))):
+        try:
+            message = read_message_texts(type_name, texts)
+        except InterfaceError as exc:
+            problem = str(exc)
+            continue
+        if type_hash(message) == wanted:
+            if _values(message) > MOST_VALUES:
+                raise UnusableDescription(f"it has more than {MOST_VALUES:,} values")
+            return message
+    raise UnusableDescription(problem)
+
+
+def _individual(response: DescriptionResponse) -> dict[str, IndividualTypeDescription]:
+    if not response.successful:
+        raise UnusableDescription(response.failure_reason)
+    described = response.type_description
+    parts = (described.type_description, *described.referenced_type_descriptions)
+    return {one.type_name: one for one in parts}
+
+
+def _variants(
+    response: DescriptionResponse, made: Mapping[str, str]
+) -> tuple[Mapping[str, str], Mapping[str, str]]:
+    """Return the texts of a response, first those of its sources, which have defaults and comments,
+    too.
+    """
+    sources = {
+        one.type_name: one.raw_file_contents
+        for one in response.type_sources
+        if one.type_name in made and one.encoding in ("msg", "action")
+    }
+    return {**made, **sources}, made
 
 
 def looked_up_action(
@@ -88,7 +123,7 @@ def _action_in(texts: Mapping[str, str], type_name: str) -> ActionFile:
         file = read_action_texts(type_name, texts)
     except InterfaceError as exc:
         raise UnusableDescription(str(exc)) from exc
-    if _values(file) > MOST_VALUES:
+    if _values(file.goal, file.result, file.feedback) > MOST_VALUES:
         raise UnusableDescription(f"it has more than {MOST_VALUES:,} values")
     return file
 
@@ -98,8 +133,8 @@ def _hash(file: ActionFile, *, is_whole: bool) -> str:
     return type_hash(interface if is_whole else interface.nested["feedback_message"])
 
 
-def _values(file: ActionFile) -> int:
-    """Return the number of values of an action with their defaults."""
+def _values(*messages: InterfaceMessage) -> int:
+    """Return the number of values of messages with their defaults."""
     counted: dict[str, int] = {}
 
     def count(message: InterfaceMessage) -> int:
@@ -112,17 +147,18 @@ def _values(file: ActionFile) -> int:
             counted[message.type_name] = total
         return counted[message.type_name]
 
-    return sum(count(part) for part in (file.goal, file.result, file.feedback))
+    return sum(map(count, messages))
 
 
 def _texts(individual: Mapping[str, IndividualTypeDescription], type_name: str) -> dict[str, str]:
     """Return the texts of files, by the types that they define."""
     parts = [individual.get(f"{type_name}_{part}") for part in _PARTS]
     action = "---\n".join("" if part is None else _text(part) for part in parts)
-    messages = {
-        name: _text(one) for name, one in individual.items() if name.split("/")[1:2] == ["msg"]
-    }
-    return {**messages, type_name: action}
+    return {**_messages(individual), type_name: action}
+
+
+def _messages(individual: Mapping[str, IndividualTypeDescription]) -> dict[str, str]:
+    return {name: _text(one) for name, one in individual.items() if name.split("/")[1:2] == ["msg"]}
 
 
 def _text(one: IndividualTypeDescription) -> str:

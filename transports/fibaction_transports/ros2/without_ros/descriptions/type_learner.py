@@ -45,6 +45,7 @@ from fibaction_transports.ros2.node.rivals import PARTICIPANT
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     described_action,
+    described_message,
     looked_up_action,
 )
 from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
@@ -144,6 +145,24 @@ class TypeLearner:
         async with anyio.create_task_group() as tasks:
             for topic, type_name in unknown[:MOST_ACTIONS]:
                 tasks.start_soon(self._learn, topic, type_name)
+
+    async def learn_topic(self, topic: str, type_name: str) -> None:
+        """See `RosNode.learn_topic`."""
+        if self._types.has_topic_type(type_name):
+            return
+        with anyio.move_on_after(ASK_TIME):
+            for end in await self._publishers(topic):
+                if not end.type_hash:
+                    continue
+                request = DescriptionRequest(type_name, end.type_hash)
+                response = await ask_node(self._node, end.node, request)
+                try:
+                    message = described_message(response, type_name, end.type_hash)
+                except UnusableDescription as exc:
+                    logger.info("%s describes %s: %s", end.node, type_name, excerpt(str(exc)))
+                    continue
+                self._types.learn_topic_type(message)
+                return
 
     def _version(self, topic: str) -> ServerVersion:
         ends = (*self._services(topic), self._node.publishers(topic))

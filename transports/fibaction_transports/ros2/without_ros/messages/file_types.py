@@ -12,7 +12,12 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fibaction.interfaces import ActionFile, InterfaceError, read_action
-from fibaction.interfaces.files import known_action, read_message, read_service
+from fibaction.interfaces.files import (
+    InterfaceMessage,
+    known_action,
+    read_message,
+    read_service,
+)
 from fibaction.interfaces.packages import SearchPath, ros_folders
 from fibaction.words.errors import TransportError
 from fibaction_transports.cdr.standard_messages import STRUCTS
@@ -36,6 +41,8 @@ from fibaction_transports.ros2.without_ros.messages.message_type import MessageT
 from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER
 from fibaction_transports.ros2.without_ros.messages.topic_types import (
     called_type_of,
+    known_called_types,
+    known_topic_types,
     topic_type_of,
 )
 
@@ -191,8 +198,8 @@ class FileTypes(RosTypes):
         """The actions that other nodes have described."""
         self._unknown: dict[str, RosAction] = {}
         self._missed: set[tuple[str, ServerVersion]] = set()
-        self._topics: dict[str, TopicType] = {}
-        self._services: dict[str, CalledType] = {}
+        self._topics: dict[str, TopicType] = dict(known_topic_types())
+        self._services: dict[str, CalledType] = dict(known_called_types())
         self.GoalInfo = STRUCTS["action_msgs/msg/GoalInfo"]
         self.Parameter = PARAMETER
 
@@ -217,6 +224,20 @@ class FileTypes(RosTypes):
                 message = read_message(type_name, self._files.search_path())
             self._topics[type_name] = topic_type_of(message)
         return self._topics[type_name]
+
+    def has_topic_type(self, type_name: str) -> bool:
+        """Return whether a type of messages has a file, or was learned."""
+        try:
+            self.topic_type(type_name)
+        except TransportError:
+            return False
+        return True
+
+    def learn_topic_type(self, message: InterfaceMessage) -> None:
+        """Take a type of messages as another node describes it."""
+        if len(self._topics) >= MOST_LEARNED:
+            self._topics = dict(known_topic_types())
+        self._topics[message.type_name] = topic_type_of(message)
 
     def called_type(self, type_name: str) -> CalledType:
         if type_name not in self._services:

@@ -39,6 +39,16 @@ class Parameter(Struct):
     value: ParameterValue = field(default_factory=ParameterValue)
 
 
+class ParameterEvent(Struct):
+    """An `rcl_interfaces/msg/ParameterEvent`: what has changed at a node."""
+
+    stamp: TimeMessage = field(default_factory=TimeMessage)
+    node: str = ""
+    new_parameters: list[Parameter] = []
+    changed_parameters: list[Parameter] = []
+    deleted_parameters: list[Parameter] = []
+
+
 class ClockMessage(Struct):
     """A `rosgraph_msgs/msg/Clock`: the time of a simulation."""
 
@@ -46,7 +56,7 @@ class ClockMessage(Struct):
 
 
 _PARTS: dict[str, InterfaceMessage] = dict(MESSAGES)
-_STRUCTS: dict[str, Callable[..., Any]] = dict(STRUCTS)
+NODE_STRUCTS: dict[str, Any] = dict(STRUCTS)
 
 
 def node_message(
@@ -60,8 +70,8 @@ def node_message(
     """
     definition = composed(type_name, text, _PARTS)
     _PARTS[type_name.rpartition("/")[2]] = definition
-    _STRUCTS[type_name] = made
-    return MessageType(definition, codec(definition, _STRUCTS), made)
+    NODE_STRUCTS[type_name] = made
+    return MessageType(definition, codec(definition, NODE_STRUCTS), made)
 
 
 node_message(
@@ -73,6 +83,12 @@ node_message(
 )
 PARAMETER: Final = node_message(
     "rcl_interfaces/msg/Parameter", "string name\nParameterValue value", Parameter
+)
+PARAMETER_EVENT: Final = node_message(
+    "rcl_interfaces/msg/ParameterEvent",
+    "Time stamp\nstring node\nParameter[] new_parameters\nParameter[] changed_parameters\n"
+    "Parameter[] deleted_parameters",
+    ParameterEvent,
 )
 CLOCK: Final = node_message("rosgraph_msgs/msg/Clock", "Time clock", ClockMessage)
 

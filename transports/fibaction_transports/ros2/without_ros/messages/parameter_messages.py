@@ -165,3 +165,11 @@ SET_PARAMETERS: Final = _service(
 SET_PARAMETERS_ATOMICALLY: Final = _service(
     "SetParametersAtomically", _SET, ("SetParametersResult result", SetAtomicallyResponse)
 )
+PARAMETER_SERVICES: Final = (
+    GET_PARAMETERS,
+    GET_PARAMETER_TYPES,
+    DESCRIBE_PARAMETERS,
+    LIST_PARAMETERS,
+    SET_PARAMETERS,
+    SET_PARAMETERS_ATOMICALLY,
+)

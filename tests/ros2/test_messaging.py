@@ -1,0 +1,137 @@
+"""Topics, services and parameters of our node beside a stock node of rclpy."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from queue import Queue
+from typing import Any
+
+import anyio
+import pytest
+from rcl_interfaces.srv import ListParameters
+from std_msgs.msg import Float32MultiArray, String
+
+from fibaction import TransportError
+from fibaction_transports.ros2 import Node, open_node
+from tests.ros2.spun import spun_node
+
+pytestmark = pytest.mark.anyio
+
+PATIENCE = 30.0
+STRING, LIST = "std_msgs/msg/String", "rcl_interfaces/srv/ListParameters"
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture(params=["ros2", "dds"])
+def scheme(request: pytest.FixtureRequest) -> Any:
+    """The way of our node: through rclpy, or over our own DDS."""
+    return request.param
+
+
+@asynccontextmanager
+async def beside_rclpy(scheme: str) -> AsyncGenerator[tuple[Node, Any], None]:
+    space = f"/t{uuid.uuid4().hex}"
+    with anyio.fail_after(PATIENCE), spun_node(space, "stock") as stock:
+        async with open_node(f"{scheme}://ours", namespace=space, arguments=[]) as node:
+            yield node, stock
+
+
+async def until(look: Callable[[], object]) -> None:
+    while not look():  # noqa: ASYNC110 - what is looked at tells of no change
+        await anyio.sleep(0.01)
+
+
+async def test_messages_go_both_ways_and_a_removed_end_is_gone(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, stock):
+        topic = node.full_name("chatter")
+        heard: Queue[str] = Queue()
+        reader = stock.create_subscription(String, topic, lambda one: heard.put(one.data), 10)
+        with node.publisher("chatter", STRING) as publisher:
+            await publisher.wait_for_reader(PATIENCE)
+            await publisher.publish({"data": "ours"})
+            await until(heard.qsize)
+            assert heard.get() == "ours"
+            await until(reader.get_publisher_count)
+        await until(lambda: not reader.get_publisher_count())
+        stock.destroy_subscription(reader)
+        writer = stock.create_publisher(String, topic, 10)
+        with node.subscribe("chatter", String) as messages:
+            await until(writer.get_subscription_count)
+            writer.publish(String(data="theirs"))
+            assert await messages.next() == String(data="theirs")
+        await until(lambda: writer.get_subscription_count() == 0)
+        assert node.topics()[topic] == STRING
+        assert await node.type_of("chatter") == STRING
+
+
+async def test_numbers_arrive_as_an_array(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, stock):
+        writer = stock.create_publisher(Float32MultiArray, node.full_name("scan"), 10)
+        scan = node.subscribe("scan", "std_msgs/msg/Float32MultiArray", qos="sensor_data")
+        await until(writer.get_subscription_count)
+        await until(scan.publisher_count)  # before, it loses what is sent with best effort
+        writer.publish(Float32MultiArray(data=[0.5, 1.5]))
+        assert list((await scan.next()).data) == [0.5, 1.5]
+
+
+async def test_services_are_called_and_served(scheme: str) -> None:
+    def answer(request: Any, response: Any) -> Any:
+        response.result.names = list(request.prefixes)
+        return response
+
+    async with beside_rclpy(scheme) as (node, stock):
+        stock.create_service(ListParameters, node.full_name("theirs"), answer)
+        found = await node.call("theirs", LIST, {"prefixes": ["a"]}, timeout=PATIENCE)
+        assert list(found.result.names) == ["a"]
+        client = stock.create_client(ListParameters, node.full_name("ours"))
+        with node.serve_service(
+            "ours", LIST, lambda request: {"result": {"names": list(request.prefixes)}}
+        ):
+            await until(client.service_is_ready)
+            asked = client.call_async(ListParameters.Request(prefixes=["b"]))
+            await until(asked.done)
+            assert list(asked.result().result.names) == ["b"]
+        await until(lambda: not client.service_is_ready())
+
+
+async def test_parameters_are_read_set_and_watched(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, stock):
+        stock.declare_parameter("speed", 0.5)
+        stock.declare_parameter("names", ["a"])
+        parameters = node.parameters(stock.get_fully_qualified_name(), timeout=PATIENCE)
+        assert {"speed", "names"} <= {*await parameters.list()}
+        assert await parameters.get("speed", "names") == {"speed": 0.5, "names": ["a"]}
+        changes = parameters.watch()
+        async with anyio.create_task_group() as tasks:
+
+            async def set_again() -> None:
+                number = 0.0
+                while True:
+                    number += 1.0
+                    await parameters.set({"speed": number})
+                    await anyio.sleep(0.05)
+
+            tasks.start_soon(set_again)
+            changed = await anext(changes)
+            tasks.cancel_scope.cancel()
+        await changes.aclose()
+        assert [*changed] == ["speed"]
+        with pytest.raises(ValueError, match="refuses"):
+            await parameters.set({"speed": "fast"})
+
+
+async def test_what_is_not_installed_is_told() -> None:
+    async with open_node("ros2://ours", arguments=[]) as node:
+        for type_name, text in (
+            ("std_msgs/msg/Nothing", "has no message 'Nothing'"),
+            ("nothing_msgs/msg/String", "'nothing_msgs', which has .*, is not installed here"),
+            ("std_msgs/String", "expected a type like 'package/msg/Type'"),
+        ):
+            with pytest.raises(TransportError, match=text):
+                node.subscribe("topic", type_name)

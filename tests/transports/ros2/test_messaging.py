@@ -1,0 +1,358 @@
+"""Topics, services, parameters and actions of one node, over DDS and over Zenoh."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction import ActionServer, InvalidURL, TransportError, connect, serve
+from fibaction.interfaces.files import read_message
+from fibaction.interfaces.packages import SearchPath
+from fibaction.interfaces.structs import structs_of
+from fibaction_transports.ros2 import Node, open_node
+from fibaction_transports.ros2.messaging import subscription
+from fibaction_transports.ros2.messaging.parameters import written
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+
+pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
+
+PATIENCE = 30.0
+STRING, BOOL = "std_msgs/msg/String", "std_srvs/srv/SetBool"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TF = "tf2_msgs/msg/TFMessage"
+
+
+@pytest.fixture(params=["dds://", "zenoh:///"])
+def scheme(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@asynccontextmanager
+async def two_nodes(scheme: str) -> AsyncGenerator[tuple[Node, Node], None]:
+    namespace = f"/t{uuid.uuid4().hex}"
+    with anyio.fail_after(PATIENCE):
+        async with (
+            open_node(f"{scheme}robot", namespace=namespace, arguments=[]) as robot,
+            open_node(f"{scheme}planner", namespace=namespace, arguments=[]) as planner,
+        ):
+            yield robot, planner
+
+
+async def until(look: Callable[[], object]) -> None:
+    """Give the network its turns until something is seen."""
+    while not look():  # noqa: ASYNC110 - what is looked at tells of no change
+        await anyio.sleep(0.01)
+
+
+async def test_messages_arrive_in_order_with_the_fields_of_ros(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        assert robot.name.endswith("/robot")
+        odometry = planner.subscribe("odom", ODOMETRY)
+        publisher = robot.publisher("odom", ODOMETRY)
+        await publisher.wait_for_reader(PATIENCE)
+        assert publisher.topic == odometry.topic == robot.full_name("odom")
+        assert odometry.latest is None
+        for x in (1.0, 2.0, 3.0):
+            await publisher.publish({"pose": {"pose": {"position": {"x": x}}}})
+        found = [(await odometry.next()).pose.pose for _ in range(3)]
+        assert [(pose.position.x, pose.orientation.w) for pose in found] == [
+            (1.0, 1.0),
+            (2.0, 1.0),
+            (3.0, 1.0),
+        ]
+        assert odometry.latest is not None
+        assert odometry.latest.pose.pose.position.x == 3.0
+        assert (odometry.publisher_count(), publisher.reader_count()) == (1, 1)
+        await publisher.publish(odometry.latest)
+        assert await odometry.next() == odometry.latest
+
+
+async def test_a_slow_reader_gets_the_newest_messages_and_those_it_missed_are_counted(
+    scheme: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    async with two_nodes(scheme) as (robot, planner):
+        heard = planner.subscribe("chatter", STRING, depth=2)
+        publisher = robot.publisher("chatter", STRING)
+        await publisher.wait_for_reader(PATIENCE)
+        for number in range(5):
+            await publisher.publish({"data": str(number)})
+        await until(lambda: heard.latest is not None and heard.latest.data == "4")
+        assert [(await heard.next()).data for _ in range(2)] == ["3", "4"]
+        assert heard.dropped == 3
+        assert "2 messages were not read before newer ones came" in caplog.text
+
+
+async def test_a_typed_subscription_gives_values_of_its_class(scheme: str) -> None:
+    point = structs_of([read_message("geometry_msgs/msg/Point", SearchPath((), ()))])["Point"]
+    async with two_nodes(scheme) as (robot, planner):
+        heard = planner.subscribe("goal", point)
+        publisher = robot.publisher("goal", point)
+        await publisher.wait_for_reader(PATIENCE)
+        await publisher.publish(point(x=1.5))
+        assert await heard.next() == point(x=1.5)
+
+
+class Stray(msgspec.Struct):
+    a: int = 0
+
+
+class Foreign(msgspec.Struct):
+    __ros_type__ = STRING
+    text: str = ""
+
+
+async def test_wrong_types_names_and_fields_are_told_in_a_sentence(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, _):
+        publisher = robot.publisher("goal", "geometry_msgs/msg/Twist")
+        for wrong, text in (
+            ({"linear": {"x": "fast"}}, r"Expected `float`, got `str` - at `\$.linear.x`"),
+            ({"speed": 1.0}, "unknown field `speed`"),
+            (Stray(), "unknown field `a`"),
+        ):
+            with pytest.raises(ValueError, match=rf"/goal: not a geometry_msgs/Twist: .*{text}"):
+                await publisher.publish(wrong)
+        with pytest.raises(TransportError, match="geometry_msgs/msg/Twisted cannot be used"):
+            robot.subscribe("goal", "geometry_msgs/msg/Twisted")
+        with pytest.raises(TransportError, match="expected a type like 'std_msgs/msg/String'"):
+            robot.subscribe("goal", "geometry_msgs/Twist")
+        with pytest.raises(TransportError, match=r"expected std_srvs/srv/Set.srv in .*found none"):
+            await robot.call("reset", "std_srvs/srv/Set")
+        with pytest.raises(TypeError, match="is not made from a type of ROS"):
+            robot.subscribe("goal", Stray)
+        with pytest.raises(TypeError, match="does not have the fields of ROS"):
+            robot.subscribe("goal", Foreign)
+        with pytest.raises(ValueError, match=r"'fast' is not one of .*, nor one of default"):
+            robot.subscribe("goal", STRING, qos="fast")
+        with pytest.raises(ValueError, match="depth must be at least 1"):
+            robot.subscribe("goal", STRING, depth=0)
+
+
+async def test_a_closed_end_is_gone_from_the_graph_and_says_so(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        with planner.subscribe("chatter", STRING) as heard:
+            with robot.publisher("chatter", STRING) as publisher:
+                await publisher.wait_for_reader(PATIENCE)
+                await publisher.publish({"data": "last"})
+                await heard.next()
+                await until(heard.publisher_count)
+            await until(lambda: not heard.publisher_count())
+            with pytest.raises(anyio.ClosedResourceError):
+                await publisher.publish({"data": "later"})
+        assert [message async for message in heard] == []
+        with pytest.raises(anyio.ClosedResourceError):
+            await heard.next()
+
+
+async def test_an_iteration_ends_when_its_subscription_is_closed(scheme: str) -> None:
+    async with two_nodes(scheme) as (_, planner), anyio.create_task_group() as tasks:
+        heard = planner.subscribe("chatter", STRING)
+        found: list[Any] = []
+
+        async def read() -> None:
+            found.extend([message async for message in heard])
+
+        tasks.start_soon(read)
+        await anyio.wait_all_tasks_blocked()
+        heard.close()
+        heard.close()
+    assert found == []
+
+
+async def test_a_late_reader_gets_what_is_latched(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        latched = robot.publisher("map", STRING, qos="transient_local", depth=1)
+        with planner.subscribe("map", STRING) as early:
+            await latched.wait_for_reader(PATIENCE)
+            await latched.publish({"data": "old"})
+            await latched.publish({"data": "new"})
+            assert [(await early.next()).data for _ in range(2)] == ["old", "new"]
+        found = await planner.next("map", STRING, qos="transient_local", timeout=PATIENCE)
+        assert found.data == "new"
+
+
+async def test_what_keeps_messages_away_is_told(
+    scheme: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(subscription, "SILENCE", 0.01)
+    async with two_nodes(scheme) as (robot, planner):
+        with pytest.raises(TimeoutError, match=r"/nothing in 0.05 s: no node publishes it"):
+            await planner.next("nothing", STRING, timeout=0.05)
+        weak = robot.publisher("map", STRING)
+        wanted = planner.subscribe("map", STRING, qos="transient_local")
+        await until(lambda: weak.topic in planner.topics())
+        text = (
+            "robot offers volatile, and this subscription wants transient_local:"
+            " subscribe with qos='volatile'"
+        )
+        with pytest.raises(TimeoutError, match=text):
+            await wanted.next(0.05)
+        assert text in caplog.text
+        other = planner.subscribe("map", "std_msgs/msg/Int32")
+        with pytest.raises(TimeoutError, match="another version of std_msgs/msg/Int32"):
+            await other.next(0.05)
+        with pytest.raises(TimeoutError, match=r"nobody has subscribed to .*/alone in 0.05 s"):
+            await robot.publisher("alone", STRING).wait_for_reader(0.05)
+        silent = planner.subscribe("map", STRING)
+        await weak.wait_for_reader(PATIENCE)
+        with pytest.raises(TimeoutError, match="1 publishers are connected"):
+            await silent.next(0.05)
+
+
+async def test_a_service_is_called_once_and_answers_by_functions_of_both_kinds(
+    scheme: str,
+) -> None:
+    requests: list[bool] = []
+
+    async def reset(request: Any) -> dict[str, Any]:
+        requests.append(request.data)
+        return {"success": True, "message": "done"}
+
+    async with two_nodes(scheme) as (robot, planner):
+        with robot.serve_service("reset", BOOL, reset):
+            answer = await planner.call("reset", BOOL, {"data": True}, timeout=PATIENCE)
+            assert (answer.success, answer.message, requests) == (True, "done", [True])
+            again = await planner.call("reset", BOOL, timeout=PATIENCE)
+            assert (again.success, requests) == (True, [True, False])
+        with robot.serve_service("tell", BOOL, lambda request: None):
+            assert not (await planner.call("tell", BOOL, timeout=PATIENCE)).success
+
+
+async def test_a_call_that_has_no_answer_says_why(
+    scheme: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def never(request: Any) -> None:
+        await anyio.sleep_forever()
+
+    def wrong(request: Any) -> dict[str, Any]:
+        return {"successful": True}
+
+    async with two_nodes(scheme) as (robot, planner):
+        with pytest.raises(TimeoutError, match=r"/nowhere: there is no server in 0.05 s"):
+            await planner.call("nowhere", BOOL, timeout=0.05)
+        with pytest.raises(ValueError, match=r"/nowhere: not a std_srvs/SetBool_Request: .*`on`"):
+            await planner.call("nowhere", BOOL, {"on": True})
+        with robot.serve_service("slow", BOOL, never):
+            with pytest.raises(TimeoutError, match="the server has not answered in 2 s"):
+                await planner.call("slow", BOOL, timeout=2)
+        with robot.serve_service("wrong", BOOL, wrong):
+            assert not (await planner.call("wrong", BOOL, timeout=PATIENCE)).success
+        assert "a request failed: not a std_srvs/SetBool_Response" in caplog.text
+
+
+async def test_parameters_of_another_node_are_listed_read_set_and_refused(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        parameters = planner.parameters(robot.name, timeout=PATIENCE)
+        assert await parameters.list() == ["use_sim_time"]
+        assert await parameters.get() == {"use_sim_time": False}
+        assert await parameters.get("nothing") == {"nothing": None}
+        with pytest.raises(ValueError, match="there is no parameter 'speed'"):
+            await parameters.set({"speed": 1.0})
+        with pytest.raises(TypeError, match="cannot be a parameter"):
+            await parameters.set({"speed": [1, "a"]})  # type: ignore[dict-item]  # that is the test
+
+
+async def test_changes_of_parameters_are_watched(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        events = robot.publisher("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
+        changes = planner.parameters(robot.name).watch()
+        values: dict[str, Any] = {
+            "a": True,
+            "b": 1,
+            "c": 0.5,
+            "d": "x",
+            "e": b"y",
+            "f": [1, 2],
+            "g": [0.5],
+        }
+
+        async def tell() -> None:
+            await events.wait_for_reader(PATIENCE)
+            await events.publish({"node": "/another"})
+            changed = [{"name": name, "value": written(value)} for name, value in values.items()]
+            deleted = [{"name": "z"}]
+            await events.publish(
+                {
+                    "node": robot.name,
+                    "changed_parameters": changed,
+                    "deleted_parameters": deleted,
+                }
+            )
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(tell)
+            assert await anext(changes) == {**values, "z": None}
+        await changes.aclose()
+
+
+PART = "fibaction_test_msgs/msg/Part"
+
+
+async def test_a_type_without_a_file_is_learned_from_its_publisher(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        with pytest.raises(TimeoutError, match=r"no node has had the topic .*/part in 0.05 s"):
+            await planner.type_of("part", timeout=0.05)
+        publisher = robot.publisher("part", "fibaction_test_msgs/msg/Part")
+        monkeypatch.setenv("FIBACTION_SEARCH", "")
+        async with open_node(f"{scheme}stranger", arguments=[]) as stranger:
+            assert await stranger.type_of(publisher.topic, timeout=PATIENCE) == PART
+            assert await stranger.type_of(publisher.topic) == PART
+            heard = stranger.subscribe(publisher.topic, PART)
+            await publisher.wait_for_reader(PATIENCE)
+            await publisher.publish({})
+            assert type(await heard.next()).__name__ == "Part"
+
+
+async def test_the_node_serves_and_calls_actions_and_leaves_them_with_their_blocks(
+    scheme: str,
+) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        async with serve(ActionServer(FIBONACCI, fibonacci), robot) as url:
+            assert url[0].startswith(scheme.rstrip("/"))
+            async with connect(planner, FIBONACCI) as client:
+                assert await client.call(Goal(5)) == Result([0, 1, 1, 2, 3, 5])
+        feedback = robot.full_name("fibonacci/_action/feedback")
+        await until(lambda: feedback not in planner.topics())
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), robot),
+            connect(planner, FIBONACCI) as client,
+        ):
+            assert await client.call(Goal(5)) == Result([0, 1, 1, 2, 3, 5])
+
+
+async def test_other_addresses_are_no_nodes() -> None:
+    with pytest.raises(InvalidURL, match="a node of ROS is at ros2://, dds:// or zenoh://"):
+        async with open_node("tcp://127.0.0.1:1"):
+            pass
+
+
+async def test_a_transform_is_waited_for_and_interpolated(
+    scheme: str,
+) -> None:
+    def told(parent: str, child: str, x: float, second: int) -> dict[str, Any]:
+        header = {"frame_id": parent, "stamp": {"sec": second}}
+        transform = {"translation": {"x": x}, "rotation": {"w": 1.0}}
+        one = {"header": header, "child_frame_id": child, "transform": transform}
+        return {"transforms": [one]}
+
+    async with two_nodes(scheme) as (robot, planner):
+        static = robot.publisher("/tf_static", TF, qos="transient_local")
+        moving = robot.publisher("/tf", TF, depth=100)
+        with pytest.raises(TimeoutError, match=r"of base to map in 0.05 s: nothing is known of"):
+            await planner.transform("base", "map", timeout=0.05)
+        await static.publish(told("map", "odom", 1.0, 0))
+        await moving.wait_for_reader(PATIENCE)
+        await moving.publish(told("odom", "base", 1.0, 10))
+        await moving.publish(told("odom", "base", 3.0, 12))
+        assert (await planner.transform("base", "map", at=12)).x == 4.0
+        assert (await planner.transform("base", "map", at=11)).x == 3.0
+        assert (await planner.transform("map", "base")).x == -4.0

@@ -1,0 +1,77 @@
+"""The conversion between the messages of a node and the values that its user gives and gets."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+
+from fibaction.border.peer_text import excerpt
+from fibaction.types.action import Codec
+from fibaction.types.ros_classes import ros_type_of
+from fibaction.words.errors import ProtocolError
+from fibaction_transports.ros2.convert.conversion import RosCodec
+from fibaction_transports.ros2.convert.message_types import MessageKind, MessagePart
+from fibaction_transports.ros2.convert.schemas import UserSchema
+
+_ANYTHING: Final[Any] = Codec(Any)
+
+
+def type_name_of(given: str | type[Any]) -> str:
+    """Return the name of a type of ROS, which is given by this name or by a class made from it.
+
+    Raises:
+        TypeError: It is another class.
+    """
+    name = given if isinstance(given, str) else ros_type_of(given)
+    if not name:
+        raise TypeError(
+            f"{given!r} is not made from a type of ROS: give the type by its name, such as"
+            " 'geometry_msgs/msg/Twist', or a class that `fibaction gen` has written"
+        )
+    return name
+
+
+class MessageForm:
+    """The form of the messages of one end: the middleware's own, or values of a user's class."""
+
+    def __init__(self, kind: MessageKind, given: str | type[Any]) -> None:
+        """Describe it. With a name, users get the messages of the middleware, whose attributes are
+        the fields of ROS; with a class, values of that class.
+
+        Raises:
+            TypeError: The class does not have the fields of the type.
+        """
+        self._kind = kind
+        self._codec: Codec[Any] | None = None
+        schema = UserSchema(None)
+        if not isinstance(given, str) and given is not kind.cls:
+            self._codec = Codec(given)
+            schema = UserSchema(self._codec.schema())
+        problems: list[str] = []
+        part = kind.bind(schema, kind.text, problems)
+        if problems:
+            raise TypeError(f"{given!r} does not have the fields of ROS: {'; '.join(problems)}")
+        assert isinstance(part, MessagePart)
+        self._ros = RosCodec(part)
+
+    def to_ros(self, value: Any) -> Any:
+        """Return a value of the user as a message. Fields that a dict leaves out have ROS's
+        defaults.
+
+        Raises:
+            ValueError: It does not fit; the text names the field.
+        """
+        if self._codec is None and isinstance(value, self._kind.cls):  # type: ignore[arg-type]  # ROS's own are classes, too
+            return value
+        codec = _ANYTHING if self._codec is None or isinstance(value, dict) else self._codec
+        try:
+            return self._ros.to_ros(codec.encode(value))
+        except (ProtocolError, msgspec.MsgspecError, TypeError) as exc:
+            raise ValueError(f"not a {self._kind.text}: {excerpt(str(exc))}") from exc
+
+    def from_ros(self, message: Any) -> Any:
+        """Return a message as its user gets it."""
+        if self._codec is None:
+            return message
+        return self._codec.decode(self._ros.from_ros(message))

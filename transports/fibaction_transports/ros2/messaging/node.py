@@ -1,0 +1,252 @@
+"""`open_node`: one node in a graph of ROS, for actions, topics and services alike."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager, contextmanager
+from inspect import isawaitable
+from typing import Any, TypeVar, overload
+
+import anyio
+from anyio.abc import TaskGroup
+
+from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import Background
+from fibaction.border.urls import transport_for
+from fibaction.words.errors import InvalidURL
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
+from fibaction_transports.ros2.messaging.parameters import Parameters
+from fibaction_transports.ros2.messaging.publisher import LOOK_PAUSE, Publisher
+from fibaction_transports.ros2.messaging.services import CalledService, ServiceFunction
+from fibaction_transports.ros2.messaging.shared import PartsOfBlock
+from fibaction_transports.ros2.messaging.subscription import Subscription
+from fibaction_transports.ros2.messaging.transform_buffer import Transform
+from fibaction_transports.ros2.messaging.transforms import TransformReader
+from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
+from fibaction_transports.ros2.ros_transport import RosTransport
+from fibaction_transports.ros2.server.service_server import ServiceServers
+from fibaction_transports.ros2.settings import RosSettings
+
+T = TypeVar("T")
+
+DEPTH = 10
+"""Messages that wait for a slow reader, as in ROS."""
+
+
+class Node(RosTransport):
+    """A node in a graph of ROS: it subscribes and publishes, calls and serves services, and as an
+    address for `serve` and `connect` it serves and calls actions.
+
+    Names of topics and services are expanded and remapped as those of actions.
+    """
+
+    def __init__(self, ros: RosNode, settings: RosSettings, tasks: TaskGroup, scheme: str) -> None:
+        """Use an open node; `open_node` does it."""
+        super().__init__(_OpenNode(ros), settings)
+        self.scheme = scheme
+        self._ros = ros
+        self._transforms: TransformReader | None = None
+        self._callers: dict[tuple[str, str], CalledService] = {}
+        self._services = ServiceServers(ros, ros.full_name, qos.services(), tasks, Notifier())
+
+    @property
+    def name(self) -> str:
+        """The full name, for example `/robot/arm`."""
+        return self._ros.full_name
+
+    # Topics
+
+    @overload
+    def subscribe(
+        self, topic: str, type_: type[T], *, qos: str = "", depth: int = DEPTH
+    ) -> Subscription[T]: ...
+    @overload
+    def subscribe(
+        self, topic: str, type_: str, *, qos: str = "", depth: int = DEPTH
+    ) -> Subscription[Any]: ...
+    def subscribe(
+        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = DEPTH
+    ) -> Subscription[Any]:
+        """Subscribe to a topic, until the subscription is closed or the node.
+
+        Args:
+            topic: The name.
+            type_: The type, such as `nav_msgs/msg/Odometry`; or a class that is made from it, for
+                typed messages.
+            qos: `sensor_data`, or words of ROS with commas: `reliable` or `best_effort`, `volatile`
+                or `transient_local`.
+            depth: The messages that wait for a slow reader; then the oldest gives way.
+
+        Raises:
+            TransportError: The type is not known here, or ROS does not allow the name.
+            ValueError: The quality of service is not one of ROS.
+        """
+        return Subscription(*self._end(topic, type_, qos, depth))
+
+    def topics(self) -> dict[str, str]:
+        """Return the topics that are in the graph now, and the names of their types."""
+        return dict(self._ros.topics())
+
+    async def type_of(self, topic: str, *, timeout: float | None = None) -> str:
+        """Wait until a topic is in the graph, and return the name of its type, which other methods
+        know then: what has no file here is learned from the publishers, as far as they tell it.
+
+        Raises:
+            TimeoutError: No node has such a topic in the seconds of the timeout.
+            TransportError: The type is not known here, and no publisher tells it.
+        """
+        name = self._ros.resolve(topic)
+        with anyio.move_on_after(timeout):
+            while (found := self.topics().get(name)) is None:  # noqa: ASYNC110 - nothing tells of it
+                await anyio.sleep(LOOK_PAUSE)
+            await self._ros.learn_topic(name, found)
+            self._ros.types.topic_type(found)
+            return found
+        raise TimeoutError(f"no node has had the topic {name} in {timeout:g} s")
+
+    async def next(
+        self, topic: str, type_: str, *, qos: str = "", timeout: float | None = None
+    ) -> Any:
+        """Subscribe to a topic until its next message, and return that; see `Subscription.next`."""
+        with self.subscribe(topic, type_, qos=qos, depth=1) as messages:
+            return await messages.next(timeout)
+
+    @overload
+    def publisher(
+        self, topic: str, type_: type[T], *, qos: str = "", depth: int = DEPTH
+    ) -> Publisher[T]: ...
+    @overload
+    def publisher(
+        self, topic: str, type_: str, *, qos: str = "", depth: int = DEPTH
+    ) -> Publisher[Any]: ...
+    def publisher(
+        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = DEPTH
+    ) -> Publisher[Any]:
+        """Announce a publisher of a topic; the arguments and errors are those of `subscribe`.
+
+        With `qos="transient_local"`, the last `depth` messages are sent to readers that come later.
+        """
+        return Publisher(*self._end(topic, type_, qos, depth))
+
+    def _end(self, topic: str, type_: str | type[Any], words: str, depth: int) -> Any:
+        found = self._ros.types.topic_type(type_name_of(type_))
+        form = MessageForm(found.kind, type_)
+        return self._ros, self._ros.resolve(topic), found, form, qos.of_topic(words, depth)
+
+    async def transform(
+        self, frame: str, target: str, *, at: float | None = None, timeout: float | None = None
+    ) -> Transform:
+        """Return the pose of a frame in another one, from `/tf` and `/tf_static`: for example, that
+        of `base_link` in `map`. tf2 names the two the other way round.
+
+        `at` is a time in seconds, as in the stamps of messages; without it, the newest time counts
+        for which all frames between them are known. The call waits until the pose is known. The
+        topics are read from the first call on.
+
+        Raises:
+            TimeoutError: It was not known in the seconds of the timeout; the text says why.
+            TransportError: `tf2_msgs/msg/TFMessage` is not known here.
+        """
+        if self._transforms is None:
+            self._transforms = TransformReader(self._ros)
+        return await self._transforms.look_up(frame, target, at, timeout)
+
+    # Services, and parameters, which are services
+
+    def parameters(self, node: str, *, timeout: float | None = None) -> Parameters:
+        """Return the parameters of another node; each of its calls has this timeout, in seconds."""
+        return Parameters(self, node, timeout)
+
+    def full_name(self, name: str) -> str:
+        """Return a name in the graph, as this node expands and remaps it.
+
+        Raises:
+            TransportError: ROS does not allow it.
+        """
+        return self._ros.resolve(name)
+
+    async def call(
+        self, service: str, type_: str, request: Any = None, *, timeout: float | None = None
+    ) -> Any:
+        """Wait for a server of a service, send a request once, and return the answer.
+
+        `request` is a message, or a dict with its fields; without it, all have their defaults.
+
+        Raises:
+            TransportError: The type is not known here, or ROS does not allow the name.
+            ValueError: The request does not fit the type; the text names the field.
+            TimeoutError: There was no server, or no answer, in the seconds of the timeout.
+            ConnectionLost: The node, or the server, has gone.
+        """
+        name = self._ros.resolve(service)
+        caller = self._callers.get((name, type_))
+        if caller is None:
+            caller = CalledService(self._ros, name, self._ros.types.called_type(type_))
+            self._callers[name, type_] = caller
+        return await caller.call(request, timeout)
+
+    @contextmanager
+    def serve_service(
+        self, service: str, type_: str, answer: ServiceFunction
+    ) -> Generator[None, None, None]:
+        """Serve a service while the block is open.
+
+        `answer` is a function, async or not, that takes the request, and returns the answer or a
+        dict with its fields. If it raises, the answer has the defaults of ROS, and the log tells
+        the error.
+
+        Raises:
+            TransportError: The type is not known here, or ROS does not allow the name.
+        """
+        called = self._ros.types.called_type(type_)
+        form = MessageForm(called.response, called.response.text)
+
+        async def answered(request: Any) -> Any:
+            response = answer(request)
+            if isawaitable(response):
+                response = await response
+            return form.to_ros({} if response is None else response)
+
+        part = self._services.serve(self._ros.resolve(service), called.service, answered)
+        try:
+            yield
+        finally:
+            self._ros.remove(part)
+
+
+class _OpenNode(RosAdapter):
+    """The way to a graph through a node that is open already."""
+
+    def __init__(self, ros: RosNode) -> None:
+        self.types = ros.types
+        self._ros = ros
+
+    @asynccontextmanager
+    async def open(self) -> AsyncGenerator[RosNode, None]:
+        with PartsOfBlock(self._ros) as block:
+            yield block
+
+
+@asynccontextmanager
+async def open_node(where: str | RosTransport, **settings: Any) -> AsyncGenerator[Node, None]:
+    """Open a node in a graph of ROS, for as long as the block lasts.
+
+    `where` is a URL of `ros2://`, `dds://` or `zenoh://` with the name of the node, or a transport
+    of these; `settings` are those of the transport.
+
+        async with open_node("dds://drive_base") as node:
+            command = node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+            async for odometry in node.subscribe("/odom", "nav_msgs/msg/Odometry"):
+                await command.publish({"linear": {"x": 0.2}})
+
+    Raises:
+        InvalidURL: The URL is malformed, or is not one of ROS.
+        TransportError: ROS does not allow such a node, or it cannot be made.
+        TypeError: There is no such setting.
+    """
+    transport = transport_for(where, **settings)
+    if not isinstance(transport, RosTransport):
+        raise InvalidURL(f"{where}: a node of ROS is at ros2://, dds:// or zenoh://")
+    async with transport.open_ros() as ros, Background() as tasks:
+        yield Node(ros, transport.settings, tasks, transport.scheme)

@@ -1,0 +1,103 @@
+"""Services: a client that sends each request once, and a server."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import anyio
+
+from fibaction.border.abc import Notifier
+from fibaction.words.errors import ConnectionLost, ServerNotFound
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.messaging.forms import MessageForm
+from fibaction_transports.ros2.node.ros_node import CalledType, RosNode
+
+LOOK_PAUSE: Final = 0.02
+"""Seconds between two looks for a server, of which the graph does not tell."""
+AT_ONCE: Final = 8
+"""Requests of one client that may wait for their answers: the queues of rclpy and rclcpp hold 10.
+"""
+
+ServiceFunction: TypeAlias = Callable[[Any], Any | Awaitable[Any]]
+"""A function that takes a request and returns the answer, or a dict with its fields."""
+
+
+class _Answer(NamedTuple):
+    """What has become of a request."""
+
+    response: Any
+    error: Exception | None = None
+
+
+class CalledService:
+    """A client of one service."""
+
+    def __init__(self, ros: RosNode, service: str, called: CalledType) -> None:
+        self._ros = ros
+        self._service = service
+        self._request = MessageForm(called.request, called.request.text)
+        self._news = Notifier()
+        self._turns = anyio.Semaphore(AT_ONCE, fast_acquire=True)
+        self._answers: dict[int, _Answer | None] = {}
+        """The requests that are waited for, with what has become of them."""
+        self._part = ros.caller(
+            service,
+            called.service,
+            qos.services(),
+            lambda number, response: self._settle(number, _Answer(response)),
+            self._fail_all,
+            lambda number: self._settle(number, _Answer(None, _unanswered(service))),
+        )
+        ros.on_loss(self._fail_all)
+
+    def _settle(self, number: int, answer: _Answer) -> None:
+        if number in self._answers:
+            self._answers[number] = answer
+            self._news.notify()
+
+    def _fail_all(self, error: Exception) -> None:
+        for number in self._answers:
+            self._answers[number] = _Answer(None, error)
+        self._news.notify()
+
+    async def call(self, request: Any, timeout: float | None) -> Any:
+        """Wait for a server, send a request once, and return the answer.
+
+        Raises:
+            ValueError: The request does not fit its type.
+            TimeoutError: There was no server, or no answer, in time; the text says which.
+            ConnectionLost: The node, or the server, has gone.
+        """
+        try:
+            message = self._request.to_ros({} if request is None else request)
+        except ValueError as exc:
+            raise ValueError(f"{self._service}: {exc}") from exc
+        is_sent = False
+        with anyio.move_on_after(timeout):
+            async with self._turns:
+                while not self._part.is_available():
+                    if self._ros.error is not None:
+                        raise ConnectionLost(str(self._ros.error))
+                    await anyio.sleep(LOOK_PAUSE)
+                number = self._part.send(message)
+                is_sent = True
+                return await self._answer(number)
+        what = "the server has not answered" if is_sent else "there is no server"
+        raise TimeoutError(f"{self._service}: {what} in {timeout:g} s")
+
+    async def _answer(self, number: int) -> Any:
+        self._answers[number] = None
+        try:
+            while (answer := self._answers[number]) is None:
+                await self._news.wait()
+        finally:
+            del self._answers[number]
+            self._part.forget(number)
+        if answer.error is not None:
+            raise ConnectionLost(f"{self._service}: {answer.error}") from answer.error
+        return answer.response
+
+
+def _unanswered(service: str) -> Exception:
+    return ServerNotFound(f"the server of {service} has gone, or has thrown the request away")

@@ -1,0 +1,171 @@
+"""A subscription to a topic, as an async iterator with a bounded queue."""
+
+from __future__ import annotations
+
+from collections import deque
+from types import TracebackType
+from typing import Final, Generic, Self, TypeVar
+
+import anyio
+
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.words.errors import ProtocolError
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.messaging.forms import MessageForm
+from fibaction_transports.ros2.node.parts import TopicSubscription
+from fibaction_transports.ros2.node.ros_node import RosNode, TopicType
+from fibaction_transports.ros2.qos import EndQos
+
+SILENCE: Final = 5.0
+"""Seconds without a first message after which the log tells what does not match, if something does
+not."""
+
+T = TypeVar("T")
+
+logger = clean_logger("fibaction.ros2")
+
+
+class Subscription(Generic[T]):
+    """The messages of a topic, in the order in which they arrive.
+
+    It is an async iterator, and ends when it is closed, or with its node. A reader that is slower
+    than the topic gets the newest messages; those that it has missed are counted. If several tasks
+    read one subscription, each message goes to one of them.
+    """
+
+    def __init__(
+        self, ros: RosNode, topic: str, topic_type: TopicType, form: MessageForm, qos: EndQos
+    ) -> None:
+        """Subscribe; `Node.subscribe` does it."""
+        self.topic = topic
+        """The full name of the topic."""
+        self.dropped = 0
+        """Messages that no one has read before newer ones took their places."""
+        self._ros = ros
+        self._type = topic_type.message
+        self._form = form
+        self._qos = qos
+        self._queue: deque[bytes] = deque(maxlen=qos.depth)
+        self._newest: bytes | None = None
+        self._news = Notifier()
+        self._is_closed = False
+        self._is_explained = False
+        self._part: TopicSubscription = ros.subscription(topic, self._type, qos, self._take)
+        self._forget = ros.on_loss(lambda error: self._news.notify())
+
+    def _take(self, message: bytes, publisher: bytes) -> None:
+        if len(self._queue) == self._qos.depth:
+            self.dropped += 1
+            if self.dropped & (self.dropped - 1) == 0:  # 1, 2, 4, 8 and so on
+                logger.info(
+                    "%s: %d messages were not read before newer ones came", self.topic, self.dropped
+                )
+        self._queue.append(message)
+        self._newest = message
+        self._news.notify()
+
+    @property
+    def latest(self) -> T | None:
+        """The newest message that has arrived, whether it has been read or not; None before the
+        first one.
+        """
+        return None if self._newest is None else self._read(self._newest)
+
+    def publisher_count(self) -> int:
+        """Return the number of publishers that are connected."""
+        return self._part.publisher_count()
+
+    async def next(self, timeout: float | None = None) -> T:
+        """Wait for the next message that has not been read; for ever without a timeout in seconds.
+
+        Raises:
+            TimeoutError: There was none in time; the text says what may be wrong.
+            ConnectionLost: The node can receive nothing any more.
+            anyio.ClosedResourceError: The subscription was closed.
+        """
+        with anyio.move_on_after(timeout):
+            return await self._next()
+        reason = self._explanation() or f"{self._part.publisher_count()} publishers are connected"
+        raise TimeoutError(f"nothing arrived on {self.topic} in {timeout:g} s: {reason}")
+
+    async def _next(self) -> T:
+        while True:
+            if self._queue:
+                try:
+                    return self._read(self._queue.popleft())
+                except ProtocolError as exc:
+                    logger.error(
+                        "a message on %s cannot be read: %s", self.topic, excerpt(str(exc))
+                    )
+                    continue
+            if self._is_closed:
+                raise anyio.ClosedResourceError
+            if self._ros.error is not None:
+                raise type(self._ros.error)(str(self._ros.error))
+            await self._wait()
+
+    async def _wait(self) -> None:
+        if self._newest is None and not self._is_explained:
+            with anyio.move_on_after(SILENCE):
+                return await self._news.wait()
+            self._is_explained = True
+            reason = self._explanation()
+            if reason:
+                self._ros.warn(f"nothing arrives on {self.topic}: {reason}")
+        return await self._news.wait()
+
+    def _read(self, message: bytes) -> T:
+        value: T = self._form.from_ros(self._ros.types.decode(message, self._type))
+        return value
+
+    def _explanation(self) -> str:
+        """Return what keeps messages away; empty if nothing is known to."""
+        ends = self._ros.publishers(self.topic)
+        if not ends:
+            return "no node publishes it"
+        for end in ends:
+            policies = qos.unmet(end.qos, self._qos)
+            if policies:
+                offers, wants = (
+                    ", ".join(getattr(one, policy) for policy in policies)
+                    for one in (end.qos, self._qos)
+                )
+                return (
+                    f"{end.node or 'a node'} offers {offers}, and this subscription wants {wants}:"
+                    f" subscribe with qos={offers.replace(' ', '')!r}"
+                )
+        version = self._ros.types.version(self._type)
+        theirs = {end.type_hash for end in ends}
+        if version is not None and "" not in theirs and version.type_hash not in theirs:
+            return f"its publishers have another version of {version.type_name}"
+        return ""
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        try:
+            return await self._next()
+        except anyio.ClosedResourceError:
+            raise StopAsyncIteration from None
+
+    def close(self) -> None:
+        """End the subscription. Closing twice does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._queue.clear()
+            self._forget()
+            self._ros.remove(self._part)
+            self._news.notify()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
