@@ -36,7 +36,7 @@ from fibaction.wire.link import PING, Link
 from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session
-from fibaction.wire.server.subscriptions import Subscription
+from fibaction.wire.server.subscriptions import WireSubscription
 from fibaction.words.goals import GoalID, GoalInfo, digest_of
 from fibaction.words.statuses import GoalStatus
 
@@ -218,8 +218,8 @@ async def an_orphan_is_never_ended(real: Any, self: Owners, *_: Any) -> Any:
     """Keep the goals of a client that does not come back for ever."""
 
 
-@mistake(Subscription, "add", 30, 14, 8)
-def credit_counts_twice(real: Any, self: Subscription, count: int) -> Any:
+@mistake(WireSubscription, "add", 30, 14, 8)
+def credit_counts_twice(real: Any, self: WireSubscription, count: int) -> Any:
     """Send a client more than its credit allows."""
     real(self, 2 * count)
 

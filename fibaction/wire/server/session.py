@@ -70,7 +70,7 @@ from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.requests import Answer, Request, RequestHandlers
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.server.session_goals import GoalMessage, SessionGoals, too_much
-from fibaction.wire.server.subscriptions import RequestSubscription, Subscription
+from fibaction.wire.server.subscriptions import RequestSubscription, WireSubscription
 from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import (
     ActionError,
@@ -185,7 +185,7 @@ class Session:
         welcome = Welcome(VERSION, self._settings.heartbeat, limits.frame, longest)
         self._link.post(encode(welcome))
 
-    def _subscription(self, request: int) -> Subscription | None:
+    def _subscription(self, request: int) -> WireSubscription | None:
         return self._goals.open.get(request) or self._waiting.get(request)
 
     def _admits(self, message: GoalMessage | Request, limit: str) -> bool:

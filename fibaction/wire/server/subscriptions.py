@@ -56,7 +56,7 @@ of large ones fewer are sent, so that they have about the size of a write."""
 logger = clean_logger("fibaction.wire")
 
 
-class Subscription:
+class WireSubscription:
     """One request, and its credit: the number of messages that the client still accepts."""
 
     __slots__ = ("closed", "credit", "request")
@@ -76,7 +76,7 @@ class Subscription:
         self.closed = True
 
 
-class RequestSubscription(Subscription):
+class RequestSubscription(WireSubscription):
     """A request that a task works on."""
 
     __slots__ = ("_more", "_stop")
@@ -133,7 +133,7 @@ class HeldGoals:
             self.wait.cancel()
 
 
-class GoalSubscription(Subscription):
+class GoalSubscription(WireSubscription):
     """One goal that the client follows; calls `ready` when `next_frames` has something to send."""
 
     __slots__ = (

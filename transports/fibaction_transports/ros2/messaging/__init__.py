@@ -1,4 +1,4 @@
-"""What an executor needs of its robot beside actions: topics and services of one node.
+"""Topics, services, parameters and transforms, which executors and clients need beside actions.
 
 `open_node` is the way in. Everything here goes through `RosNode`, so it is the same over rclpy, DDS
 and Zenoh.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Generator
 from contextlib import asynccontextmanager, contextmanager
 from inspect import isawaitable
-from typing import Any, TypeVar, overload
+from typing import Any, Final, TypeVar, overload
 
 import anyio
 from anyio.abc import TaskGroup
@@ -16,7 +16,7 @@ from fibaction.border.urls import transport_for
 from fibaction.words.errors import InvalidURL
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
-from fibaction_transports.ros2.messaging.parameters import Parameters
+from fibaction_transports.ros2.messaging.parameters import RemoteParameters
 from fibaction_transports.ros2.messaging.publisher import LOOK_PAUSE, Publisher
 from fibaction_transports.ros2.messaging.services import CalledService, ServiceFunction
 from fibaction_transports.ros2.messaging.shared import PartsOfBlock
@@ -30,7 +30,7 @@ from fibaction_transports.ros2.settings import RosSettings
 
 T = TypeVar("T")
 
-DEPTH = 10
+QUEUE: Final = 10
 """Messages that wait for a slow reader, as in ROS."""
 
 
@@ -59,14 +59,14 @@ class Node(RosTransport):
 
     @overload
     def subscribe(
-        self, topic: str, type_: type[T], *, qos: str = "", depth: int = DEPTH
+        self, topic: str, type_: type[T], *, qos: str = "", depth: int = QUEUE
     ) -> Subscription[T]: ...
     @overload
     def subscribe(
-        self, topic: str, type_: str, *, qos: str = "", depth: int = DEPTH
+        self, topic: str, type_: str, *, qos: str = "", depth: int = QUEUE
     ) -> Subscription[Any]: ...
     def subscribe(
-        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = DEPTH
+        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = QUEUE
     ) -> Subscription[Any]:
         """Subscribe to a topic, until the subscription is closed or the node.
 
@@ -114,14 +114,14 @@ class Node(RosTransport):
 
     @overload
     def publisher(
-        self, topic: str, type_: type[T], *, qos: str = "", depth: int = DEPTH
+        self, topic: str, type_: type[T], *, qos: str = "", depth: int = QUEUE
     ) -> Publisher[T]: ...
     @overload
     def publisher(
-        self, topic: str, type_: str, *, qos: str = "", depth: int = DEPTH
+        self, topic: str, type_: str, *, qos: str = "", depth: int = QUEUE
     ) -> Publisher[Any]: ...
     def publisher(
-        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = DEPTH
+        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = QUEUE
     ) -> Publisher[Any]:
         """Announce a publisher of a topic; the arguments and errors are those of `subscribe`.
 
@@ -138,7 +138,7 @@ class Node(RosTransport):
         self, frame: str, target: str, *, at: float | None = None, timeout: float | None = None
     ) -> Transform:
         """Return the pose of a frame in another one, from `/tf` and `/tf_static`: for example, that
-        of `base_link` in `map`. tf2 names the two the other way round.
+        of `"base_link"` in `"map"`. tf2 names the two the other way round.
 
         `at` is a time in seconds, as in the stamps of messages; without it, the newest time counts
         for which all frames between them are known. The call waits until the pose is known. The
@@ -154,9 +154,9 @@ class Node(RosTransport):
 
     # Services, and parameters, which are services
 
-    def parameters(self, node: str, *, timeout: float | None = None) -> Parameters:
+    def parameters(self, node: str, *, timeout: float | None = None) -> RemoteParameters:
         """Return the parameters of another node; each of its calls has this timeout, in seconds."""
-        return Parameters(self, node, timeout)
+        return RemoteParameters(self, node, timeout)
 
     def full_name(self, name: str) -> str:
         """Return a name in the graph, as this node expands and remaps it.

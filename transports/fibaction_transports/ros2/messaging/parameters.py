@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Mapping
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias
 
-if TYPE_CHECKING:
-    from fibaction_transports.ros2.messaging.node import Node
+from fibaction_transports.ros2.messaging.subscription import Subscription
 
 ParameterValue: TypeAlias = (
     bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str] | None
@@ -33,13 +32,25 @@ _NUMBERS: Final = {bool: 1, int: 2, float: 3, str: 4}
 _ARRAYS: Final = {bool: 6, int: 7, float: 8, str: 9}
 
 
-class Parameters:
+class CallingNode(Protocol):
+    """The node that asks: see `Node`."""
+
+    def full_name(self, name: str) -> str: ...
+
+    def subscribe(self, topic: str, type_: str, *, depth: int) -> Subscription[Any]: ...
+
+    async def call(
+        self, service: str, type_: str, request: Any, *, timeout: float | None
+    ) -> Any: ...
+
+
+class RemoteParameters:
     """The parameters of a node, by its full name.
 
     Each method waits for the node, and raises what `Node.call` raises.
     """
 
-    def __init__(self, node: Node, of: str, timeout: float | None) -> None:
+    def __init__(self, node: CallingNode, of: str, timeout: float | None) -> None:
         self._node = node
         self._of = node.full_name(of)
         self._timeout = timeout

@@ -24,7 +24,7 @@ ServiceFunction: TypeAlias = Callable[[Any], Any | Awaitable[Any]]
 
 
 class _Answer(NamedTuple):
-    """What has become of a request."""
+    """The outcome of a request."""
 
     response: Any
     error: Exception | None = None
