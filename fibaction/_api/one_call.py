@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Concatenate, TypeVar, Unpack, overload
 
 from fibaction._api.connections import check_is_action, connect
 from fibaction.border.abc import Transport
@@ -49,6 +49,16 @@ async def call(
 async def call(
     where: str | Transport,
     action: TakesOne[OneT, FeedbackT, ResultT],
+    first: OneT,
+    /,
+    **options: Unpack[OneCallOptions[FeedbackT]],
+) -> ResultT: ...
+
+
+@overload
+async def call(
+    where: str | Transport,
+    action: FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, Any],
     first: OneT,
     /,
     **options: Unpack[OneCallOptions[FeedbackT]],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, TypeVar, Unpack, overload
 
 import fibaction._api
 from fibaction._api import ClientConnection, check_is_action, goal_and_connection
@@ -142,6 +142,16 @@ def call(
 def call(
     where: str | Transport,
     action: TakesOne[OneT, FeedbackT, ResultT],
+    first: OneT,
+    /,
+    **options: Unpack[BlockingOneCallOptions[FeedbackT]],
+) -> ResultT: ...
+
+
+@overload
+def call(
+    where: str | Transport,
+    action: FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, Any],
     first: OneT,
     /,
     **options: Unpack[BlockingOneCallOptions[FeedbackT]],

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator, Sequence
-from typing import Any, Generic, TypeAlias, TypedDict, TypeVar, Unpack, cast, overload
+from typing import Any, Concatenate, Generic, TypeAlias, TypedDict, TypeVar, Unpack, cast, overload
 
 import anyio
 import msgspec
@@ -51,6 +51,13 @@ async def run_executor(
 @overload
 async def run_executor(
     action: TakesOne[OneT, FeedbackT, ResultT], first: OneT, /, **options: Unpack[TrialOptions]
+) -> Trial[FeedbackT, ResultT]: ...
+@overload
+async def run_executor(
+    action: FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, Any],
+    first: OneT,
+    /,
+    **options: Unpack[TrialOptions],
 ) -> Trial[FeedbackT, ResultT]: ...
 @overload
 async def run_executor(

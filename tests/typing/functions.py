@@ -4,8 +4,9 @@ read it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import AsyncIterator, Coroutine
-from typing import Any, assert_type
+from typing import Any, Literal, TypedDict, assert_type
 
 import msgspec
 
@@ -29,6 +30,10 @@ from fibaction.testing import Trial, run_executor
 
 class Pose(msgspec.Struct):
     x: float
+
+
+class Cup(TypedDict):
+    size: int
 
 
 @action
@@ -61,7 +66,7 @@ async def move(goal: GoalHandle[Pose], report: Report[Pose]) -> Pose:
 
 
 @action
-async def turn(report: Report[int], goal: GoalHandle[None], angle: float) -> str:
+async def turn(report: Report[int], goal: GoalHandle[object], angle: float) -> str:
     return str(goal.goal_id)
 
 
@@ -90,7 +95,7 @@ def press(report: Report[int], meters: int) -> str:
 
 
 @action
-def weigh(goal: GoalHandle[None], what: str) -> float:
+def weigh(goal: GoalHandle[object], what: str) -> float:
     goal.check()
     return 1.0
 
@@ -99,7 +104,81 @@ def weigh(goal: GoalHandle[None], what: str) -> float:
 def stop() -> None: ...
 
 
+@action
+async def turn_to(side: Literal["left", "right"], speed: float = 1.0) -> str:
+    return side
+
+
+@action
+async def total(numbers: list[float]) -> float:
+    return sum(numbers)
+
+
+@action
+async def fill(report: Report[int], cup: Cup) -> str:
+    return ""
+
+
+@action
+async def four(a: int, b: str, c: float, d: bool, report: Report[int]) -> str:
+    return b
+
+
+@action
+async def ready(goal: GoalHandle[None]) -> int:
+    return goal.attempt
+
+
+@action
+async def ready_soon(report: Report[int], goal: GoalHandle[None]) -> int:
+    return goal.attempt
+
+
+@action
+async def look_at(report: Report[int], goal: GoalHandle[Pose]) -> int:
+    return int(goal.request.x)
+
+
+@action
+async def slow(report: Report[int], goal: GoalHandle[object], x: int, y: float = 1.0) -> str:
+    return ""
+
+
+@action
+async def slow_last(x: int, goal: GoalHandle[object], report: Report[int]) -> str:
+    return ""
+
+
+@action
+def wait_ready(goal: GoalHandle[None]) -> int:
+    return goal.attempt
+
+
 class Robot:
+    @action
+    async def of_request(self, goal: GoalHandle[Pose]) -> Pose:
+        return goal.request
+
+    @action
+    async def of_none(self, goal: GoalHandle[None]) -> str:
+        return ""
+
+    @action
+    async def of_request_last(self, report: Report[int], goal: GoalHandle[Pose]) -> str:
+        return ""
+
+    @action
+    async def of_none_last(self, report: Report[int], goal: GoalHandle[None]) -> str:
+        return ""
+
+    @action
+    async def with_handle(self, report: Report[int], goal: GoalHandle[object], x: int) -> str:
+        return ""
+
+    @action
+    async def without_report(self, goal: GoalHandle[object], x: int) -> str:
+        return ""
+
     @action
     async def move(self, report: Report[float], x: float) -> str:
         return "moved"
@@ -127,6 +206,7 @@ assert_type(move, FunctionAction[[Pose], Pose, Pose, Coroutine[Any, Any, Pose]])
 assert_type(wait, FunctionAction[[float], None, None, Coroutine[Any, Any, None]])
 assert_type(pick, FunctionAction[[str, float], int, list[float], Coroutine[Any, Any, list[float]]])
 assert_type(stop, FunctionAction[[], None, None, None])
+of_a_part = action(functools.partial(drive, speed=2.0))
 of_a_method = action("drive")(Robot().drive)
 an_action_too: Action[Any, int, str] = of_a_method
 
@@ -174,6 +254,29 @@ async def calls() -> None:
     assert_type(await call("inproc://a", Robot.halt, timeout=3), int)
     assert_type(await call("inproc://a", Robot.drive_last, 3), str)
     assert_type(await Robot().move(3.0), str)
+    assert_type(await call("inproc://a", turn_to, "left"), str)
+    assert_type(await call("inproc://a", turn_to, turn_to.goal_of("left"), timeout=3), str)
+    assert_type(await call("inproc://a", total, [1, 2]), float)
+    assert_type(await call("inproc://a", fill, {"size": 3}), str)
+    assert_type(await call("inproc://a", four, 1, "a", 1.0, True), str)
+    assert_type(await call("inproc://a", ready), int)
+    assert_type(await call("inproc://a", ready, timeout=3), int)
+    assert_type(await call("inproc://a", ready_soon, timeout=3), int)
+    assert_type(await call("inproc://a", wait_ready, timeout=3), int)
+    assert_type(await call("inproc://a", look_at, Pose(1), timeout=3), int)
+    assert_type(await call("inproc://a", slow, 3, y=2.0), str)
+    assert_type(await call("inproc://a", slow_last, 3), str)
+    assert_type(await call("inproc://a", Robot.of_request, Pose(1)), Pose)
+    assert_type(await call("inproc://a", Robot.of_none), str)
+    assert_type(await call("inproc://a", Robot.of_request_last, Pose(1)), str)
+    assert_type(await call("inproc://a", Robot.of_none_last), str)
+    assert_type(await call("inproc://a", Robot.with_handle, x=1), str)
+    assert_type(await call("inproc://a", Robot.without_report, x=1), str)
+    await call("inproc://a", of_a_part, 3)
+    # mypy is wrong here: see docs/howto/types.md.
+    await call("inproc://a", turn_to, "left", timeout=3)  # type: ignore[call-arg]
+    await call("inproc://a", total, [1, 2], timeout=3)  # type: ignore[call-arg]
+    await call("inproc://a", fill, {"size": 3}, timeout=3)  # type: ignore[call-arg]
     assert_type(await drive(3, report=print), str)
     assert_type(press(3), str)
 

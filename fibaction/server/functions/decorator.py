@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Coroutine
+from functools import partial
 from types import FrameType
 from typing import Any, Concatenate, TypeAlias, TypeVar, overload
 
@@ -18,10 +19,11 @@ from fibaction.types.arguments import P
 OneT = TypeVar("OneT")
 OtherT = TypeVar("OtherT")
 ThirdT = TypeVar("ThirdT")
+SelfT = TypeVar("SelfT")
+FourthT = TypeVar("FourthT")
 
 Async: TypeAlias = Coroutine[Any, Any, ResultT]
 """The value of a call of an async function."""
-HandledT = TypeVar("HandledT")
 
 
 class ActionDecorator:
@@ -36,55 +38,87 @@ class ActionDecorator:
 
     # For type checkers. An order from the special to the general: a parameter of any type may be a
     # report or a handle, and what an async function returns may be the result of another one. That
-    # is the overlap which mypy would report; the first that fits is the right one. Python's types
-    # can leave out only the first parameters of a function, so the others keep their names behind
-    # a report that is the first, or the second one of a method; with a report at the end, they are
-    # known by their places.
+    # is the overlap which mypy would report; the first that fits is the right one. A partial
+    # function fits all of them for mypy. Python's types can leave out only the first parameters of
+    # a function, so the others keep their names behind a report that is the first, or the second
+    # one of a method; with a report at the end, they are known by their places.
 
     @overload
     def __call__(
         self, function: str = "", *, checkpoint: type[Any] | None = None, type_name: str = ""
     ) -> ActionDecorator: ...
     @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[GoalHandle[OneT], Report[FeedbackT]], Async[ResultT]]
-    ) -> FunctionAction[[OneT], FeedbackT, ResultT, Async[ResultT]]: ...
+    def __call__(
+        self, function: partial[Async[ResultT]]
+    ) -> FunctionAction[..., Any, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[GoalHandle[None]], Async[ResultT]]
+    ) -> FunctionAction[[], None, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(
         self, function: Callable[[GoalHandle[OneT]], Async[ResultT]]
     ) -> FunctionAction[[OneT], None, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[Report[FeedbackT], GoalHandle[None]], Async[ResultT]]
+    ) -> FunctionAction[[], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
         self,
-        function: Callable[Concatenate[Report[FeedbackT], GoalHandle[HandledT], P], Async[ResultT]],
+        function: Callable[Concatenate[Report[FeedbackT], GoalHandle[object], P], Async[ResultT]],
     ) -> FunctionAction[P, FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[Report[FeedbackT], GoalHandle[OneT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[GoalHandle[OneT], Report[FeedbackT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
         self, function: Callable[Concatenate[Report[FeedbackT], P], Async[ResultT]]
     ) -> FunctionAction[P, FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[Concatenate[GoalHandle[HandledT], P], Async[ResultT]]
+    def __call__(  # type: ignore[overload-cannot-match, overload-overlap]
+        self, function: Callable[Concatenate[GoalHandle[object], P], Async[ResultT]]
     ) -> FunctionAction[P, None, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[SelfT, GoalHandle[None]], Async[ResultT]]
+    ) -> FunctionAction[[SelfT], None, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[SelfT, GoalHandle[object], Report[FeedbackT]], Async[ResultT]]
+    ) -> FunctionAction[[SelfT], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[SelfT, GoalHandle[object], P], Async[ResultT]]
+    ) -> FunctionAction[Concatenate[SelfT, P], None, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[SelfT, GoalHandle[OneT]], Async[ResultT]]
+    ) -> FunctionAction[[SelfT, OneT], None, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[SelfT, Report[FeedbackT], GoalHandle[None]], Async[ResultT]]
+    ) -> FunctionAction[[SelfT], FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
         self,
         function: Callable[
-            Concatenate[OneT, Report[FeedbackT], GoalHandle[HandledT], P], Async[ResultT]
+            Concatenate[SelfT, Report[FeedbackT], GoalHandle[object], P], Async[ResultT]
         ],
-    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, Async[ResultT]]: ...
+    ) -> FunctionAction[Concatenate[SelfT, P], FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[Concatenate[OneT, Report[FeedbackT], P], Async[ResultT]]
-    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, Async[ResultT]]: ...
+        self, function: Callable[[SelfT, Report[FeedbackT], GoalHandle[OneT]], Async[ResultT]]
+    ) -> FunctionAction[[SelfT, OneT], FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[[OneT, GoalHandle[HandledT], Report[FeedbackT]], Async[ResultT]]
-    ) -> FunctionAction[[OneT], FeedbackT, ResultT, Async[ResultT]]: ...
-    @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[Concatenate[OneT, GoalHandle[HandledT], P], Async[ResultT]]
-    ) -> FunctionAction[Concatenate[OneT, P], None, ResultT, Async[ResultT]]: ...
+        self, function: Callable[Concatenate[SelfT, Report[FeedbackT], P], Async[ResultT]]
+    ) -> FunctionAction[Concatenate[SelfT, P], FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
         self, function: Callable[[OneT, OtherT, Report[FeedbackT]], Async[ResultT]]
@@ -95,45 +129,81 @@ class ActionDecorator:
     ) -> FunctionAction[[OneT, OtherT, ThirdT], FeedbackT, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[[OneT, OtherT, ThirdT, FourthT, Report[FeedbackT]], Async[ResultT]]
+    ) -> FunctionAction[[OneT, OtherT, ThirdT, FourthT], FeedbackT, ResultT, Async[ResultT]]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
         self, function: Callable[P, Async[ResultT]]
     ) -> FunctionAction[P, None, ResultT, Async[ResultT]]: ...
     @overload
     def __call__(
-        self, function: Callable[[GoalHandle[OneT], Report[FeedbackT]], ResultT]
-    ) -> FunctionAction[[OneT], FeedbackT, ResultT, ResultT]: ...
+        self, function: partial[ResultT]
+    ) -> FunctionAction[..., Any, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[GoalHandle[None]], ResultT]
+    ) -> FunctionAction[[], None, ResultT, ResultT]: ...
     @overload
     def __call__(
         self, function: Callable[[GoalHandle[OneT]], ResultT]
     ) -> FunctionAction[[OneT], None, ResultT, ResultT]: ...
     @overload
+    def __call__(
+        self, function: Callable[[Report[FeedbackT], GoalHandle[None]], ResultT]
+    ) -> FunctionAction[[], FeedbackT, ResultT, ResultT]: ...
+    @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[Concatenate[Report[FeedbackT], GoalHandle[HandledT], P], ResultT]
+        self, function: Callable[Concatenate[Report[FeedbackT], GoalHandle[object], P], ResultT]
     ) -> FunctionAction[P, FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[Report[FeedbackT], GoalHandle[OneT]], ResultT]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[GoalHandle[OneT], Report[FeedbackT]], ResultT]
+    ) -> FunctionAction[[OneT], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
         self, function: Callable[Concatenate[Report[FeedbackT], P], ResultT]
     ) -> FunctionAction[P, FeedbackT, ResultT, ResultT]: ...
     @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[Concatenate[GoalHandle[HandledT], P], ResultT]
+    def __call__(  # type: ignore[overload-cannot-match, overload-overlap]
+        self, function: Callable[Concatenate[GoalHandle[object], P], ResultT]
     ) -> FunctionAction[P, None, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[SelfT, GoalHandle[None]], ResultT]
+    ) -> FunctionAction[[SelfT], None, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[SelfT, GoalHandle[object], Report[FeedbackT]], ResultT]
+    ) -> FunctionAction[[SelfT], FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, function: Callable[Concatenate[SelfT, GoalHandle[object], P], ResultT]
+    ) -> FunctionAction[Concatenate[SelfT, P], None, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[SelfT, GoalHandle[OneT]], ResultT]
+    ) -> FunctionAction[[SelfT, OneT], None, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[SelfT, Report[FeedbackT], GoalHandle[None]], ResultT]
+    ) -> FunctionAction[[SelfT], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
         self,
-        function: Callable[Concatenate[OneT, Report[FeedbackT], GoalHandle[HandledT], P], ResultT],
-    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, ResultT]: ...
-    @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[Concatenate[OneT, Report[FeedbackT], P], ResultT]
-    ) -> FunctionAction[Concatenate[OneT, P], FeedbackT, ResultT, ResultT]: ...
+        function: Callable[Concatenate[SelfT, Report[FeedbackT], GoalHandle[object], P], ResultT],
+    ) -> FunctionAction[Concatenate[SelfT, P], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(
-        self, function: Callable[[OneT, GoalHandle[HandledT], Report[FeedbackT]], ResultT]
-    ) -> FunctionAction[[OneT], FeedbackT, ResultT, ResultT]: ...
+        self, function: Callable[[SelfT, Report[FeedbackT], GoalHandle[OneT]], ResultT]
+    ) -> FunctionAction[[SelfT, OneT], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(  # type: ignore[overload-overlap]
-        self, function: Callable[Concatenate[OneT, GoalHandle[HandledT], P], ResultT]
-    ) -> FunctionAction[Concatenate[OneT, P], None, ResultT, ResultT]: ...
+        self, function: Callable[Concatenate[SelfT, Report[FeedbackT], P], ResultT]
+    ) -> FunctionAction[Concatenate[SelfT, P], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(
         self, function: Callable[[OneT, OtherT, Report[FeedbackT]], ResultT]
@@ -142,6 +212,10 @@ class ActionDecorator:
     def __call__(
         self, function: Callable[[OneT, OtherT, ThirdT, Report[FeedbackT]], ResultT]
     ) -> FunctionAction[[OneT, OtherT, ThirdT], FeedbackT, ResultT, ResultT]: ...
+    @overload
+    def __call__(
+        self, function: Callable[[OneT, OtherT, ThirdT, FourthT, Report[FeedbackT]], ResultT]
+    ) -> FunctionAction[[OneT, OtherT, ThirdT, FourthT], FeedbackT, ResultT, ResultT]: ...
     @overload
     def __call__(
         self, function: Callable[P, ResultT]
