@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -142,7 +142,7 @@ def _program_folders() -> list[Path]:
 
 
 @contextmanager
-def _advised(type_name: str, ending: str) -> Iterator[None]:
+def _advised(type_name: str, ending: str) -> Generator[None, None, None]:
     """Raise an error in a file as one that says what makes the type known."""
     try:
         yield
