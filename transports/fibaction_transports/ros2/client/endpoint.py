@@ -36,11 +36,11 @@ from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
 from fibaction_transports.ros2.client.mismatches import explain_versions
-from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, stamp_of
+from fibaction_transports.ros2.convert.conversion import RosAction, RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.graph_view import FEEDBACK, GraphView
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
+from fibaction_transports.ros2.node.ros_node import EndpointInRos, RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import FIRST_STAMP, LAST_STAMP
 from fibaction_transports.ros2.settings import RosSettings
 
@@ -129,10 +129,13 @@ logger = clean_logger("fibaction.ros2")
 _ENDS = frozenset(status for status in GoalStatus if status.is_terminal)
 
 
-class RosEndpoint(Endpoint):
+class RosEndpoint(EndpointInRos):
     """An action of ROS, with the types of its user."""
 
-    def __init__(self, client: RosActionClient, info: ActionInfo, codecs: RosCodecs) -> None:
+    def __init__(
+        self, client: RosActionClient, info: ActionInfo, ros_action: RosAction, codecs: RosCodecs
+    ) -> None:
+        self.ros_action = ros_action
         self._client = client
         self._info = info
         self._codecs = codecs
@@ -276,7 +279,7 @@ class RosConnection(Connection):
             client = RosActionClient(self._ros, info.name, found.impl, self._settings)
             self._clients[full.feedback, type_name] = client
             self._tasks.start_soon(client.run, name=f"client of {info.name}")
-        return RosEndpoint(client, info, codecs)
+        return RosEndpoint(client, info, found, codecs)
 
     async def actions(self) -> list[ActionInfo]:
         """See `Connection.actions`. Actions whose types are not installed here have no schemas,

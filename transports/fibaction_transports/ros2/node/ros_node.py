@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import anyio
 
+from fibaction.border.abc import Endpoint
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.convert.conversion import RosAction
 from fibaction_transports.ros2.convert.message_types import MessageKind
@@ -86,6 +87,13 @@ class CalledType(NamedTuple):
     response: MessageKind
 
 
+class EndpointInRos(Endpoint):
+    """An endpoint of an action that is in a graph of ROS."""
+
+    ros_action: RosAction
+    """The type of the action, in the version that its server has."""
+
+
 class RosTypes(ABC):
     """The types of messages that a middleware knows.
 
@@ -108,6 +116,10 @@ class RosTypes(ABC):
         Raises:
             TransportError: There is no such type that can be used; the text says what to do.
         """
+
+    def can_serve(self, action: RosAction) -> bool:
+        """Return whether an action can be served with a type that may be of other `RosTypes`."""
+        return False
 
     def find_to_follow(self, type_name: str, action: str = "") -> RosAction:
         """Find a type as `find` does, for a client. A middleware may follow goals of types that it

@@ -39,7 +39,7 @@ from typing import Any
 import anyio
 from anyio.abc import TaskGroup
 
-from fibaction.border.abc import Endpoint, GoalStream, Notifier
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream, Notifier
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ActionError, GoalRejected, ProtocolError
@@ -57,7 +57,7 @@ from fibaction_transports.ros2.convert.conversion import RosCodecs, goal_id_of, 
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.feedback_counts import PublishedCounts
 from fibaction_transports.ros2.node.rivals import warn_of_rivals
-from fibaction_transports.ros2.node.ros_node import RosNode, RosTypes
+from fibaction_transports.ros2.node.ros_node import EndpointInRos, RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import ServedStamps
 from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher, FeedbackTopic
 from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
@@ -89,8 +89,13 @@ class ServedEndpoint:
             TransportError: There is no such type, or its fields do not match the action's.
         """
         self.endpoint = endpoint
-        info = endpoint.info
-        found = types.find(info.type_name, info.name)
+        info, inner = endpoint.info, endpoint
+        while isinstance(inner, ForwardingEndpoint):
+            inner = inner.inner
+        if isinstance(inner, EndpointInRos) and types.can_serve(inner.ros_action):
+            found = inner.ros_action  # as another robot has told it, which may be in no file here
+        else:
+            found = types.find(info.type_name, info.name)
         self.impl: Any = found.impl
         self.codecs: RosCodecs = found.codecs(info)
 

@@ -206,6 +206,10 @@ class FileTypes(RosTypes):
     def find(self, type_name: str, action: str = "") -> RosAction:
         return self._definition(type_name, action).action
 
+    def can_serve(self, action: RosAction) -> bool:
+        messages = action.impl.FeedbackMessage, action.impl.SendGoalService.Request
+        return all(isinstance(one, MessageType) and one.is_known for one in messages)
+
     def find_to_follow(self, type_name: str, action: str = "") -> RosAction:
         check_action_type(type_name, action)
         try:
