@@ -29,6 +29,8 @@ OTHERS = 300.0
 """Seconds for which a process of pytest-xdist may wait for the others, whose files take longer."""
 
 collect_ignore_glob = ["*"] if MISSING else [] if has_ipv6() else ["test_ipv6.py"]
+if "FIBACTION_ZENOH_PEER" not in os.environ:
+    collect_ignore_glob.append("test_zenoh_peer.py")
 
 
 if MISSING:

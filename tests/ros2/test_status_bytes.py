@@ -71,6 +71,17 @@ def test_big_endian_lists_are_read_too() -> None:
     assert info_of(line) == GoalInfo(ONE, 1_000_000_002, GoalStatus.SUCCEEDED)
 
 
+def test_gaps_with_anything_in_them_are_no_difference() -> None:
+    """As `rmw_zenoh_cpp` leaves them: else each list differs from the one before in each line."""
+    goals = [GoalInfo(GoalID.random(), 5, GoalStatus.SUCCEEDED) for _ in range(3)]
+    message = bytearray(packed(*goals))
+    for line in (1, 2):  # the first one has no gap
+        at = 8 + 28 * line + 16 - 3
+        assert message[at : at + 3] == bytes(3)
+        message[at : at + 3] = b"\x04?\x7f"
+    assert lines_in(bytes(message)) == lines_in(packed(*goals))
+
+
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_list_or_a_protocol_error(message: bytes) -> None:
     try:

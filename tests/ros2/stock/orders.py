@@ -21,5 +21,8 @@ CANCEL_RAISES = 1009
 """Its cancel callback raises."""
 BURST = 10_000
 """Plus a number: so many feedback messages, as fast as possible."""
+RATED = 100_000
+"""Plus a number: so many feedback messages, with `PERIOD` between them."""
+PERIOD = 0.005
 REJECTED, GOAL_RAISES = -1, -2
 PART = [5, 3]

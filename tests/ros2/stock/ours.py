@@ -64,6 +64,11 @@ class Behaviour:
                 sequence.append(sequence[-1] + sequence[-2])
                 yield Feedback(sequence)
             yield Result(sequence)
+        elif order >= orders.RATED:
+            for number in range(order - orders.RATED):
+                yield Feedback([number])
+                await anyio.sleep(orders.PERIOD)
+            yield Result([])
         elif order >= orders.BURST:
             for number in range(order - orders.BURST):
                 yield Feedback([number])

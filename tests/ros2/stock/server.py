@@ -60,6 +60,8 @@ class Server:
         order = handle.request.order
         if order <= orders.MOST:
             return self.compute(handle)
+        if order >= orders.RATED:
+            return self.tell(handle)
         if order >= orders.BURST:
             handle.succeed()
             return Fibonacci.Result()
@@ -80,6 +82,13 @@ class Server:
             handle.publish_feedback(Fibonacci.Feedback(partial_sequence=sequence))
         handle.succeed()
         return Fibonacci.Result(sequence=sequence)
+
+    def tell(self, handle: Any) -> Any:
+        for number in range(handle.request.order - orders.RATED):
+            handle.publish_feedback(Fibonacci.Feedback(partial_sequence=[number]))
+            time.sleep(orders.PERIOD)  # noqa: TID251  # as users of rclpy do it
+        handle.succeed()
+        return Fibonacci.Result()
 
     def wait(self, handle: Any) -> Any:
         handle.publish_feedback(Fibonacci.Feedback(partial_sequence=[1]))

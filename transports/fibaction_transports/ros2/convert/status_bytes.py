@@ -66,16 +66,18 @@ def lines_in(message: bytes) -> bytes:
     (count,) = struct.unpack_from(f"{order}I", message, len(_HEADER))
     if count == 0:
         return b""
-    gap = bytes(_GAP.stop - _GAP.start)
-    end = _START + LINE_BYTES * count - len(gap)
+    end = _START + LINE_BYTES * count - (_GAP.stop - _GAP.start)
     if len(message) < end:
         raise ProtocolError(
             f"invalid status list of {len(message)} bytes: it announces {count} goals, which need"
             f" {end}"
         )
-    lines = message[_START : _START + _ID] + gap + message[_START + _ID : end]
+    lines = bytearray(message[_START:end])
+    lines[_ID:_ID] = bytes(_GAP.stop - _GAP.start)
+    for at in range(_GAP.start, _GAP.stop):
+        lines[at::LINE_BYTES] = bytes(count)  # rmw_zenoh_cpp leaves anything in gaps
     if order == "<":
-        return lines
+        return bytes(lines)
     return b"".join(_LINE.pack(*line) for line in struct.iter_unpack(f">{_LINE.format[1:]}", lines))
 
 
