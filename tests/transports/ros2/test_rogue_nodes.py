@@ -53,8 +53,8 @@ async def test_messages_that_are_wrong_are_one_line_each(
     line[-1] = 77
     expected = [
         "a goal is left out: invalid status list: 77 is not a valid GoalStatus",
-        "a message was dropped: invalid status list of 8 bytes: it announces 9 goals, which need",
-        "a message was dropped: invalid number of feedback messages: a goal ID has 32 hexadecimal",
+        "a message was dropped (1 so far): invalid status list of 8 bytes: it announces 9 goals",
+        "a message was dropped (2 so far): invalid number of feedback messages: a goal ID has 32",
     ]
     with anyio.fail_after(PATIENCE):
         async with (

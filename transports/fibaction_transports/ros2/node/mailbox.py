@@ -27,6 +27,20 @@ Sink: TypeAlias = Callable[[Any], None]
 logger = clean_logger("fibaction.ros2")
 
 
+class Drops:
+    """Counts what is dropped. The 1st, 2nd, 4th, 8th and so on are told in the log."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self.count = 0
+
+    def note(self, why: object, number: int = 1) -> None:
+        """Note that so many were dropped."""
+        before, self.count = self.count, self.count + number
+        if before.bit_length() < self.count.bit_length():
+            logger.warning("%s was dropped (%d so far): %s", self._what, self.count, why)
+
+
 class Mailbox:
     """A queue of items for the event loop, filled by any thread.
 
@@ -36,6 +50,7 @@ class Mailbox:
     def __init__(self, room: Callable[[], None]) -> None:
         """`room` is called on the event loop when the mailbox is no longer full."""
         self._room = room
+        self._drops = Drops("a message")
         self._items: deque[tuple[Sink, Any]] = deque()
         self._lock = Lock()
         self._news = Notifier()
@@ -82,7 +97,7 @@ class Mailbox:
             try:
                 sink(item)
             except ProtocolError as exc:
-                logger.warning("a message was dropped: %s", exc)
+                self._drops.note(exc)
             except Exception:
                 logger.exception("a message was dropped, because it could not be handled")
 

@@ -15,6 +15,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ProtocolError
+from fibaction_transports.ros2.node.mailbox import Drops
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     ErrorSink,
@@ -72,6 +73,7 @@ class DdsNode(OwnNode):
         self.network = network
         """The participant with its sockets."""
         self._tasks = tasks
+        self._drops = Drops("a message")
         self._takers: dict[Guid, Callable[[Sample], None]] = {
             self.graph.reader.guid: self.graph.receive
         }
@@ -92,7 +94,7 @@ class DdsNode(OwnNode):
             try:
                 take(event.sample)
             except ProtocolError as exc:
-                logger.warning("a message was dropped: %s", exc)
+                self._drops.note(exc)
             except Exception:
                 logger.exception("a message was dropped, because it could not be handled")
         elif isinstance(event, CaughtUp) and event.reader in self._subscriptions:

@@ -22,6 +22,7 @@ from anyio import current_time
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction_transports.ros2.node.mailbox import Drops
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     ErrorSink,
@@ -40,7 +41,7 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     hash_of,
     read_attachment,
 )
-from fibaction_transports.ros2.on_zenoh.session import Drops, ZenohSession
+from fibaction_transports.ros2.on_zenoh.session import ZenohSession
 from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 
 LONGEST: Final = 10.0**9
@@ -126,6 +127,7 @@ class ZenohCaller(ServiceCaller):
         self._take = take
         self._take_unreadable = take_unreadable
         self._take_unanswered = take_unanswered
+        self._drops = Drops(f"an answer of {end.name}")
         self._number = 0
         self._open: OrderedDict[int, _OpenRequest] = OrderedDict()
         self._sent = Notifier()
@@ -167,7 +169,7 @@ class ZenohCaller(ServiceCaller):
         try:
             response = self._decode(reply.ok.payload.to_bytes())
         except ProtocolError as exc:
-            logger.error("an answer of %s cannot be read: %s", self._service, exc)
+            self._drops.note(exc)
             if self._take_unreadable is not None:
                 self._take_unreadable(exc)
         else:
@@ -239,7 +241,7 @@ class ZenohProvider(ServiceProvider):
         self._decode = service_type.Request.codec.decode
         self._encode = service_type.Response.codec.encode
         self._take = take
-        self._drops = Drops(f"requests to {end.name}")
+        self._drops = Drops(f"a request to {end.name}")
         handler = session.query_handler(self._receive)
         self.declared = session.session.declare_queryable(end.key, handler, complete=True)
         session.keep(self.declared)

@@ -41,7 +41,7 @@ from anyio import to_thread
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError, text_of
-from fibaction_transports.ros2.node.mailbox import Mailbox
+from fibaction_transports.ros2.node.mailbox import Drops, Mailbox
 from fibaction_transports.ros2.on_zenoh.config import Configuration
 
 MOST_BYTES: Final = 64 * 1024 * 1024
@@ -53,20 +53,6 @@ OVERHEAD: Final = 500
 ItemT = TypeVar("ItemT")
 
 logger = clean_logger("fibaction.ros2")
-
-
-class Drops:
-    """Counts what is dropped. The 1st, 2nd, 4th, 8th and so on are told in the log."""
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self.count = 0
-
-    def note(self, why: object, number: int = 1) -> None:
-        """Note that so many were dropped."""
-        before, self.count = self.count, self.count + number
-        if before.bit_length() < self.count.bit_length():
-            logger.warning("%s: %d dropped so far: %s", self._what, self.count, why)
 
 
 class QueuedBytes:
@@ -96,7 +82,7 @@ class SendingThread:
     """A thread that sends, since that may have to wait."""
 
     def __init__(self) -> None:
-        self.held = QueuedBytes("messages of topics", "the network is too slow for what is sent")
+        self.held = QueuedBytes("a message of a topic", "the network is too slow for what is sent")
         self._queue: SimpleQueue[tuple[Callable[[], object], int] | None] = SimpleQueue()
         self._thread = Thread(target=self._run, name="fibaction-zenoh", daemon=True)
         self._thread.start()
@@ -187,7 +173,7 @@ class ZenohSession:
         self.numbers = shared.numbers
         self.is_closed = False
         self.sender = shared.sender
-        self.inbox = QueuedBytes("what arrives", "it is more than this program takes")
+        self.inbox = QueuedBytes("a message", "more has arrived than this program takes")
         """The bytes of messages that wait for the event loop."""
         self.mailbox = Mailbox(lambda: None)
         self._kept: list[Any] = []

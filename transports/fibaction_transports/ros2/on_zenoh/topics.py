@@ -8,6 +8,7 @@ from typing import Any, Final
 import zenoh
 from zenoh import ext
 
+from fibaction_transports.ros2.node.mailbox import Drops
 from fibaction_transports.ros2.node.parts import (
     LifeSigns,
     LifeWatch,
@@ -25,7 +26,7 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     hash_of,
     read_attachment,
 )
-from fibaction_transports.ros2.on_zenoh.session import Drops, ZenohSession
+from fibaction_transports.ros2.on_zenoh.session import ZenohSession
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
 
@@ -109,8 +110,8 @@ class ZenohSubscription(TopicSubscription):
         self._hash = hash_of(message_type)
         self._take = take
         self.declared: Any  # a subscriber, whose types are incomplete
-        self._unread = Drops(f"messages on {end.name}")
-        self._lost = Drops(f"messages on {end.name}")
+        self._unread = Drops(f"a message on {end.name}")
+        self._lost = Drops(f"a message on {end.name}")
         self._must_be_whole = qos.reliability == "reliable" and qos.durability == "volatile"
         self._numbers: dict[bytes, int] = {}
         """The number of the last message of each publisher, that of the last one at the end."""
@@ -133,7 +134,7 @@ class ZenohSubscription(TopicSubscription):
         words = sample.attachment
         read = None if words is None else read_attachment(words.to_bytes())
         if read is None:
-            self._unread.note("they have no attachment of ROS")
+            self._unread.note("it has no attachment of ROS")
             return
         if self._must_be_whole:
             self._note_number(read)
@@ -146,7 +147,7 @@ class ZenohSubscription(TopicSubscription):
         if len(self._numbers) > MOST_PUBLISHERS:
             del self._numbers[next(iter(self._numbers))]
         if read.number > before + 1:
-            self._lost.note("their publisher, or the way, was overloaded", read.number - before - 1)
+            self._lost.note("its publisher, or the way, was overloaded", read.number - before - 1)
 
     def publisher_count(self) -> int:
         return self._graph.count_connected(PUBLISHER, self._topic, self._hash)
