@@ -301,8 +301,8 @@ class GoalJournal(PastSource, ABC):
     def end(self, goal: StoredGoal, then: Then) -> None:
         """Keep the end of the goal: `status` is terminal, and all fields of an end are set.
 
-        What is needed only to run the goal is not kept any longer, unless it was given up: then
-        `goal` is not empty.
+        The parts that are needed only to run the goal are not kept any longer, unless it was given
+        up: then `goal` is not empty.
         """
 
     @abstractmethod

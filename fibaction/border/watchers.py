@@ -40,9 +40,9 @@ class Watcher:
     ) -> None:
         """Take note of a new goal, which is not decided yet; `rejected` or `accepted` follows.
 
-        A retry of the same goal is not told. Context variables that are set here are seen by the
-        executor of the goal, and by an `on_goal` that is not async, but by nothing else. `meta` is
-        the small text map that came with the goal, for traces.
+        A retry of the same goal is not reported. Context variables that are set here are seen by
+        the executor of the goal, and by an `on_goal` that is not async, but by nothing else. `meta`
+        is the small text map that came with the goal, for traces.
         """
 
     def taken_over(

@@ -119,7 +119,7 @@ def newest_active_first(info: GoalInfo) -> tuple[int, int]:
 class Monitor(ActionListener):
     """Keeps the state of all actions and goals, for `snapshot`.
 
-    Of more than `MOST_GOALS` goals it keeps those that it has heard of last.
+    It keeps at most `MOST_GOALS` goals: those that it has heard of last.
     """
 
     def __init__(

@@ -33,10 +33,10 @@ sent: with defaults for fields that are missing, bytes for base64 text, 3 for 3.
 number is wanted. Where the value does not match, it notes a `Mismatch` at the check, and goes on. A
 part knows the types of which each value is sent as it is (`plain`), and these are not visited: a
 list of numbers is not even copied. It also knows the types and the tags that a value must have to
-fit, so that of alternatives nearly always one is left. Several are tried, each with a list of
+fit, so that nearly always one of the alternatives is left. Several are tried, each with a list of
 mismatches of its own.
 
-What is returned shares its parts with the data and with the defaults, so it is only read.
+The returned value shares parts with the data and with the defaults, so it is only read.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ followers (`HeldBytes` has a weak reference), and, if the statuses are followed,
 in the log, too. Without a log, an ended goal is followed by a new one; so it has one log at a time,
 which loses the result if results take too many bytes.
 
-What is told at a step of a goal's life is told here: the effects `TELL_...`. With the end, the
-record gets its outcome, and the registry remembers it.
+This carries out the effects `TELL_...`, by which clients learn of each step of a goal's life. With
+the end, the record gets its outcome, and the registry remembers it.
 
 One task, `forget_expired`, frees what has expired. It sleeps until the next expiry, and while
 nothing can expire, until a goal ends.

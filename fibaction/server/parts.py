@@ -10,8 +10,8 @@ the store has, and `Capacity` tells the store how many more goals the server can
 
 They are made here, and only here, when the server starts. Partners are given to the constructors.
 Each part carries out effects of the goals' `Life`. Two of them call each other back: the keeper
-gets `KeeperEvents` when it is opened, and the dispatcher gets the goals. What a server does not
-have is a part that does nothing: a bare `Keeper`, `Dispatcher` or `Watchers`.
+gets `KeeperEvents` when it is opened, and the dispatcher gets the goals. A feature that a server
+does not have is a part that does nothing: a bare `Keeper`, `Dispatcher` or `Watchers`.
 
 The start is `open`, then `recover`, then the capacity is told. The end is `close`, after which
 nothing new is taken; `stop`, which ends or releases the goals; and the end of the tasks and of the
@@ -233,7 +233,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             for goal_id in self.runs.active():  # asyncio itself canceled the task in a pause
                 self.runs.kill(goal_id, SERVER_STOPPED, for_good=True)
 
-    # What the store tells by itself
+    # Events that the store reports by itself
 
     def _lose(self, goal_id: GoalID) -> None:
         """Let go of a goal that another server has taken over; of an unknown one, nothing."""

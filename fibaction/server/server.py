@@ -4,7 +4,7 @@ Theory of operation
 -------------------
 
 A server is *new* until it is entered, then *running*, *stopping* and *stopped*; it runs once. Until
-it starts, `serve` and transports may give it a store and watchers. What a wrong argument would
+it starts, `serve` and transports may give it a store and watchers. Whatever a wrong argument would
 break is made in the constructor; the parts that do the work are made at the start (see `parts`),
 when everything is known.
 

@@ -14,8 +14,8 @@ that is not what was written is left out, since a list without it is better than
 
 Rows are numbered in the order of the ends, so the first ones are the oldest. After each commit some
 more of them may be deleted than were added, in a commit of their own, after the clients were told.
-At the start all that is too old or too much is deleted, in several commits. What is too old is
-never shown, whether it is deleted yet or not.
+At the start all rows that are too old or too many are deleted, in several commits. A row that is
+too old is never shown, whether it is deleted yet or not.
 
 A page of a list is read in parts of `SCANNED` rows, each a command of its own for the thread, so a
 commit waits for one part at most. A part begins after the place of the row before, by the index of

@@ -1,8 +1,8 @@
 """ROS messages as values of actions, and within them.
 
 A value is first given to msgspec, which knows nothing of ROS and costs nothing more. If it meets
-something that it does not know, the value comes here: messages in it are replaced by plain data, as
-the type that is declared at their place has it. What is declared is known from the fields of
+something that it does not know, the value comes here: messages in it are replaced by plain data in
+the form of the type that is declared there. The declared types are known from the fields of
 classes, so a message of another type is found before anything is sent.
 """
 

@@ -122,8 +122,8 @@ class FrameReader(Framing):
 
     Frames may arrive in pieces of any size.
 
-    It keeps at most one incomplete frame. What a large one takes is counted in a memory that many
-    readers share, until the frame is complete or the reader is closed.
+    It keeps at most one incomplete frame. The bytes of a large one are counted in a memory that
+    many readers share, until the frame is complete or the reader is closed.
     """
 
     def __init__(

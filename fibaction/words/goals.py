@@ -21,7 +21,7 @@ from fibaction.words.statuses import GoalStatus, NamedNumber
 
 T = TypeVar("T")
 
-WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was started anew"
+WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was restarted"
 """A server that does not know a goal cannot tell which of these it was."""
 ID_IN_USE = "its ID is in use by another goal"
 """The reason for which a goal is rejected whose ID was sent before with another payload."""

@@ -462,8 +462,8 @@ async def test_a_server_that_is_killed_and_started_again_no_longer_knows_its_goa
                     assert await goal.outcome() == End(
                         GoalStatus.UNKNOWN,
                         None,
-                        "it was never accepted, its result has expired, or the server was started"
-                        " anew",
+                        "it was never accepted, its result has expired, or the server was"
+                        " restarted",
                     )
                     assert await numbers(goal) == []
                     with pytest.raises(UnknownGoal):

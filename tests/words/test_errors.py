@@ -104,7 +104,7 @@ def test_the_drawing_shows_every_error_and_each_has_a_docstring() -> None:
             UnknownGoal(GOAL_ID),
             (
                 f"goal {HEX} is unknown: it was never accepted, its result has expired, or the"
-                " server was started anew"
+                " server was restarted"
             ),
         ),
         (

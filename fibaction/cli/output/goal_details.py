@@ -70,7 +70,7 @@ class GoalDetails:
     def unknown(self, ended: Iterable[GoalKey], active: Iterable[GoalKey]) -> list[DetailQuestion]:
         """Return the questions for the ends of some goals, and for other goals as they were sent.
 
-        What has been asked for is left out, and what is returned counts as asked for.
+        Goals that were asked for before are left out; the returned questions count as asked.
         """
         wanted = [DetailQuestion("result", key, self._ends, self._ask_end) for key in ended]
         wanted += [DetailQuestion("goal", key, self._requests, self._ask_request) for key in active]

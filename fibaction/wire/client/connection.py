@@ -23,8 +23,8 @@ When the line ends, `_attempt` returns the error that ended it. The calls stay o
 `Reconnector` opens the next line, or ends them with an error when patience is over. So a caller of
 `send_goal` or of a goal's stream does not notice that a line was lost, unless it takes too long.
 
-What the server ends stays ended: a rejected token, another version, or an invalid message would be
-the same on the next line, so there is no next line, and calls raise that error.
+A connection that the server ends stays ended: a rejected token, another version, or an invalid
+message would be the same on the next line, so there is no next line, and calls raise that error.
 
 Leaving says `Goodbye`, so that the server does not wait for this client, and then ends all calls.
 """

@@ -23,11 +23,11 @@ Its phases, each of which ends with the next or with an error:
 `OpenCalls` calls `opening`, `on_message` and `lose`; the reader calls `take`, `known_outcome`,
 `hold` and `close`, and waits for `news`. Small messages, such as credit, go to `post`.
 
-What is always true: a status is never followed by a lower one, and the number of feedback grows
-within an attempt; else the server is at fault. What is unread never exceeds the credit that was
-given. An outcome stays once it is known, and comes behind all feedback. A goal that is not read
-gives no more credit, and so its executor waits, unless the stream does not hold: then the oldest
-feedback makes room for the next.
+Invariants: a status is never followed by a lower one, and the number of feedback grows within an
+attempt; else the server is at fault. Unread feedback never exceeds the credit that was given. An
+outcome stays once it is known, and comes after all feedback. A goal that is not read gives no more
+credit, and so its executor waits, unless the stream does not hold: then the oldest feedback makes
+room for the next.
 """
 
 from __future__ import annotations

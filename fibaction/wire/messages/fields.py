@@ -66,7 +66,7 @@ class Goodbye(WireMessage, tag=1):
 
 def parent_fields(parent: Parent | None) -> ParentFields | None:
     """Return the parent of a goal as the field of a message."""
-    # Of bytes, because other classes take several times as long to encode.
+    # `bytes`, because other classes take several times as long to encode.
     return None if parent is None else (bytes(parent.goal_id), parent.step)
 
 

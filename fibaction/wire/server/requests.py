@@ -146,7 +146,7 @@ class RequestHandlers:
         slices = Slices()
         for start in range(0, len(answer.goals_canceling), PART):
             part = answer.goals_canceling[start : start + PART]
-            # Of bytes, because other classes take several times as long to encode.
+            # `bytes`, because other classes take several times as long to encode.
             goals += [(bytes(info.goal_id), info.stamp, info.status) for info in part]
             await slices.pause()
         await self._say(

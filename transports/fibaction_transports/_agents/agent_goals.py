@@ -15,8 +15,8 @@ action holds the executor. An agent whose connection is lost keeps its position 
 back. The wait takes `LONGEST_WAIT` seconds at most, after which the slow positions are given up,
 and what is lost there shows as a gap in the numbers.
 
-What is kept here is not the truth: after a restart, for a goal of another client, and for one whose
-stream has failed, it begins with what the server of the action still has.
+The copy that is kept here is not the truth: after a restart, for a goal of another client, and for
+one whose stream has failed, it begins with what the server of the action still has.
 """
 
 from __future__ import annotations

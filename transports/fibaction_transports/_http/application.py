@@ -69,7 +69,7 @@ class HttpApplication(ABC):
         """
 
     def allowed(self, path: str) -> str:
-        """Return the methods at a path, as the header `Allow` has them; all if nothing is there,
+        """Return the methods at a path, in the form of the header `Allow`; all if nothing is there,
         which is told to the request that follows.
         """
         return EVERY_METHOD

@@ -366,7 +366,7 @@ class Exchange:
                 if start is not None:
                     await self._send(start)
                 await self._send(piece)
-        except OSError as exc:  # as ASGI has it for a client that has gone
+        except OSError as exc:  # ASGI raises it for a client that has gone
             raise ConnectionLost(f"{self.peer} has gone") from exc
         if limit.cancelled_caught:
             raise ConnectionLost(f"{self.peer} does not read")

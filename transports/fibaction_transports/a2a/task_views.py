@@ -8,7 +8,7 @@ rejected                        rejected
 forgotten by its server         failed
 
 Each update has its position as text in its metadata, `event_id`: `17` for feedback, or `2.17` in
-the second attempt at the goal, as the events of the REST interface have it; `result` for the
+the second attempt at the goal, as in the events of the REST interface; `result` for the
 artifact. An agent sends the last one that it has seen in the header `Last-Event-ID`.
 """
 

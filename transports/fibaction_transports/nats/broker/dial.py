@@ -5,9 +5,9 @@ Theory of operation
 
 The first line of a broker is read without TLS, and TLS begins after it. A broker that is configured
 for `handshake_first` says nothing before TLS: so with `nats+tls://`, TLS begins as well when a
-broker is silent for `SILENCE`. What it said before TLS may be of somebody between the two ends. So
-nothing but that one line is taken from there, a broker that then has no TLS gets no login, and more
-than that one line ends the connection.
+broker is silent for `SILENCE`. The line before TLS may come from an attacker between the two ends.
+So nothing but that one line is taken from there, a broker that then has no TLS gets no login, and
+more than that one line ends the connection.
 
 The connection belongs to `LoginLines` until the login is done, and to a `BrokerSocket` then.
 """

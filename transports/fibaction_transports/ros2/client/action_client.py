@@ -299,7 +299,7 @@ class RosActionClient:
         else:
             self._was_silent = False
             await anyio.sleep(self._ros.last_words)
-            # Of two servers one may have left: its parts leave the graph one after another, and
+            # One of two servers may have left: its parts leave the graph one after another, and
             # meanwhile their numbers do not match, as if none was there.
             if not (self.presence.is_there() or self.presence.may_return()):
                 self._fail(self._gone())

@@ -274,8 +274,8 @@ class RosNode(NodeLife, RosGraph):
     ) -> TopicSubscription:
         """Make a subscription to a topic.
 
-        Of messages that arrive together, those of the parts that were made first are taken first;
-        with `is_first`, those of this one before all others.
+        If messages arrive together, those of the parts that were made first are taken first; with
+        `is_first`, those of this one come before all others.
         """
 
     @abstractmethod

@@ -21,7 +21,7 @@ dropped, counted and told in the log. Answers are not: only the first one to a r
 
 A session costs some threads, sockets and megabytes, so all nodes of a process share one for each
 configuration. A process that was forked from one with a session cannot open another: the threads of
-the library are not there, and opening would wait for them for ever.
+the library are not there, and opening would wait for them forever.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Only questions are sent here, and none are answered: the services of ROS tell the types of this
 participant. A participant answers all that ask on one topic, so answers to others are left alone.
 
-A type is named by its ID: a byte for its kind, and 14 bytes of a hash. What is read and written
-here is little-endian CDR of version 2, as Fast DDS 3 has it: its own questions and answers were
+A type is named by its ID: a byte for its kind, and 14 bytes of a hash. The messages are
+little-endian CDR of version 2, which Fast DDS 3 uses: its own questions and answers were
 recorded for the tests. https://www.omg.org/spec/DDS-XTypes/1.3 has the types.
 """
 

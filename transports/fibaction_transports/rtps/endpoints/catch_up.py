@@ -12,9 +12,9 @@ missing or was within `REMEMBER` seconds. Otherwise the reader counts as caught 
 then is noticed by the next sample or question, and from then on each question is put.
 
 A heartbeat in one datagram with a sample is not an answer: both may be late, so that the heartbeat
-is older than the question. Neither is one that a newer heartbeat has overtaken. A question without
-an answer is repeated, and given up after `LONGEST_QUESTION` seconds; if it has one, the samples are
-waited for until they come, or until the writer tells that they do not come any more.
+is older than the question. A heartbeat that a newer one has overtaken is not one either. A question
+without an answer is repeated, and given up after `LONGEST_QUESTION` seconds; if it has one, the
+samples are waited for until they come, or until the writer tells that they do not come any more.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ How a sample comes, if the two are reliable:
   of a service.
 - A sample with a later number is held until those before it have come. Only numbers in a window
   from `_next` on are held or requested, so a forged number makes nobody hold or ask for more.
-- A heartbeat tells what there is. What is missing is requested at once, and again while nothing
+- A heartbeat tells what there is. Missing samples are requested at once, and again while nothing
   comes (`RequestPace`); an acknowledgement waits, so that one can answer several heartbeats.
 - A request names only numbers that a heartbeat has announced: Fast DDS answers one for a number
   that is not written yet with a GAP, and the sample is then lost.

@@ -24,7 +24,7 @@ METRICS = "/metrics"
 RECORDING = "/recording"
 RECORDING_TYPE = "application/jsonl"
 READ_ONLY = "GET, HEAD, OPTIONS"
-"""The methods of these paths, as the header `Allow` has them."""
+"""The methods of these paths, in the form of the header `Allow`."""
 PIECE = 2**16
 """Bytes of a recording that are read at once."""
 

@@ -5,9 +5,9 @@ class of each. So definitions move up and get names of their own, which stay dif
 generator leaves out punctuation and capitals; references and discriminators follow. Titles would
 again be names of classes, and equal ones, so the shared schemas have none.
 
-What a server checks beyond its schema is added to goals: a field that is not known is rejected,
-whole numbers have 64 bits at most, and bytes are base64 text. Each goal has an example, which is
-the template of the command line.
+The rules that a server checks beyond its schema are added to goals: a field that is not known is
+rejected, whole numbers have 64 bits at most, and bytes are base64 text. Each goal has an example,
+which is the template of the command line.
 """
 
 from __future__ import annotations
