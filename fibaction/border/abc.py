@@ -19,7 +19,13 @@ from typing import Any, ClassVar
 import msgspec
 
 from fibaction._runtime.notify import Notifier
-from fibaction.border.endpoints import Endpoint, ForwardingEndpoint, GoalRequest, Startable
+from fibaction.border.endpoints import (
+    Endpoint,
+    ForwardingEndpoint,
+    GoalRequest,
+    Startable,
+    cancel_each,
+)
 from fibaction.border.goal_store import GoalStore, StoredGoal
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.types.action import Action, ActionInfo
@@ -44,6 +50,7 @@ __all__ = [
     "Startable",
     "StatusStream",
     "Transport",
+    "cancel_each",
 ]
 
 

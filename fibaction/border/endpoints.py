@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterable
 from types import TracebackType
 from typing import Any, Protocol, final, runtime_checkable
 
 import msgspec
-from anyio import current_time
+from anyio import CapacityLimiter, create_task_group, current_time
 
 from fibaction.border.streams import GoalStream, StatusStream
 from fibaction.types.action import ActionInfo
+from fibaction.words.action_error import ActionError
 from fibaction.words.errors import UnknownGoal
 from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import (
@@ -29,6 +30,9 @@ from fibaction.words.goals import (
     Sender,
 )
 from fibaction.words.meta import Meta
+
+CANCELS_AT_ONCE = 1000
+"""Goals that are canceled at the same time, one by one."""
 
 
 class GoalRequest(msgspec.Struct, frozen=True):
@@ -325,3 +329,29 @@ class ForwardingEndpoint(Endpoint):
         """Stop `inner`, if it can be stopped."""
         if isinstance(self.inner, Startable):
             await self.inner.stop()
+
+
+async def cancel_each(endpoint: Endpoint, goals: Iterable[GoalID]) -> CancelAnswer:
+    """Cancel each of these goals, and return one answer. A goal that cannot be asked about now, as
+    no worker of its fleet has it, delays no other one, and its error is raised at the end.
+
+    Raises:
+        ActionError: The first error.
+    """
+    answers: list[CancelAnswer] = []
+    errors: list[ActionError] = []
+    limiter = CapacityLimiter(CANCELS_AT_ONCE)
+
+    async def cancel(goal_id: GoalID) -> None:
+        async with limiter:
+            try:
+                answers.append(await endpoint.cancel_goals(goal_id))
+            except ActionError as exc:
+                errors.append(exc)
+
+    async with create_task_group() as tasks:
+        for goal_id in goals:
+            tasks.start_soon(cancel, goal_id)
+    if errors:
+        raise errors[0]
+    return CancelAnswer.merged(answers)

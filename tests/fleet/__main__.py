@@ -8,6 +8,8 @@ workers  one worker is killed, and one is frozen for longer than its lease
 broker   the only broker is killed, and back after a second; later it is frozen for two seconds
 leader   of three brokers, the one that leads a stream is killed
 drain    a worker is stopped in good order
+chaos    six times, a worker is killed, another one is stopped, and new ones come; nearly all goals
+         are canceled meanwhile
 places   with three brokers and a limit for keys, a worker is killed
 keys     the same, and then the broker that leads the stream of the places
 
@@ -38,6 +40,7 @@ LOADS: dict[str, dict[str, Any]] = {
     "broker": {"steps": (4, 12), "pause": 0.5, "spread": 5.0},
     "leader": {"steps": (2, 6), "pause": 0.5, "late": 0.6, "spread": 15.0},
     "drain": {"steps": (4, 12), "pause": 0.5},
+    "chaos": {"steps": (8, 40), "pause": 0.5, "spread": 60.0, "late": 0.95, "canceled": 1.0},
     "places": {"steps": (1, 3), "pause": 0.1, "keys": 20},
     "keys": {"steps": (1, 3), "pause": 0.1, "late": 0.6, "keys": 20},
 }
@@ -84,7 +87,7 @@ def main(*words: str) -> int:
         for name, recovery in product(names, RECOVERY[arguments.recovery]):
             settings = Run(
                 recovery,
-                Load(arguments.goals, canceled=arguments.canceled, **LOADS[name]),
+                Load(arguments.goals, **{"canceled": arguments.canceled} | LOADS[name]),
                 lease=arguments.lease,
                 seed=arguments.seed + number,
                 stream="workers" if number % 2 else "goals",

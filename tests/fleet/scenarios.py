@@ -26,11 +26,13 @@ from tests.fleet.verdict import (
     unseen,
 )
 from tests.fleet.witness import Witness, Write, witness
-from tests.fleet.workers import Setup, WorkerProcess, workers
+from tests.fleet.workers import Crew, Setup, WorkerProcess, workers
 from tests.kills.ledger import Ledger, attempts_of
 from tests.kills.victim import entries_of
 
 FLEET = "trial"
+ROUNDS = 6
+"""How many times a worker is killed and another one stopped in the chaos."""
 GRACE = 2.0
 """Seconds after the end of a lease within which the goals of a lost worker are safe."""
 AWAY = 8.0
@@ -87,7 +89,7 @@ class Scene(NamedTuple):
 
     servers: Servers
     witness: Witness
-    workers: list[WorkerProcess]
+    workers: Crew
     crowd: Crowd
     run: Run
 
@@ -189,13 +191,32 @@ async def lose_the_leader(scene: Scene) -> list[Loss]:
 
 async def drain(scene: Scene) -> list[Loss]:
     """Stop a worker in good order."""
-    drained, *_ = scene.workers
-    at = time.time()
     scene.crowd.go_on()
+    return await _drain(scene.workers[0])
+
+
+async def _drain(drained: WorkerProcess) -> list[Loss]:
+    at = time.time()
     code = await drained.stop()
     if code != 0:
         raise RuntimeError(f"the drained worker has ended with the exit code {code}")
     return [Loss(drained.name, at, GRACE, is_released=True)]
+
+
+async def chaos(scene: Scene) -> list[Loss]:
+    """Kill a worker, stop another in good order, and let new ones come, again and again."""
+    losses: list[Loss] = []
+    scene.crowd.go_on()
+    for _ in range(ROUNDS):
+        killed, drained = scene.workers[-3:-1]
+        losses.append(Loss(killed.name, time.time(), PATIENCE))
+        killed.kill()
+        losses += [one._replace(within=PATIENCE) for one in await _drain(drained)]
+        number = len(scene.workers)
+        names = f"w{number + 1}", f"w{number + 2}"
+        await scene.workers.start(*map(killed.setup.renamed, names))
+        await anyio.sleep(scene.lease + GRACE)
+    return losses
 
 
 class Scenario(NamedTuple):
@@ -210,6 +231,7 @@ SCENARIOS = {
     "broker": Scenario(lose_the_broker),
     "leader": Scenario(lose_the_leader, brokers=3),
     "drain": Scenario(drain),
+    "chaos": Scenario(chaos),
     "places": Scenario(lose_places, brokers=3),
     "keys": Scenario(lose_places_and_their_leader, brokers=3),
 }
@@ -223,7 +245,7 @@ async def _rejoined(scene: Scene) -> dict[str, bytes]:
     with anyio.move_on_after(PATIENCE):
         while not all(one.name in found for one in scene.workers if one.is_alive):
             await anyio.sleep(0.1)
-            found = await scene.witness.incarnations()
+            found = await scene.witness.incarnations(*(one.name for one in scene.workers))
     return found
 
 
@@ -233,7 +255,7 @@ async def run(name: str, settings: Run, folder: Path) -> Report:
     epoch = time.time() - time.monotonic()
     scenario, ledger = SCENARIOS[name], Ledger()
     async with _scene(scenario, settings, folder, ledger) as scene:
-        before = await scene.witness.incarnations()
+        before = await scene.witness.incarnations(*(one.name for one in scene.workers))
         async with anyio.create_task_group() as following:
             following.start_soon(scene.witness.follow)
             async with anyio.create_task_group() as tasks:
@@ -256,7 +278,7 @@ async def run(name: str, settings: Run, folder: Path) -> Report:
         limit=settings.limit,
     )
     handovers = {one.worker: handover(writes, one.worker, one.at) for one in losses}
-    rejoined = [one for one, found in after.items() if found != before[one]]
+    rejoined = [one for one, found in after.items() if found != before.get(one, found)]
     case = Case(ledger, diary, writes, rules, epoch)
     faults = [*faults_of(case), *faults_of_keys(case)]
     if len(ledger.goals) < settings.load.goals or crowd.answered < settings.load.goals:

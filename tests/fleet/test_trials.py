@@ -8,6 +8,7 @@ from typing import Literal
 import anyio
 import pytest
 
+from tests.fleet import scenarios
 from tests.fleet.clients import Load
 from tests.fleet.scenarios import Report, Run, run
 from tests.support.nats_server import IS_LEFT_OUT
@@ -98,6 +99,21 @@ def test_a_worker_that_stops_hands_its_goals_over(
     report = trial("drain", tmp_path, recovery, load, lease=LEASE)
 
     assert report.handovers["w1"].goals > 0
+    assert report.moves > 0
+
+
+@pytest.mark.promise("FLEET-15")
+@needs_nats
+@patient
+def test_no_cancel_is_answered_unknown_while_workers_are_killed_stop_and_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scenarios, "ROUNDS", 1)
+    load = Load(60, steps=(4, 30), pause=0.3, spread=3.0, canceled=1.0)
+
+    report = trial("chaos", tmp_path, "rerun", load, lease=LEASE)
+
+    assert report.ends["CANCELED"] > 0
     assert report.moves > 0
 
 

@@ -88,9 +88,9 @@ class Witness:
         info = await _answer(self._client.jetstream(timeout=10).stream_info, name)
         return info.cluster.leader or ""
 
-    async def incarnations(self) -> dict[str, bytes]:
-        """Return the incarnation of each worker, which is another one when it has joined again."""
-        found = {name: await _answer(self._lease, name) for name in ("w1", "w2", "w3")}
+    async def incarnations(self, *workers: str) -> dict[str, bytes]:
+        """Return the incarnations of these workers; one that has joined again has another."""
+        found = {name: await _answer(self._lease, name) for name in workers}
         # While a lost worker is cleared up after, there is none.
         return {
             name: incarnation

@@ -35,6 +35,12 @@ class Setup(msgspec.Struct):
     limit: int = 0
     """The goals of each key that may run in the whole fleet; 0 for any number."""
 
+    def renamed(self, name: str) -> Setup:
+        """Return the settings of another worker, with a diary next to that of this one."""
+        url = self.url.replace(f"worker={self.name}", f"worker={name}")
+        diary = str(Path(self.diary).with_stem(name))
+        return msgspec.structs.replace(self, name=name, url=url, diary=diary)
+
 
 def schedule_of(limit: int) -> Schedule | None:
     """Return a schedule with a limit for the whole fleet; None for no limit."""
@@ -72,6 +78,7 @@ class WorkerProcess:
     """A worker that serves."""
 
     def __init__(self, setup: Setup, process: ForkServerProcess) -> None:
+        self.setup = setup
         self.name = setup.name
         self.diary = Path(setup.diary)
         self._process = process
@@ -108,26 +115,42 @@ class WorkerProcess:
         return code
 
 
-@asynccontextmanager
-async def workers(*setups: Setup) -> AsyncGenerator[list[WorkerProcess], None]:
-    """Run workers while the block lasts; it begins when clients can find all of them."""
-    processes = get_context("forkserver")
-    processes.set_forkserver_preload(["tests.fleet.workers", "fibaction_transports.nats"])
-    started: list[WorkerProcess] = []
-    pipes: list[Connection] = []
-    try:
+class Crew(list[WorkerProcess]):
+    """Workers that serve, and those that have ended."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._processes = get_context("forkserver")
+        self._processes.set_forkserver_preload(["tests.fleet.workers", "fibaction_transports.nats"])
+        self._pipes: list[Connection] = []
+
+    async def start(self, *setups: Setup) -> None:
+        """Start workers, and wait until clients can find all of them."""
+        first = len(self._pipes)
         for setup in setups:
-            here, there = processes.Pipe(duplex=False)
-            process = processes.Process(target=run_worker, args=(setup, there))
+            here, there = self._processes.Pipe(duplex=False)
+            process = self._processes.Process(target=run_worker, args=(setup, there))
             process.start()
             there.close()
-            started.append(WorkerProcess(setup, process))
-            pipes.append(here)
-        for pipe in pipes:
+            self.append(WorkerProcess(setup, process))
+            self._pipes.append(here)
+        for pipe in self._pipes[first:]:
             await serving(pipe)
-        yield started
-    finally:
-        for one in started:
+
+    def close(self) -> None:
+        """End all of them at once."""
+        for one in self:
             one.kill()
-        for pipe in pipes:
+        for pipe in self._pipes:
             pipe.close()
+
+
+@asynccontextmanager
+async def workers(*setups: Setup) -> AsyncGenerator[Crew, None]:
+    """Run workers while the block lasts; it begins when clients can find all of them."""
+    crew = Crew()
+    try:
+        await crew.start(*setups)
+        yield crew
+    finally:
+        crew.close()

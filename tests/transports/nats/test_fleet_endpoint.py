@@ -24,6 +24,7 @@ from fibaction import (
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest
 from fibaction.words.goals import CancelAnswer, digest_of
+from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.client.free_workers import OFFER_LIFE
 from tests.support.matching import End
 from tests.support.virtual_time import in_virtual_time
@@ -323,6 +324,48 @@ async def test_all_goals_are_canceled_at_all_workers(fleet: FakeFleet) -> None:
         }
         for goal in goals:
             assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_a_cancel_of_all_goals_waits_for_those_that_no_worker_has(fleet: FakeFleet) -> None:
+    gone = fleet.worker("c")
+    old, new, canceling, ended = (GoalID(bytes([number]) * 16) for number in (1, 2, 3, 4))
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        mine = await client.send_goal(-3)
+        gone.own(old, goal=MINUS_THREE)
+        gone.own(new, goal=MINUS_THREE, stamp=2**62)
+        gone.own(canceling, status=GoalStatus.CANCELING)
+        gone.own(ended, status=GoalStatus.SUCCEEDED, ended_at=8)
+        fleet.broker.store(NAMES.goal("count", GOAL_ID), b"of another version")
+        async with Running(lambda: client.cancel_goals(before=mine.stamp)) as canceling_some:
+            await anyio.sleep(1)
+            assert mine.status is GoalStatus.CANCELED
+            a.take_over("count", old)
+            some = await canceling_some.answer()
+        assert {info.goal_id for info in some.goals_canceling} == {mine.goal_id, old}
+        async with Running(client.cancel_goals) as canceling_all:
+            await anyio.sleep(1)
+            a.take_over("count", new)
+            assert [one.goal_id for one in (await canceling_all.answer()).goals_canceling] == [new]
+
+
+async def test_a_goal_that_nobody_takes_over_is_an_error_of_a_cancel_of_all(
+    fleet: FakeFleet,
+) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        mine = await client_of(connection).send_goal(-3)
+        fleet.worker("c").own(GOAL_ID)
+        with pytest.raises(ConnectionLost, match="has no worker: 'c', which had it, is gone"):
+            await client_of(connection).cancel_goals()
+        assert (await mine.outcome()).status is GoalStatus.CANCELED
+        fleet.broker.before = _away
+        with pytest.raises(ConnectionLost, match="the goals of the fleet cannot be listed"):
+            await client_of(connection).cancel_goals()
+
+
+async def _away(call: str, _: str) -> None:
+    if call == "watch":
+        raise BrokerAway("on purpose")
 
 
 async def test_a_cancel_of_all_goals_leaves_out_a_worker_that_is_gone(fleet: FakeFleet) -> None:

@@ -26,12 +26,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import NamedTuple, TypeVar
 
 import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
+from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import StoredGoal
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.client.remote_goal import RemoteGoal
@@ -112,6 +114,28 @@ class CallRoutes:
             return None
         entry: GoalEntry = goal_entry(record.data)
         return FoundGoal(entry.goal, self._workers.has(entry.goal.worker, entry.incarnation))
+
+    async def active(self, action: str) -> list[FoundGoal]:
+        """Return the active goals of an action that have records, also those without an owner.
+
+        Raises:
+            ConnectionLost: The brokers do not answer.
+        """
+        found: list[FoundGoal] = []
+        names, slices = self._names, Slices()
+        try:
+            async with self._broker.watch(names.goals, names.goal(action)) as watch:
+                while (records := await watch.next()) is not None:
+                    for record in records:
+                        with suppress(ProtocolError):  # it is of another version
+                            entry = goal_entry(record.data) if record.data else None
+                            if entry is not None and entry.goal.status.is_active:
+                                owner = entry.goal.worker, entry.incarnation
+                                found.append(FoundGoal(entry.goal, self._workers.has(*owner)))
+                        await slices.pause()
+        except BrokerAway as exc:
+            raise ConnectionLost(f"the goals of the fleet cannot be listed: {exc}") from exc
+        return found
 
     async def changes(self, pause: float) -> None:
         """Wait until a worker comes or goes, for `pause` seconds at most."""

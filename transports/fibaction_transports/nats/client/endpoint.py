@@ -31,18 +31,22 @@ is asked, or is said to have ended there. So these answers are believed only if 
 the goal has ended; otherwise the record is read again, and its owner asked (`_at_owner`).
 
 *Requests about many goals*, or about one without a record, go to all workers, and their answers are
-merged. Each call tries for `reconnect_timeout` seconds from its first failure (`RetryTime`).
+merged. A cancel of many then asks again for each goal that the records still have as active: it may
+have moved meanwhile, or no living worker may have it.
+
+Each call tries for `reconnect_timeout` seconds from its first failure (`RetryTime`).
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 import anyio
 
-from fibaction.border.abc import Endpoint, GoalRequest, StatusStream
+from fibaction.border.abc import Endpoint, GoalRequest, StatusStream, cancel_each
 from fibaction.border.peer_text import shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
@@ -60,6 +64,7 @@ from fibaction.words.errors import (
 from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
 from fibaction.words.meta import size_of
+from fibaction.words.statuses import GoalStatus
 from fibaction_transports.nats.client.call_routes import (
     CallRoutes,
     FoundGoal,
@@ -234,7 +239,17 @@ class FleetEndpoint(Endpoint):
             stamp = min(max(stamp, 1), LARGEST)
         if goal_id is not None and any(goal_id) and not stamp:
             return await self._cancel_one(goal_id)
-        return await self._cancel_at_all(goal_id, stamp)
+        until = stamp or time.time_ns()
+        answer = await self._cancel_at_all(goal_id, stamp)
+        canceled = {info.goal_id for info in answer.goals_canceling}
+        left = [
+            found.goal.goal_id
+            for found in await self._parts.routes.active(self._info.name)
+            if found.goal.status is GoalStatus.ACCEPTED
+            and found.goal.goal_id not in canceled
+            and (found.goal.stamp <= until or not (found.is_alive or stamp))
+        ]
+        return CancelAnswer.merged([answer, await cancel_each(self, left)])
 
     async def _cancel_one(self, goal_id: GoalID) -> CancelAnswer:
         async def cancel(found: FoundGoal) -> CancelAnswer:

@@ -247,10 +247,8 @@ class FleetStatuses:
             return
         status = None if before is None else before.status
         for step in steps(status, info.status, has_begun=goal.attempt > 0):
-            if step.is_active:
-                self._put(replace(info, status=step, ended_at=None, reason=""))
-            else:
-                self._put(info)
+            is_last = step is info.status
+            self._put(info if is_last else replace(info, status=step, ended_at=None, reason=""))
 
     def _forget(self, subject: str) -> None:
         self._sequences.pop(subject, None)

@@ -15,7 +15,6 @@ keep running.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterable
 from functools import partial
 from hashlib import blake2b
 from time import time_ns
@@ -23,7 +22,7 @@ from time import time_ns
 import anyio
 import msgspec
 
-from fibaction.border.abc import Endpoint
+from fibaction.border.abc import Endpoint, cancel_each
 from fibaction.border.http_access import Refused, bearer_in
 from fibaction.border.peer_text import clean_logger
 from fibaction.border.streams import GoalStream
@@ -42,7 +41,7 @@ from fibaction.words.errors import (
     UnknownGoal,
 )
 from fibaction.words.goal_query import cancel_stamp_of
-from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import trace_meta, with_labels
 from fibaction_transports._http.exchange import Exchange, tag_of
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
@@ -315,7 +314,11 @@ class RestInterface:
             page = page_of(exchange.query, time_ns())
             with await endpoint.status() as statuses:
                 infos = await chosen(statuses, page, self._turn)
-            answer = await _cancel_each(endpoint, infos, stamp)
+            active = (info for info in infos if info.status.is_active)
+            answer = await cancel_each(
+                endpoint,
+                [info.goal_id for info in active if stamp is None or info.stamp <= stamp],
+            )
         await self._answer_cancel(exchange, answer)
 
     async def _answer_cancel(self, exchange: Exchange, answer: CancelAnswer) -> None:
@@ -329,19 +332,6 @@ class RestInterface:
             "reason": answer.reason,
         }
         await exchange.answer(202, msgspec.json.encode(members))
-
-
-async def _cancel_each(
-    endpoint: Endpoint, infos: Iterable[GoalInfo], latest: int | None
-) -> CancelAnswer:
-    """Cancel those of these goals that are active, and were accepted until the latest stamp."""
-    return CancelAnswer.merged(
-        [
-            await endpoint.cancel_goals(info.goal_id)
-            for info in infos
-            if info.status.is_active and (latest is None or info.stamp <= latest)
-        ]
-    )
 
 
 def _events_of(endpoint: Endpoint) -> GoalEvents:
