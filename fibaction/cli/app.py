@@ -54,6 +54,11 @@ GROUPS = {
         "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
         "doctor": ("doctor", "doctor_command", "Say why nothing is found."),
     },
+    "ROS beside actions": {
+        "topic": ("topics", "topic_command", "List, read, measure and publish topics."),
+        "service": ("topics", "service_command", "Call a service."),
+        "param": ("topics", "param_command", "List, read and set parameters of a node."),
+    },
     "Record and replay": {
         "record": ("recordings", "record_command", "Record the goals of a server from outside."),
         "replay": ("recordings", "replay_command", "Answer goals from a recording."),

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, ClassVar, Unpack
 
 from fibaction.border.abc import Diagnosis
 from fibaction.border.settings import TransportSettings
+from fibaction_transports.ros2.messaging.node import NodeTransport
 from fibaction_transports.ros2.node.middlewares import middlewares_at
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
-from fibaction_transports.ros2.ros_transport import RosTransport
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import DdsKeywords
 
 
-class DdsTransport(RosTransport):
+class DdsTransport(NodeTransport):
     """The actions of a ROS graph, over our own DDS."""
 
     settings_type: ClassVar[type[TransportSettings]] = DdsSettings

@@ -13,9 +13,9 @@ from fibaction.border.peer_text import clean_logger
 from fibaction.border.settings import TransportSettings
 from fibaction.border.urls import transport_class, without_settings
 from fibaction.words.errors import InvalidURL, TransportError
+from fibaction_transports.ros2.messaging.node import NodeTransport
 from fibaction_transports.ros2.node.middlewares import is_zenoh_named
 from fibaction_transports.ros2.on_dds.graph import open_scout
-from fibaction_transports.ros2.ros_transport import RosTransport
 from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Ros2Settings(RosSettings, frozen=True, kw_only=True):
     `RMW_IMPLEMENTATION` is `rmw_zenoh_cpp`, and else `dds`."""
 
 
-class Ros2Transport(RosTransport):
+class Ros2Transport(NodeTransport):
     """The actions of a ROS graph, through rclpy."""
 
     settings_type: ClassVar[type[TransportSettings]] = Ros2Settings
@@ -82,7 +82,7 @@ class Ros2Transport(RosTransport):
     @classmethod
     def from_url(  # type: ignore[override]  # it may be of another class
         cls, url: str, **settings: Any
-    ) -> RosTransport:
+    ) -> NodeTransport:
         """Make a transport from `ros2://node_name`, where the name may be left out.
 
         Which class it has is said by `via`. All settings that are text or numbers can be in the
@@ -105,7 +105,7 @@ class Ros2Transport(RosTransport):
         begin, name = _WITHOUT_ROS[via]
         logger.info("%s goes over %s, without ROS", where, name)
         made = transport_class(via).from_url(rest.replace("ros2://", begin, 1), **settings)
-        assert isinstance(made, RosTransport)
+        assert isinstance(made, NodeTransport)
         return made
 
 

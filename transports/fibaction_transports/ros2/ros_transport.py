@@ -5,7 +5,7 @@ halves.
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from typing import Any
 from urllib.parse import SplitResult, urlencode
 
@@ -20,7 +20,7 @@ from fibaction_transports.ros2.client.endpoint import connect_actions
 from fibaction_transports.ros2.names import ActionNames, action_names
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.node.middlewares import LOCALHOST, middlewares_at
-from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode, RosTypes
+from fibaction_transports.ros2.node.ros_node import RosAdapter, RosTypes
 from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
 from fibaction_transports.ros2.settings import RosSettings
 
@@ -40,15 +40,6 @@ class RosTransport(ConfiguredTransport):
         self._settings = settings
         self._remapped: dict[str, str] = {}
         """The full names of the actions that are served under other names than their own."""
-
-    @property
-    def settings(self) -> RosSettings:
-        """The settings of the node, and of its actions."""
-        return self._settings
-
-    def open_ros(self) -> AbstractAsyncContextManager[RosNode]:
-        """Open a node for as long as the block lasts; see `RosAdapter.open`."""
-        return self._adapter.open()
 
     def served_as(self, name: str) -> str:
         """See `Transport.served_as`: a remapped name is the one in the graph."""

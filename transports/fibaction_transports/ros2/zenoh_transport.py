@@ -7,8 +7,8 @@ from urllib.parse import SplitResult
 
 from fibaction.border.settings import TransportSettings
 from fibaction.words.extras import NeedsExtra
+from fibaction_transports.ros2.messaging.node import NodeTransport
 from fibaction_transports.ros2.node.middlewares import ROUTER_PORT
-from fibaction_transports.ros2.ros_transport import RosTransport
 
 with NeedsExtra("zenoh://", "fibaction[zenoh]"):
     from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fibaction_transports.keywords import ZenohKeywords
 
 
-class ZenohTransport(RosTransport):
+class ZenohTransport(NodeTransport):
     """The actions of a ROS graph whose nodes run on `rmw_zenoh_cpp`."""
 
     settings_type: ClassVar[type[TransportSettings]] = ZenohSettings

@@ -84,6 +84,10 @@ class Node(RosTransport):
         """
         return Subscription(*self._end(topic, type_, qos, depth))
 
+    def nodes(self) -> set[str]:
+        """Return the full names of the nodes that are in the graph now."""
+        return self._ros.nodes()
+
     def topics(self) -> dict[str, str]:
         """Return the topics that are in the graph now, and the names of their types."""
         return dict(self._ros.topics())
@@ -228,8 +232,18 @@ class _OpenNode(RosAdapter):
             yield block
 
 
+class NodeTransport(RosTransport):
+    """A transport whose nodes are open to users, for more than actions."""
+
+    @asynccontextmanager
+    async def open_node(self) -> AsyncGenerator[Node, None]:
+        """Open a node; see the function `open_node`."""
+        async with self._adapter.open() as ros, Background() as tasks:
+            yield Node(ros, self._settings, tasks, self.scheme)
+
+
 @asynccontextmanager
-async def open_node(where: str | RosTransport, **settings: Any) -> AsyncGenerator[Node, None]:
+async def open_node(where: str | NodeTransport, **settings: Any) -> AsyncGenerator[Node, None]:
     """Open a node in a graph of ROS, for as long as the block lasts.
 
     `where` is a URL of `ros2://`, `dds://` or `zenoh://` with the name of the node, or a transport
@@ -246,7 +260,7 @@ async def open_node(where: str | RosTransport, **settings: Any) -> AsyncGenerato
         TypeError: There is no such setting.
     """
     transport = transport_for(where, **settings)
-    if not isinstance(transport, RosTransport):
+    if not isinstance(transport, NodeTransport):
         raise InvalidURL(f"{where}: a node of ROS is at ros2://, dds:// or zenoh://")
-    async with transport.open_ros() as ros, Background() as tasks:
-        yield Node(ros, transport.settings, tasks, transport.scheme)
+    async with transport.open_node() as node:
+        yield node

@@ -28,8 +28,8 @@ _FIELDS: Final = {
     9: "string_array_value",
 }
 """The fields of a `ParameterValue`, by the numbers of types."""
-_NUMBERS: Final = {bool: 1, int: 2, float: 3, str: 4}
-_ARRAYS: Final = {bool: 6, int: 7, float: 8, str: 9}
+_NUMBERS: Final[dict[type, int]] = {bool: 1, int: 2, float: 3, str: 4}
+_ARRAYS: Final[dict[type, int]] = {bool: 6, int: 7, float: 8, str: 9}
 
 
 class CallingNode(Protocol):
