@@ -1,4 +1,7 @@
-"""The code of a rejection, at each door: it decides what is done, and the reason never does."""
+"""The code of a rejection decides what is done, and the reason never does.
+
+`test_doors` shows that each door tells the code.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from google.protobuf.json_format import MessageToDict
 
 from fibaction import (
     ActionServer,
@@ -20,14 +22,8 @@ from fibaction import (
     serve,
 )
 from fibaction_transports._http.problems import problem_of
-from fibaction_transports.a2a import A2aHttpTransport
-from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.mcp import McpBridge
 from tests.support.virtual_time import in_virtual_time
-from tests.transports.a2a.agent_talk import TOKEN, state_of, talking, text_of
-from tests.transports.mcp.robot import UNASKED, talk
 from tests.transports.nats.fake_fleet import COUNT, FakeFleet, client_of
-from tests.transports.web.http_client import fetch
 
 pytestmark = pytest.mark.anyio
 
@@ -69,22 +65,15 @@ async def never(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
     yield ""
 
 
-# Doors whose clients are told the code
+# Clients that try again
 
 
 @each_case
-@pytest.mark.parametrize("door", ["inproc", "tcp", "ws", "rosbridge"])
-async def test_only_a_temporary_rejection_is_retried(
-    door: str, reason: str, code: RejectionCode
-) -> None:
+async def test_only_a_temporary_rejection_is_retried(reason: str, code: RejectionCode) -> None:
     deciding = Deciding(reason, code)
-    scheme = "http" if door == "rosbridge" else door
-    address = InProcessTransport() if door == "inproc" else f"{scheme}://127.0.0.1:0"
-    async with serve(deciding.server, address) as (url,):
-        url = url.replace("http://", "rosbridge://") if door == "rosbridge" else url
-        async with connect(url, COUNT) as client:
-            with pytest.raises(GoalRejected) as caught:
-                await client.call(3, retry=THRICE)
+    async with serve(deciding.server, "tcp://127.0.0.1:0") as (url,), connect(url, COUNT) as client:
+        with pytest.raises(GoalRejected) as caught:
+            await client.call(3, retry=THRICE)
     assert (caught.value.reason, caught.value.code) == (reason, code)
     assert deciding.decided == (3 if code.is_temporary else 1)
 
@@ -104,39 +93,6 @@ async def test_only_a_temporary_rejection_of_a_worker_sends_the_goal_to_another(
             await client_of(connection).call(3)
     assert (caught.value.reason, caught.value.code) == (reason, code)
     assert (deciding.decided > 1) is code.is_temporary
-
-
-@each_case
-async def test_only_a_temporary_rejection_is_503_in_rest(reason: str, code: RejectionCode) -> None:
-    async with serve(Deciding(reason, code).server, "http://127.0.0.1:0") as (url,):
-        answer = await fetch(url, "POST", "/actions/count/goals", 3)
-    assert (answer.json["detail"], answer.json["code"]) == (reason, code.name)
-    assert answer.status == (503 if code.is_temporary else 422)
-    assert ("retry-after" in answer.headers) is code.is_temporary
-
-
-@each_case
-async def test_an_agent_is_told_to_try_again_only_after_a_temporary_rejection(
-    reason: str, code: RejectionCode
-) -> None:
-    here = InProcessTransport()
-    async with (
-        serve(Deciding(reason, code).server, here),
-        McpBridge(here, UNASKED) as bridge,
-        talk(bridge, "auto") as agent,
-    ):
-        text = await agent.error("count", goal=3)
-    assert reason in text
-    assert ("try again later" in text) is code.is_temporary
-
-
-@each_case
-async def test_a_task_of_an_agent_has_the_code(reason: str, code: RejectionCode) -> None:
-    address = A2aHttpTransport(port=0, unasked=["*"], token=TOKEN)
-    async with serve(Deciding(reason, code).server, address) as (url,), talking(url) as agent:
-        task = await agent.send(3, skill="count")
-    assert (state_of(task), text_of(task)) == ("REJECTED", reason)
-    assert MessageToDict(task.metadata) == {"code": code.name}
 
 
 # The table

@@ -11,7 +11,7 @@ import anyio
 import pytest
 from wsproto.events import TextMessage
 
-from fibaction import ActionServer, GoalHandle, Limits, Peer, Permission
+from fibaction import ActionServer, GoalHandle, Limits, Peer, Permission, RejectionCode
 from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import CancelAnswer, GoalID
@@ -161,7 +161,9 @@ async def test_a_wrong_field_is_answered(message: Any, expected: Any, serving: S
         assert answer.pop("result") is False
         assert answer.pop("status", 0) == 0
         assert answer.pop("values")
-        op = "action_result" if "action" in expected else "service_response"
+        is_goal = "action" in expected
+        assert answer.pop("code", None) == (RejectionCode.UNREADABLE if is_goal else None)
+        op = "action_result" if is_goal else "service_response"
         assert answer == {"op": op} | expected
         assert await works(client)
 

@@ -11,6 +11,7 @@ import pytest
 from anyio.lowlevel import checkpoint
 from wsproto.events import CloseConnection, TextMessage
 
+from fibaction import RejectionCode
 from tests.transports.web.rosbridge.clients import Serving, SocketClient
 from tests.transports.web.rosbridge.robot import Robot, feedback, goal, result
 
@@ -45,7 +46,7 @@ async def test_a_goal_of_another_type_is_told_what_the_action_has(serving: Servi
             "the type of 'fibonacci' is arduinobot_msgs/action/Fibonacci, and not"
             " nav2_msgs/action/Spin"
         )
-        assert await client.hear() == result(why, 0, ok=False)
+        assert await client.hear() == result(why, 0, ok=False, code=RejectionCode.UNREADABLE)
     assert robot.runs == 0
 
 
@@ -165,7 +166,7 @@ async def test_wrong_arguments_are_answered_and_nothing_runs(
     async with serving(robot.server) as served, served.connect() as client:
         await client.say(goal(1, args=args))
         answer = await client.hear()
-        assert answer == result(answer["values"], 0, ok=False)
+        assert answer == result(answer["values"], 0, ok=False, code=RejectionCode.UNREADABLE)
         assert why in answer["values"]
         await client.say(goal(1, args=[1], feedback=False))
         assert (await client.hear())["values"] == {"sequence": [1]}

@@ -59,7 +59,7 @@ from fibaction.wire.messages import (
     Welcome,
 )
 from fibaction.wire.settings import WireSettings
-from fibaction.words.errors import ProtocolError
+from fibaction.words.errors import ProtocolError, RejectionCode
 from fibaction.words.goals import GoalID
 from fibaction_transports.web.rosbridge.fragments import PartialMessages, size_of
 from fibaction_transports.web.rosbridge.operations import (
@@ -193,7 +193,7 @@ class RosbridgeTranslator:
         action = known_name(sent.action, self._endpoints)
         replies = GoalReplies(sent.id, sent.action, sent.fragment_size)
         if isinstance(payload, str):
-            self._tell(replies.failed(sendable(payload)))
+            self._tell(replies.rejected(sendable(payload), RejectionCode.UNREADABLE))
             return []
         goal_id, is_bound = GoalID.random(), sent.cancel_on_disconnect
         goal = SentGoal(sent.id, action, goal_id, is_bound, replies, sent.feedback)
@@ -238,7 +238,8 @@ class RosbridgeTranslator:
 
     def _answer_wrong(self, wrong: Wrong) -> None:
         if wrong.op == "send_action_goal":
-            self._tell(GoalReplies(wrong.id, wrong.name, None).failed(wrong.why))
+            replies = GoalReplies(wrong.id, wrong.name, None)
+            self._tell(replies.rejected(wrong.why, RejectionCode.UNREADABLE))
         elif wrong.op == "call_service":
             self._tell(ServiceReplies(wrong.id, wrong.name, None).failed(wrong.why))
         else:
