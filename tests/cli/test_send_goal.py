@@ -29,11 +29,13 @@ from fibaction import (
     Schedule,
     Sender,
     ServerNotFound,
+    TransportError,
     Watcher,
     connect,
     serve,
 )
-from fibaction.border.abc import Endpoint, Meta
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream, Meta
+from fibaction.cli.output.render import TextPrinter
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.process.signals import SAME_SIGNAL
 from fibaction.cli.verbs import send_goal
@@ -659,6 +661,39 @@ async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
 
     assert code == ExitCode.TIMED_OUT
     assert text in capsys.readouterr().err
+
+
+class OtherVersion(ForwardingEndpoint):
+    """An endpoint to which no goal can be sent."""
+
+    async def offer_goal(self, request: GoalRequest) -> GoalStream:
+        raise TransportError("its server has another version of the types")
+
+
+@pytest.mark.asyncio
+async def test_a_goal_is_said_to_be_sent_only_if_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    async with serve(OtherVersion(waiting()), "inproc://keys"):
+        with pytest.raises(TransportError):
+            await send_here()
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.asyncio
+async def test_a_goal_that_its_server_thinks_about_is_said_to_be_sent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    server, asked, decide = deciding()
+    said: list[str] = []
+
+    def say(_: object, goal: object) -> None:
+        said.append(f"sending {goal}")
+        decide.set()
+
+    monkeypatch.setattr(TextPrinter, "sending", say)
+    async with serve(server, "inproc://keys"), sent_here(announce=0.0) as codes:
+        await asked.wait()
+
+    assert len(codes) == len(said) == 1
 
 
 async def closed(*_: object, **__: object) -> None:

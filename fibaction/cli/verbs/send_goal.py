@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -47,6 +48,8 @@ class SendTimes(NamedTuple):
     command could end."""
     queue: float = 0.5
     """Until the command tells that a goal waits in a queue."""
+    announce: float = 0.25
+    """Until a goal is printed that the server has not decided."""
     same_signal: float = SAME_SIGNAL
     """Within which two signals count as one."""
 
@@ -211,6 +214,7 @@ class _GoalSender:
         self._goal_id = GoalID.random()
         self._phase: Literal["preparing", "sent", "accepted"] = "preparing"
         self._late = False
+        self._is_announced = False
         self._deadline = math.inf
 
     async def run(self, url: str, name: str, type_name: str, text: str | Pairs) -> int:
@@ -234,15 +238,16 @@ class _GoalSender:
         action = Action.untyped(info)
         payload = action.goal.encode(goal)
         self._endpoint = connection.endpoint(action)
-        if not self._options.detach:
-            self._printer.sending(goal)
-            if left_out := JsonCodec(info.goal).left_out(goal):
-                note(f"The server fills in: {printable(', '.join(left_out))}")
-        try:
-            stream = await self._deliver(payload)
-        except GoalRejected as exc:
-            self._printer.rejected(exc)
-            return ExitCode.REJECTED
+        left_out = [] if self._options.detach else JsonCodec(info.goal).left_out(goal)
+        async with Background() as tasks:
+            tasks.start_soon(self._announce_later, goal, left_out)
+            try:
+                stream = await self._deliver(payload)
+            except GoalRejected as exc:
+                self._announce(goal, left_out)
+                self._printer.rejected(exc)
+                return ExitCode.REJECTED
+            self._announce(goal, left_out)
         if self._options.detach and not self._options.as_json:
             say(str(self._goal_id))
         else:
@@ -280,6 +285,20 @@ class _GoalSender:
             raise
         self._phase = "accepted"
         return stream
+
+    async def _announce_later(self, goal: Any, left_out: Sequence[str]) -> None:
+        """Announce the goal while its server decides: a goal that cannot be sent fails before."""
+        await anyio.sleep(self._times.announce)
+        self._announce(goal, left_out)
+
+    def _announce(self, goal: Any, left_out: Sequence[str]) -> None:
+        """Print the goal, if that was not done."""
+        if self._is_announced or self._options.detach:
+            return
+        self._is_announced = True
+        self._printer.sending(goal)
+        if left_out:
+            note(f"The server fills in: {printable(', '.join(left_out))}")
 
     async def _tell_place(self) -> None:
         """Print the goal's place if it still waits in a queue after a while."""

@@ -327,12 +327,12 @@ async def test_another_version_of_a_type_is_told_before_the_first_goal(
         connect(DdsTransport(search=[str(other)])) as connection,
     ):
         info = await found(connection, name)
+        assert caplog.records == []
         assert await found(connection, name) == info
         (record,) = caplog.records
         assert record.getMessage().startswith(f"{name} cannot be used: its server has another")
         client = connection.client(Action.untyped(info))
         await client.wait_for_server(PATIENCE)
-        assert len(caplog.records) == 2
         for _ in range(2):
             with pytest.raises(TransportError) as caught:
                 await client.send_goal({"spot": 1})
@@ -347,6 +347,28 @@ async def test_another_version_of_a_type_is_told_before_the_first_goal(
             f"cannot use the action {name!r} in ROS: its server has another version of the types: "
         )
         assert "use the interface files with which the server was built" in str(caught.value)
+    assert len(caplog.records) == 1
+
+
+@pytest.mark.parametrize("is_sent", [False, True])
+async def test_another_version_that_is_seen_once_is_told_at_the_end_or_by_the_error_of_the_goal(
+    is_sent: bool,
+    folder: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    name, other = new_name(), tmp_path_factory.mktemp("other")
+    path = other / f"{PAINT}.action"
+    path.parent.mkdir(parents=True)
+    path.write_text("int32 spot\n---\nint32 spots\n---\n")
+    async with painting(folder, name):
+        async with connect(DdsTransport(search=[str(other)])) as connection:
+            client = connection.client(Action.untyped(await found(connection, name)))
+            if is_sent:
+                with pytest.raises(TransportError, match="another version of the types"):
+                    await client.send_goal({"spot": 1})
+            assert caplog.records == []
+    assert len(caplog.records) == (not is_sent)
 
 
 @pytest.mark.parametrize("place", [f"old/{PAINT}.action", "old/Paint.action"])

@@ -259,8 +259,8 @@ class RosConnection(Connection):
         self._settings = settings
         self._looks = GraphLooks(ros, settings.discovery_timeout)
         self._clients: dict[tuple[str, str], RosActionClient] = {}
-        self._warned: dict[str, str] = {}
-        """The last warning of the versions of each action's types."""
+        self._seen: dict[str, str] = {}
+        """The actions whose servers have other versions of the types, by what is to be told."""
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         """See `Connection.endpoint`.
@@ -311,6 +311,7 @@ class RosConnection(Connection):
         self._looks.check()
         texts = self._ros.types.texts(action.type_name)
         if problem := self._version_problem(action):
+            self._ros.told.add(problem)
             raise TransportError(problem)
         return texts
 
@@ -319,13 +320,23 @@ class RosConnection(Connection):
         return explain_versions(self._ros, full, self._ros.types.find(info.type_name).impl)
 
     def _warn_of_versions(self, info: ActionInfo) -> None:
-        """Log once that a server has other versions of the types than this end."""
+        """Log once that a server has other versions of the types than this end.
+
+        It is logged at the second look, or at the end: after the first look, a goal may be sent,
+        whose error says so.
+        """
         if not info.feedback:
             return  # there are no types here
         problem = self._version_problem(info)
-        if problem and self._warned.get(info.name) != problem:
-            logger.warning("%s cannot be used: %s", info.name, problem)
-        self._warned[info.name] = problem
+        if problem in self._seen:
+            self._tell(problem)
+        elif problem:
+            self._seen[problem] = info.name
+
+    def _tell(self, problem: str) -> None:
+        if problem not in self._ros.told:
+            self._ros.told.add(problem)
+            logger.warning("%s cannot be used: %s", self._seen[problem], problem)
 
     async def peers(self, action: str) -> ActionPeers:
         """See `Connection.peers`. Peers are named by their nodes. The clients are the nodes that
@@ -353,6 +364,8 @@ class RosConnection(Connection):
 
     def close(self) -> None:
         """End everything that is pending, and everything that is tried later."""
+        for problem in self._seen:
+            self._tell(problem)
         self._ros.fail(ConnectionLost("the connection was closed here"))
 
 

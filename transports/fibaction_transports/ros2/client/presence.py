@@ -174,7 +174,7 @@ class Presence:
         servers = self.servers()
         if servers != self._checked:
             if problem := self._other_versions():
-                raise TransportError(problem)
+                raise TransportError(self._unusable(problem))
             self._checked = servers
         return servers
 
@@ -182,15 +182,19 @@ class Presence:
         if mismatch := self._mismatch():
             return f"cannot reach the action {self._action!r} in ROS: {mismatch}"
         if problem := self._other_versions():
-            return problem
+            return self._unusable(problem)
         return (
             f"no server of the action {self._action!r} in ROS: there is no service"
             f" {self._names.send_goal}; start the server, or wait for it with wait_for_server()"
         )
 
     def _other_versions(self) -> str:
-        problem = explain_versions(self._ros, self._names, self._impl)
-        return f"cannot use the action {self._action!r} in ROS: {problem}" if problem else ""
+        return explain_versions(self._ros, self._names, self._impl)
+
+    def _unusable(self, problem: str) -> str:
+        """Return the error about other versions of the types."""
+        self._ros.told.add(problem)
+        return f"cannot use the action {self._action!r} in ROS: {problem}"
 
     def _mismatch(self) -> str:
         return explain_mismatch(self._ros, self._names, self._settings)
@@ -204,11 +208,16 @@ class Presence:
         with anyio.move_on_after(MATCH_TIME) as scope:
             await self._come()
         if scope.cancelled_caught:
-            if mismatch := self._mismatch() or self._other_versions():
+            if mismatch := self._mismatch():
                 logger.warning("%s cannot be reached yet: %s", self._action, mismatch)
+            self._warn_of_versions()
             await self._come()
-        if problem := self._other_versions():
-            logger.warning("%s", problem)
+        self._warn_of_versions()
+
+    def _warn_of_versions(self) -> None:
+        problem = self._other_versions()
+        if problem and problem not in self._ros.told:
+            logger.warning("%s", self._unusable(problem))
 
     async def _come(self) -> None:
         while not self.is_there():
