@@ -17,10 +17,14 @@ from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statu
 from fibaction_transports.ros2.node.parts import TopicSubscription
 from fibaction_transports.ros2.on_dds.topics import DdsSubscription
 from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.qos import Durability, Qos, Reliability
 
 pytestmark = pytest.mark.anyio
 GOAL = GoalID(bytes(range(16)))
 OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"")
+RELIABLE = Qos(reliability=Reliability.RELIABLE)
 RUNNING = GoalInfo(GOAL, 5, GoalStatus.EXECUTING)
 FEEDBACK = b"\x00\x01\x00\x00" + GOAL
 
@@ -109,7 +113,7 @@ def test_a_middleware_that_cannot_tell_counts_as_caught_up() -> None:
 
 def test_a_subscription_that_was_asked_again_waits_for_the_later_answer() -> None:
     called = list[int]()
-    reader: Any = SimpleNamespace(is_catching_up=True)
+    reader: Any = SimpleNamespace(is_catching_up=True, topic="rt/a", qos=Qos())
     subscription = DdsSubscription(reader, lambda *_: None, lambda of: of.is_catching_up)
     subscription.when_caught_up(lambda: called.append(1))
     subscription.note_caught_up()
@@ -120,3 +124,45 @@ def test_a_subscription_that_was_asked_again_waits_for_the_later_answer() -> Non
     subscription.note_caught_up()
     subscription.note_caught_up()
     assert called == [2, 1]
+
+
+def numbered(subscription: DdsSubscription, *numbers: int) -> None:
+    """Let messages of one writer arrive."""
+    writer = Guid(bytes(16))
+    for number in numbers:
+        subscription.receive(Sample(writer, number, FEEDBACK, None, None))
+
+
+async def test_feedback_that_a_server_kept_no_longer_is_counted_by_the_numbers_of_its_messages(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    followed, stream = ended(lambda then: None)
+    reader: Any = SimpleNamespace(topic="rt/a/_action/feedback", qos=RELIABLE)
+    subscription = DdsSubscription(reader, followed.take_feedback, lambda _: False)
+    subscription.tell_lost(followed.note_lost)
+    numbered(subscription, 7, 8, 12, 13)
+
+    items = [item for item in stream.take(9) if not isinstance(item, GoalStatus | Outcome)]
+    assert [item.number for item in items] == [1, 2, 6, 7]
+    assert stream.dropped == 3
+    (told,) = caplog.messages
+    assert told.startswith("a message on /a/_action/feedback was dropped (3 so far): ")
+
+
+async def test_feedback_that_is_lost_before_the_first_of_a_goal_is_not_its_own() -> None:
+    followed, stream = ended(lambda then: None)
+    followed.note_lost(5)
+    followed.take_feedback(FEEDBACK, b"")
+    other = RosGoalStream(GoalID.random(), stream.decoder, 10, reads=True)
+    followed.add(other)
+    followed.note_lost(5)  # of either of them
+    followed.take_feedback(FEEDBACK, b"")
+
+    items = [item for item in stream.take(9) if not isinstance(item, GoalStatus | Outcome)]
+    assert [item.number for item in items] == [1, 2]
+
+
+def test_a_topic_of_latest_messages_may_skip_some(caplog: pytest.LogCaptureFixture) -> None:
+    reader: Any = SimpleNamespace(topic="rt/status", qos=Qos(durability=Durability.TRANSIENT_LOCAL))
+    numbered(DdsSubscription(reader, lambda *_: None, lambda _: False), 1, 9)
+    assert caplog.messages == []

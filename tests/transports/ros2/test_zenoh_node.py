@@ -13,7 +13,8 @@ import pytest
 import zenoh
 
 from fibaction import ActionServer, ConnectionLost, ProtocolError, TransportError, connect, serve
-from fibaction_transports.ros2.on_zenoh import services, session, topics
+from fibaction_transports.ros2.node import mailbox
+from fibaction_transports.ros2.on_zenoh import services, session
 from fibaction_transports.ros2.on_zenoh.keys import SERVER, attachment, hash_of, key_of
 from fibaction_transports.ros2.on_zenoh.node import ZenohNode
 from fibaction_transports.ros2.on_zenoh.services import QueryHeader, ZenohProvider
@@ -94,7 +95,7 @@ async def test_what_is_missing_between_two_messages_is_counted(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As of a publisher of rclpy, which drops feedback when its queue is full."""
-    monkeypatch.setattr(topics, "MOST_PUBLISHERS", 2)
+    monkeypatch.setattr(mailbox, "MOST_PUBLISHERS", 2)
     heard: list[bytes] = []
     async with opened() as node:
         topic = f"{node.namespace}/topic"

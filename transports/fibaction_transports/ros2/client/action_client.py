@@ -110,6 +110,7 @@ class RosActionClient:
             is_reliable=qos.are_reliable(settings.feedback_qos),
             catch_up=feedback.when_caught_up,
         )
+        feedback.tell_lost(self._followed.note_lost)
         callers = (self._goals.caller, self._cancels.caller, self._followed.results)
         ros.introspect(settings.introspection, *callers)
         self._counts = ReceivedCounts(ros, action, self._followed.take_count)

@@ -142,6 +142,12 @@ class FollowedGoals:
             stream.add_feedback(message, publisher)
             self._finish_if_complete(stream)
 
+    def note_lost(self, count: int) -> None:
+        """Note that feedback is lost. It is known whose it was if one goal is followed."""
+        if len(self._streams) == 1:
+            for stream in self:
+                stream.note_lost(count)
+
     def take_from(self, stream: RosGoalStream, publishers: frozenset[bytes]) -> None:
         """Take the goal's feedback from these publishers only; from all if there are none."""
         stream.take_from(publishers)

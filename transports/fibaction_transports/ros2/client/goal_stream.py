@@ -130,6 +130,13 @@ class RosGoalStream(GoalStream):
             self._items.append((FeedbackItem(self._received, message), publisher))
             self.news.notify()
 
+    def note_lost(self, count: int) -> None:
+        """Note that feedback is lost between what has arrived and what is to come. Feedback that
+        is lost before is of a goal before.
+        """
+        if self._received and not self.is_counted:
+            self._received += count
+
     def take_from(self, publishers: frozenset[bytes]) -> None:
         """Take feedback of these publishers only, and drop the unread feedback of others. None
         means all publishers.

@@ -41,6 +41,34 @@ class Drops:
             logger.warning("%s was dropped (%d so far): %s", self._what, self.count, why)
 
 
+MOST_PUBLISHERS = 1_000
+"""Publishers of a topic whose numbers are known."""
+
+
+class MessageNumbers:
+    """Counts the messages of a topic that are missing, by the numbers of its publishers."""
+
+    def __init__(self, topic: str) -> None:
+        self._lost = Drops(f"a message on {topic}")
+        self._tell: Callable[[int], None] = lambda count: None
+        self._last: dict[bytes, int] = {}
+        """The number of the last message of each publisher, that of the last one at the end."""
+
+    def tell(self, take: Callable[[int], None]) -> None:
+        """Call `take` with the number of messages that are missing, before that which shows it."""
+        self._tell = take
+
+    def note(self, publisher: bytes, number: int) -> None:
+        """Note the number of a message. A publisher drops messages that find its queue full."""
+        before = self._last.pop(publisher, number)
+        self._last[publisher] = number
+        if len(self._last) > MOST_PUBLISHERS:
+            del self._last[next(iter(self._last))]
+        if number > before + 1:
+            self._lost.note("its publisher, or the way, was overloaded", number - before - 1)
+            self._tell(number - before - 1)
+
+
 class Mailbox:
     """A queue of items for the event loop, filled by any thread.
 

@@ -77,6 +77,13 @@ class TopicSubscription(ABC):
     def publisher_count(self) -> int:
         """Return the number of publishers that are connected."""
 
+    def tell_lost(  # noqa: B027  # rclpy does not tell
+        self, take: Callable[[int], None]
+    ) -> None:
+        """Call `take` with the number of messages that are lost, before the one that shows it. By
+        default, the middleware does not tell.
+        """
+
     def when_caught_up(self, then: Callable[[], None]) -> None:
         """Call `then` when all messages have been taken that were published before now, as far as
         the middleware can find out; at once if it cannot, as by default, or if it need not ask.

@@ -7,6 +7,7 @@ from typing import Any
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import LimitReached
+from fibaction_transports.ros2.node.mailbox import MessageNumbers
 from fibaction_transports.ros2.node.parts import (
     LifeSigns,
     LifeWatch,
@@ -14,6 +15,7 @@ from fibaction_transports.ros2.node.parts import (
     TopicPublisher,
     TopicSubscription,
 )
+from fibaction_transports.ros2.on_dds.topic_names import ros_topic
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
@@ -65,10 +67,18 @@ class DdsSubscription(TopicSubscription):
         self._take = take
         self._catch_up = catch_up
         self._waiting: list[Callable[[], None]] = []
+        qos = reader.qos
+        self._must_be_whole = qos.is_reliable and not qos.is_transient_local
+        self._numbers = MessageNumbers(ros_topic(reader.topic))
 
     def receive(self, sample: Sample) -> None:
         """Take a message."""
+        if self._must_be_whole:
+            self._numbers.note(bytes(sample.writer), sample.number)
         self._take(sample.payload, bytes(sample.writer))
+
+    def tell_lost(self, take: Callable[[int], None]) -> None:
+        self._numbers.tell(take)
 
     def publisher_count(self) -> int:
         # Without those that have not found the reader yet, and would lose the first messages.

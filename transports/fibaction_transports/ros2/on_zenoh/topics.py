@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import zenoh
 from zenoh import ext
 
-from fibaction_transports.ros2.node.mailbox import Drops
+from fibaction_transports.ros2.node.mailbox import Drops, MessageNumbers
 from fibaction_transports.ros2.node.parts import (
     LifeSigns,
     LifeWatch,
@@ -20,7 +21,6 @@ from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
     PUBLISHER,
     SUBSCRIPTION,
-    Attachment,
     OwnEnd,
     attachment,
     hash_of,
@@ -29,9 +29,6 @@ from fibaction_transports.ros2.on_zenoh.keys import (
 from fibaction_transports.ros2.on_zenoh.session import ZenohSession
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
-
-MOST_PUBLISHERS: Final = 1_000
-"""Publishers of a topic whose last messages are known."""
 
 
 class ZenohPublisher(TopicPublisher):
@@ -111,10 +108,8 @@ class ZenohSubscription(TopicSubscription):
         self._take = take
         self.declared: Any  # a subscriber, whose types are incomplete
         self._unread = Drops(f"a message on {end.name}")
-        self._lost = Drops(f"a message on {end.name}")
         self._must_be_whole = qos.reliability == "reliable" and qos.durability == "volatile"
-        self._numbers: dict[bytes, int] = {}
-        """The number of the last message of each publisher, that of the last one at the end."""
+        self._numbers = MessageNumbers(end.name)
         handler = session.sample_handler(self._receive)
         if qos.durability == "transient_local":
             history = ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)
@@ -137,17 +132,11 @@ class ZenohSubscription(TopicSubscription):
             self._unread.note("it has no attachment of ROS")
             return
         if self._must_be_whole:
-            self._note_number(read)
+            self._numbers.note(read.gid, read.number)
         self._take(sample.payload.to_bytes(), self._graph.publisher(read.gid))
 
-    def _note_number(self, read: Attachment) -> None:
-        """Count what is missing: a publisher of rclpy drops messages if its queue is full."""
-        before = self._numbers.pop(read.gid, read.number)
-        self._numbers[read.gid] = read.number
-        if len(self._numbers) > MOST_PUBLISHERS:
-            del self._numbers[next(iter(self._numbers))]
-        if read.number > before + 1:
-            self._lost.note("its publisher, or the way, was overloaded", read.number - before - 1)
+    def tell_lost(self, take: Callable[[int], None]) -> None:
+        self._numbers.tell(take)
 
     def publisher_count(self) -> int:
         return self._graph.count_connected(PUBLISHER, self._topic, self._hash)
