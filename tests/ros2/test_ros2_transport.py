@@ -27,6 +27,7 @@ from fibaction.border.urls import transport_for
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import Ros2Transport, on_rclpy
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.ros2.ends import PATIENCE
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -137,6 +138,22 @@ async def test_a_valid_domain_in_the_environment_is_used(
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     async with connect("ros2://"):
         pass
+
+
+async def test_doctor_says_which_nodes_and_actions_are_heard() -> None:
+    space = namespace()
+    transport = Ros2Transport("doctor", namespace=space)
+    with anyio.fail_after(PATIENCE):
+        async with serve(server(), f"ros2://cook?namespace={space}"):
+            while not (found := await transport.diagnose(0.5, "fibonacci")).is_found:
+                pass
+    (action,) = [one for one in found.facts["actions"] if one["name"].startswith(space)]
+    assert action["servers"] == [f"{space}/cook"]
+    assert f"{space}/cook" in found.facts["nodes"]
+    assert found.advice == ()
+
+    alone = await Ros2Transport(domain_id=101).diagnose(0.1)
+    assert (alone.is_found, alone.advice) == (False, ("no other node was heard",))
 
 
 async def test_arguments_that_ros_does_not_understand_are_an_error() -> None:

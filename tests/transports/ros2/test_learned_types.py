@@ -350,9 +350,9 @@ async def test_another_version_of_a_type_is_told_before_the_first_goal(
     assert len(caplog.records) == 1
 
 
-@pytest.mark.parametrize("is_sent", [False, True])
-async def test_another_version_that_is_seen_once_is_told_at_the_end_or_by_the_error_of_the_goal(
-    is_sent: bool,
+@pytest.mark.parametrize("told_by", ["the end", "the goal", "the wait"])
+async def test_another_version_that_is_seen_once_is_told_once(
+    told_by: str,
     folder: Path,
     tmp_path_factory: pytest.TempPathFactory,
     caplog: pytest.LogCaptureFixture,
@@ -364,11 +364,13 @@ async def test_another_version_that_is_seen_once_is_told_at_the_end_or_by_the_er
     async with painting(folder, name):
         async with connect(DdsTransport(search=[str(other)])) as connection:
             client = connection.client(Action.untyped(await found(connection, name)))
-            if is_sent:
+            if told_by == "the goal":
                 with pytest.raises(TransportError, match="another version of the types"):
                     await client.send_goal({"spot": 1})
             assert caplog.records == []
-    assert len(caplog.records) == (not is_sent)
+            if told_by == "the wait":
+                await client.wait_for_server(PATIENCE)
+    assert len(caplog.records) == (told_by != "the goal")
 
 
 @pytest.mark.parametrize("place", [f"old/{PAINT}.action", "old/Paint.action"])
