@@ -27,16 +27,10 @@ _DURATION = "must be a duration in days, hours, minutes and seconds, such as P1D
 _CLEAR = {
     "Invalid RFC3339 encoded datetime": _DATE_TIME,
     "Expected `datetime` with a timezone component": f"{_DATE_TIME}, and tell the offset from UTC",
-    "Expected `datetime` with no timezone component": (
-        "must be a date and time without an offset from UTC, such as 2026-01-31T12:00:00"
-    ),
     "Invalid RFC3339 encoded date": "must be a date such as 2026-01-31",
     "Invalid RFC3339 encoded time": "must be a time with seconds, such as 12:00:00",
     "Expected `time` with a timezone component": (
         "must be a time with its offset from UTC, such as 12:00:00Z"
-    ),
-    "Expected `time` with no timezone component": (
-        "must be a time without an offset from UTC, such as 12:00:00"
     ),
     "Only units 'D', 'H', 'M', and 'S' are supported when parsing ISO8601 durations": _DURATION,
     "Invalid ISO8601 duration": _DURATION,

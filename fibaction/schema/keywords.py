@@ -57,9 +57,11 @@ def _iso(*kinds: Any) -> tuple[Callable[[str], Any], ...]:
 
 _READERS: dict[str, tuple[Any, tuple[Callable[[str], Any], ...]]] = {
     "date-time": (datetime, _iso(datetime)),
+    "iso-date-time": (datetime, ()),
     "date-time-local": (Annotated[datetime, msgspec.Meta(tz=False)], ()),
     "date": (date, _iso(date, datetime)),
     "time": (time, _iso(time)),
+    "iso-time": (time, ()),
     "partial-time": (Annotated[time, msgspec.Meta(tz=False)], ()),
     "duration": (timedelta, (_LASTS.fullmatch,)),
     "uuid": (uuid.UUID, (uuid.UUID,)),

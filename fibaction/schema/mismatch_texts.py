@@ -34,9 +34,11 @@ _TYPES = {
 }
 _FORMAT_NAMES = {
     "date-time": "a date and time in ISO 8601",
+    "iso-date-time": "a date and time with seconds, such as 2026-01-31T12:00:00Z",
     "date-time-local": "a date and time in ISO 8601 without an offset from UTC",
     "date": "a date in ISO 8601",
     "time": "a time in ISO 8601",
+    "iso-time": "a time with seconds, such as 12:00:00",
     "partial-time": "a time in ISO 8601 without an offset from UTC",
     "duration": "a duration in ISO 8601",
     "uuid": "a UUID",

@@ -24,9 +24,11 @@ MOST_MULTIPLES = 10
 _EMPTY: dict[str, Any] = {"integer": 0, "number": 0.0, "string": "", "boolean": False, "null": None}
 FORMATS = {
     "date-time": "2026-01-31T12:00:00Z",
+    "iso-date-time": "2026-01-31T12:00:00Z",
     "date-time-local": "2026-01-31T12:00:00",
     "date": "2026-01-31",
     "time": "12:00:00",
+    "iso-time": "12:00:00",
     "partial-time": "12:00:00",
     "duration": "PT1S",
     "uuid": "00000000-0000-0000-0000-000000000000",

@@ -5,8 +5,9 @@
   called twice: what it returns both times is the default, and what differs, such as a random ID, is
   left to the server.
 - The descriptions of fields that are plain text: `Annotated[int, "How far."]`.
-- The formats of times that may be without an offset from UTC. They are named as pydantic names
-  them, so that a form shows a picker, and the check names the field.
+- The formats of times that may be without an offset from UTC, so that a form shows a picker, and
+  the check names the field. `iso-date-time` and `iso-time`, with an offset or without, are names of
+  `ajv-formats`; `date-time-local` is one of the OpenAPI registry.
 """
 
 from __future__ import annotations
@@ -85,9 +86,10 @@ def _add_formats(part: Any, kind: inspect.Type) -> None:
         return
     match kind:
         case inspect.DateTimeType():
-            part.setdefault("format", "date-time-local" if kind.tz is False else "date-time")
+            local = "iso-date-time" if kind.tz is None else "date-time-local"
+            part.setdefault("format", local)
         case inspect.TimeType():
-            part.setdefault("format", "time")
+            part.setdefault("format", "iso-time")
         case inspect.CollectionType():
             _add_formats(part.get("items"), kind.item_type)
         case inspect.DictType():

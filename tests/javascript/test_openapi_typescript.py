@@ -45,4 +45,4 @@ def test_a_program_with_generated_types_sends_follows_and_cancels_goals(tmp_path
             out = run(tmp_path, "program.js", url)
         finally:
             robot.kill()
-    assert out.split() == ["fetch,left/count", "SUCCEEDED", "1", "3", "NONE", "CANCELED"]
+    assert out.split() == ["fetch,left/count,book", "SUCCEEDED", "1", "3", "NONE", "CANCELED"]

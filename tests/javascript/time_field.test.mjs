@@ -8,7 +8,7 @@ import { kindOf, resolverOf } from "./schema.js";
 import { isPicked, pickedOf, textOfPicked } from "./time_field.js";
 
 test("dates and times have a picker, other texts do not", () => {
-  for (const format of ["date-time", "date-time-local", "date", "time", "partial-time"]) assert.ok(isPicked({ format }));
+  for (const format of ["date-time", "iso-date-time", "date-time-local", "date", "time", "iso-time", "partial-time"]) assert.ok(isPicked({ format }));
   for (const format of [undefined, "uuid", "duration", "toString"]) assert.ok(!isPicked({ format }));
 });
 

@@ -68,7 +68,7 @@ def test_a_time_that_only_the_type_refuses_is_told_with_its_field_and_a_right_on
         ("naive", "2025-01-01T00:00:00Z", "goal.naive must be a date and time in ISO 8601 without"),
         ("aware", "2025-01-01T00:00:00", "goal.aware must be .*, and tell the offset from UTC$"),
         ("every", "P2W", "goal.every must be a duration in days, hours, minutes and seconds, such"),
-        ("days", ["12:00"], r"goal\.days\[0\] must be a time with seconds, such as 12:00:00$"),
+        ("days", ["12:00"], r"goal\.days\[0\] must be a time with seconds, such as 12:00:00, not "),
         ("id", f"urn:uuid:{UUID(int=0)}", "goal.id must be a UUID such as 0000"),
     ]:
         goal = packed({"at": "2026-01-01T00:00:00", field: text})

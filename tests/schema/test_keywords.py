@@ -33,6 +33,7 @@ NAN = float("nan")
         ("format", "date-time", ["2025-01-01T00:00Z", "2025-01-01T00:00:00"], ["12:00"]),
         ("format", "date-time-local", ["2025-01-01T00:00:00"], ["2025-01-01T00:00:00Z"]),
         ("format", "time", ["12:00", "12:00:00Z"], ["noon"]),
+        ("format", "iso-time", ["12:00:00", "12:00:00Z"], ["12:00"]),
         ("format", "partial-time", ["12:00:00"], ["12:00:00Z"]),
         ("format", "uuid", [UUID, f"urn:uuid:{UUID}"], ["1"]),
         ("format", "regex", ["("], []),

@@ -2,7 +2,7 @@
 
     python -m tests.support.nested_actions URL
 
-serves them.
+serves them; with an action that needs no goal, and takes times, a set and a decimal.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from __future__ import annotations
 import datetime
 import sys
 from collections.abc import AsyncGenerator
+from decimal import Decimal
 from typing import Annotated, Any, Literal
 
 import anyio
 import msgspec
 
-from fibaction import Action, ActionServer, GoalHandle, serve
+from fibaction import Action, ActionServer, GoalHandle, action, serve
 
 
 class Point(msgspec.Struct):
@@ -76,9 +77,24 @@ async def count(goal: GoalHandle[Any]) -> AsyncGenerator[Feedback | Result, None
     yield Result(goal.request.order)
 
 
+class Booking(msgspec.Struct):
+    at: datetime.datetime = datetime.datetime(2026, 1, 31)
+    lasts: datetime.timedelta = datetime.timedelta(hours=1)
+    opens: datetime.time | None = None
+    seats: set[int] = set()
+    price: Decimal | None = None
+
+
+@action
+async def book(booking: Booking) -> Booking:
+    """Return what was booked."""
+    return booking
+
+
 async def main(url: str) -> None:
-    """Serve both actions until the process is ended."""
-    async with serve([ActionServer(FETCH, fetch), ActionServer(COUNT, count)], url) as (served,):
+    """Serve the actions until the process is ended."""
+    servers = [ActionServer(FETCH, fetch), ActionServer(COUNT, count), book]
+    async with serve(servers, url) as (served,):
         print(served, flush=True)
         await anyio.sleep_forever()
 

@@ -188,14 +188,14 @@ def test_times_have_a_format_with_an_offset_from_utc_and_without() -> None:
         "pair": pair,
     }
     assert {name: one["format"] for name, one in found.items()} == {
-        "any": "date-time",
+        "any": "iso-date-time",
         "naive": "date-time-local",
-        "first": "date-time",
-        "listed": "time",
-        "named": "date-time",
-        "pair": "date-time",
+        "first": "iso-date-time",
+        "listed": "iso-time",
+        "named": "iso-date-time",
+        "pair": "iso-date-time",
         "own": "mine",
         "zoned": "time",
         "bare": "partial-time",
     }
-    assert schema_of(datetime) == {"type": "string", "format": "date-time"}
+    assert schema_of(datetime) == {"type": "string", "format": "iso-date-time"}

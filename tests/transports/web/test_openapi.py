@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from datetime import datetime, time, timedelta
+from decimal import Decimal
 from typing import Any
 
 import msgspec
@@ -16,7 +18,7 @@ from fibaction.types.action import ActionInfo
 from fibaction.words.goal_query import cancel_stamp_of
 from fibaction_transports.web.rest.goal_list import page_of
 from fibaction_transports.web.rest.openapi import describe
-from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE
+from fibaction_transports.web.rest.openapi_schemas import LARGEST_EXAMPLE, PATTERNS
 from fibaction_transports.web.rest.routes import METHODS, PARAMETERS, Resource
 from tests.support.fibonacci import FIBONACCI
 from tests.support.nested_actions import COUNT, FETCH
@@ -249,3 +251,50 @@ def test_a_goal_has_no_example_if_it_would_be_large_or_cannot_be_made() -> None:
     assert example({"default": [[0]] * LARGEST_EXAMPLE}) is None
     assert example({"type": "array", "minItems": 10_000}) is None
     assert example({"properties": {"a": {"default": {"b": [1, None]}}}}) == {"a": {"b": [1, None]}}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "right", "wrong"),
+    [
+        (
+            *("iso-date-time", datetime),
+            ["2024-02-29T23:59:59.5Z", "2026-12-31 00:00:00", "0001-01-01t00:00:00+05:30"],
+            ["2026-02-29T00:00:00Z", "2026-04-31T00:00:00Z", "1900-02-29T00:00:00Z", "2026-01-31"],
+        ),
+        ("date-time-local", datetime, ["2000-02-29T00:00:00"], ["2026-01-31T00:00Z"]),
+        ("iso-time", time, ["23:59:59", "00:00:00.25+01:00"], ["24:00:00", "12:00"]),
+        ("partial-time", time, ["12:00:00"], ["12:60:00"]),
+        (
+            "iso-duration",
+            timedelta,
+            ["P1D", "-P1DT2H", "PT0.5S", "PT1H30M"],
+            ["P", "PT", "P1Y", "P2W"],
+        ),
+        ("decimal", Decimal, ["1", "-1.50", ".5", "1.", "1E+5", "NaN"], ["", ".", "1,5", "1e"]),
+    ],
+)
+def test_the_pattern_of_a_format_fits_what_is_read(
+    name: str, kind: Any, right: list[str], wrong: list[str]
+) -> None:
+    for text in right:
+        assert re.search(PATTERNS[name], text)
+        msgspec.convert(text, kind)
+    for text in wrong:
+        assert not re.search(PATTERNS[name], text)
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert(text, kind)
+
+
+def test_the_body_of_an_action_that_needs_no_goal_may_be_null_or_empty() -> None:
+    def bodies(goal: Any) -> list[dict[str, Any]]:
+        action = Action[Any, Any, Any]("act", goal=goal, feedback=int, result=int)
+        paths = describe([action.info], "", asks_for_tokens=False)["paths"]
+        at = [paths["/actions/act/goals"]["post"], paths["/actions/act/goals/{goal_id}"]["put"]]
+        return [one["requestBody"]["content"]["application/json"]["schema"] for one in at]
+
+    optional = msgspec.defstruct("Optional", [("a", int, 1)])
+    needed = msgspec.defstruct("Needed", [("a", int)])
+    for schema in bodies(optional):
+        _, empty = schema["anyOf"]
+        assert (empty["type"], empty["maxProperties"]) == (["null", "object"], 0)
+    assert bodies(needed) == [{"$ref": "#/components/schemas/act.goal"}] * 2

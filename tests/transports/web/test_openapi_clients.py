@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Generator
@@ -16,15 +17,17 @@ from pathlib import Path
 import pytest
 
 from fibaction_transports.web.rest.openapi import describe
-from tests.support.nested_actions import COUNT, FETCH
+from tests.support.nested_actions import COUNT, FETCH, book
 from tests.support.ports import free_port
 from tests.support.processes import Finished, ended, lines_until
 
 ROOT = Path(__file__).resolve().parents[3]
 PROGRAMS = ROOT / ".venv-openapi/bin"
 IS_LEFT_OUT = not PROGRAMS.is_dir() and os.environ.get("FIBACTION_OPENAPI") != "required"
+REDOCLY = "@redocly/cli@2.77.0"
+TOKEN = "of-the-tests"
 EXAMPLES = "5"
-"""Requests of each kind to each operation; in all, some hundreds in 10 seconds."""
+"""Requests of each kind to each operation; in all, some hundreds in 20 seconds."""
 
 PROGRAM = """\
 import sys
@@ -64,9 +67,15 @@ pytestmark = pytest.mark.skipif(IS_LEFT_OUT, reason="its programs are missing: r
 
 
 @pytest.fixture
-def url() -> Generator[str, None, None]:
+def query() -> str:
+    """The settings in the server's URL."""
+    return ""
+
+
+@pytest.fixture
+def url(query: str) -> Generator[str, None, None]:
     url = f"http://127.0.0.1:{free_port()}"
-    command = [sys.executable, "-m", "tests.support.nested_actions", url]
+    command = [sys.executable, "-m", "tests.support.nested_actions", url + query]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as robot:
         try:
             lines_until(url, robot)
@@ -101,15 +110,33 @@ def test_a_generated_client_sends_follows_and_cancels_goals(url: str, tmp_path: 
     assert made.code == 0, made.out
     (tmp_path / "program.py").write_text(PROGRAM)
     done = run(tmp_path, "python", "program.py", url)
-    assert done.lines == ["fetch left/count", "SUCCEEDED 1", "3", "NONE", "CANCELED"], done.out
+    assert done.lines == ["fetch left/count book", "SUCCEEDED 1", "3", "NONE", "CANCELED"], done.out
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.parametrize("query", ["", f"?token={TOKEN}"], ids=["open", "with a token"])
 def test_random_requests_find_no_difference_between_description_and_server(
     url: str, tmp_path: Path
 ) -> None:
     done = run(
         *(tmp_path, "schemathesis", "run", f"{url}/openapi.json"),
-        *("--phases", "examples,coverage,fuzzing", "--max-examples", EXAMPLES),
+        *("--header", f"Authorization: Bearer {TOKEN}", "--max-examples", EXAMPLES),
+        *("--phases", "examples,coverage,fuzzing"),  # the other one may wait for a goal without end
     )
     assert done.code == 0, done.out
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.skipif(shutil.which("npx") is None, reason="redocly needs Node")
+@pytest.mark.skipif(
+    os.environ.get("FIBACTION_OPENAPI") != "required", reason="`make openapi` fetches redocly"
+)
+@pytest.mark.parametrize("asks_for_tokens", [False, True])
+def test_the_description_has_no_error_for_redocly(tmp_path: Path, asks_for_tokens: bool) -> None:
+    infos = [FETCH.info, COUNT.info, book.info]
+    described = describe(infos, "", asks_for_tokens=asks_for_tokens)
+    (tmp_path / "openapi.json").write_text(json.dumps(described))
+    npx = ["npx", "--yes", REDOCLY, "lint", "openapi.json", "--format", "json"]
+    done = subprocess.run(npx, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads(done.stdout)["totals"]["errors"] == 0

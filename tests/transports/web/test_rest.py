@@ -197,6 +197,18 @@ async def test_a_streaming_request_that_is_cut_cancels_its_goal() -> None:
         await held.canceled.wait()
 
 
+async def test_a_goal_with_a_key_goes_on_when_its_stream_is_cut_and_can_be_followed_again() -> None:
+    held = Held()
+    key = {"idempotency-key": "17", "accept": EVENTS}
+    async with served(held.server) as url:
+        async with client_of(url) as client:
+            await client.ask("POST", GOALS, {"order": 1}, **key)
+            await client.until("id: 1")
+        held.go_on.set()
+        again = await fetch(url, "POST", GOALS, {"order": 1}, **key)
+        assert (again.status, again.events[-1][2]["status"]) == (200, "SUCCEEDED")
+
+
 @pytest.mark.parametrize("query", ["", "?wait=30"])
 async def test_a_plain_request_that_is_cut_leaves_its_goal(query: str) -> None:
     held = Held()
@@ -831,6 +843,23 @@ async def test_a_key_is_of_one_client_and_its_goal_tells_nothing_of_the_token() 
     assert ids[0] == ids[1]
     assert ids[3] == ids[4]
     assert len(set(ids)) == 4
+
+
+async def test_a_body_that_is_compressed_is_refused_with_the_coding_that_is_taken() -> None:
+    async with served(new_server()) as url:
+        packed = await fetch(url, "POST", GOALS, {"order": 1}, content_encoding="gzip")
+        assert (packed.status, packed.headers["accept-encoding"]) == (415, "identity")
+        plain = await fetch(url, "POST", GOALS, {"order": 1}, content_encoding="identity")
+        assert plain.status == 201
+
+
+@pytest.mark.parametrize("method", ["GET", "POST", "DELETE"])
+async def test_more_labels_than_a_goal_can_have_are_refused(method: str) -> None:
+    labels = "&".join(f"label=k{number}=1" for number in range(9))
+    async with served(new_server()) as url:
+        answer = await fetch(url, method, f"{GOALS}?{labels}", {"order": 1})
+    assert answer.status == 400
+    assert answer.json["detail"] == "label is there 9 times, and 8 are the limit"
 
 
 async def test_a_preference_to_wait_is_that_of_the_parameter() -> None:

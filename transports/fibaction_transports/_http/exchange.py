@@ -164,6 +164,9 @@ class Exchange:
         is_announced = self.headers.get("content-length", "0") != "0"
         if kind != JSON and (is_announced or await self.body(limit, memory)):
             raise Refused(415, f"the body must be {JSON}: set the header Content-Type")
+        if self.headers.get("content-encoding", "identity").strip().lower() != "identity":
+            text = "the body must not be compressed: leave out the header Content-Encoding"
+            raise Refused(415, text, ("Accept-Encoding", "identity"))
         return await self.body(limit, memory) if kind == JSON else b""
 
     async def body(self, limit: int, memory: ByteBudget) -> bytes:

@@ -29,7 +29,7 @@ _WORDS = {
     "object": "a struct",
 }
 # Types that are strings in the schemas of msgspec, and not in msgpack.
-_FORMATS = {"date-time": "datetime", "duration": "timedelta"}
+_FORMATS = {"date-time": "datetime", "iso-date-time": "datetime", "duration": "timedelta"}
 _CONSTANTS = {bool: "boolean", int: "integer", float: "number", str: "string", type(None): "null"}
 
 

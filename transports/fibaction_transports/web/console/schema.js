@@ -12,9 +12,11 @@ const MOST_FILLED = 500;
 const MOST_MULTIPLES = 10; // that are tried: 3 * 0.1 is none of 0.1 to a float, and 4 * 0.1 is one
 const SAMPLES = {
   "date-time": "2026-01-31T12:00:00Z",
+  "iso-date-time": "2026-01-31T12:00:00Z",
   "date-time-local": "2026-01-31T12:00:00",
   date: "2026-01-31",
   time: "12:00:00",
+  "iso-time": "12:00:00",
   "partial-time": "12:00:00",
   duration: "PT1S",
   uuid: "00000000-0000-0000-0000-000000000000",

@@ -5,8 +5,10 @@ import { FieldError, labelled } from "./field_parts.js";
 
 const PICKERS = {
   "date-time": "datetime-local",
+  "iso-date-time": "datetime-local",
   "date-time-local": "datetime-local",
   time: "time",
+  "iso-time": "time",
   "partial-time": "time",
 };
 const OFFSET = /(?:Z|[+-]\d\d:?\d\d)$/i;
@@ -67,7 +69,7 @@ function dateField(schema, name, value) {
 
 function pickedField(schema, name, value) {
   const { format } = schema;
-  const zone = format === "date-time" ? ` in the time zone ${Intl.DateTimeFormat().resolvedOptions().timeZone}` : "";
+  const zone = format.endsWith("date-time") ? ` in the time zone ${Intl.DateTimeFormat().resolvedOptions().timeZone}` : "";
   const input = h("input", { type: "text", placeholder: format, autocomplete: "off", oninput: () => show() });
   const picker = h("input", { type: PICKERS[format], step: 1, class: "picker", "aria-label": `Choose ${name}${zone}`, title: `Choose ${name}${zone}` });
   picker.addEventListener("input", () => {

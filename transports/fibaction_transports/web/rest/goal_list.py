@@ -37,6 +37,7 @@ from fibaction.words.goal_query import (
     time_of,
 )
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo
+from fibaction.words.meta import MAX_KEYS
 from fibaction.words.statuses import GoalStatus
 
 LARGEST_PAGE = 10_000
@@ -109,7 +110,10 @@ def labels_in(query: Query) -> Labels:
         Refused: One of them is wrong.
     """
     with refusing("label"):
-        return tuple(dict.fromkeys(map(label_of, query.get("label", []))))
+        labels = tuple(dict.fromkeys(map(label_of, query.get("label", []))))
+    if len(labels) > MAX_KEYS:
+        raise Refused(400, f"label is there {len(labels)} times, and {MAX_KEYS} are the limit")
+    return labels
 
 
 def page_of(query: Query, now: int) -> Page:

@@ -8,8 +8,8 @@ The ID of a goal that is posted with a key is made of the key, the client's name
 this process: who sees the ID learns nothing of the client's token.
 
 A goal whose stream of events is the answer to the request that sent it ends with that answer: if
-the client goes, the goal is canceled, as if it had left the block of `send_goal`. All other goals
-keep running.
+the client goes, the goal is canceled, as if it had left the block of `send_goal`. One that was
+posted with a key keeps running, since the client can come back with the key, as all other goals do.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ class RestInterface:
             if streams:
                 events = _events_of(endpoint)
                 told = await tell_goal(exchange, events, stream, status, location)
-                if own and not told:
+                if own and not told and not key:
                     await self._cancel_cut(exchange, client, route)
                 return
             await self._answer_goal(exchange, endpoint, stream, wait, status, location)

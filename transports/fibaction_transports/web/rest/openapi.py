@@ -246,7 +246,10 @@ class _Described:
         )
         schemas |= moved(info.goal, self._goal, schema_names, is_goal=True)
         self._example = example_of(info.goal) if schemas[self._goal] else {}
+        self._body = _ref(self._goal)
         self._is_needed = _needs_goal(info)
+        if not self._is_needed:
+            self._body = {"anyOf": [self._body, _EMPTY]}
         schemas |= moved(info.feedback, feedback, schema_names)
         schemas |= moved(info.result, result, schema_names)
         schemas[self._status] = {
@@ -308,7 +311,7 @@ class _Described:
         }
 
     def _sending(self, verb: str, summary: str, answers: Json, *parameters: Json) -> Json:
-        content = {"application/json": {"schema": _ref(self._goal), **self._example}}
+        content = {"application/json": {"schema": self._body, **self._example}}
         body = {"requestBody": {"required": self._is_needed, "content": content}}
         return self._operation(verb, summary, answers, *parameters) | body
 
@@ -340,6 +343,7 @@ def _answer(description: str, schema: Json) -> Json:
     return {"description": description, "content": {"application/json": {"schema": schema}}}
 
 
+_EMPTY = {"type": ["null", "object"], "maxProperties": 0, "description": "No goal."}
 _SENDING_VERBS = ("send", "put")
 _CANCELED = {"202": _answer("The cancel was accepted.", _ref("Cancel"))}
 _SENDING = (_WAIT, _NEW_LABELS)

@@ -6,8 +6,8 @@ generator leaves out punctuation and capitals; references and discriminators fol
 again be names of classes, and equal ones, so the shared schemas have none.
 
 The rules that a server checks beyond its schema are added to goals: a field that is not known is
-rejected, whole numbers have 64 bits at most, and bytes are base64 text. Each goal has an example,
-which is the template of the command line.
+rejected, whole numbers have 64 bits at most, bytes are base64 text, and formats that others do not
+know have a pattern. Each goal has an example, which is the template of the command line.
 """
 
 from __future__ import annotations
@@ -23,6 +23,23 @@ from fibaction.words.plain_data import is_list, is_map
 Json: TypeAlias = dict[str, Any]
 
 BASE64 = "^(?:[A-Za-z0-9+/]{4})*(?:[A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"
+_DAY = (
+    "(?!0000)(?:[0-9]{4}-(?:(?:0[13578]|1[02])-(?:0[1-9]|[12][0-9]|3[01])|(?:0[469]|11)-(?:0[1-9]|"
+    "[12][0-9]|30)|02-(?:0[1-9]|1[0-9]|2[0-8]))|(?:[0-9]{2}(?:0[48]|[2468][048]|[13579][26])|"
+    "(?:[02468][048]|[13579][26])00)-02-29)"
+)
+_HOURS = "(?:[01][0-9]|2[0-3]):[0-5][0-9]:[0-5][0-9](?:[.][0-9]{1,9})?"
+_OFFSET = "(?:[Zz]|[-+](?:[01][0-9]|2[0-3]):?[0-5][0-9])?"
+_CLOCK = "T(?=[0-9])(?:[0-9]{1,8}H)?(?:[0-9]{1,8}M)?(?:[0-9]{1,8}(?:[.][0-9]{1,9})?S)?"
+PATTERNS = {
+    "iso-date-time": f"^{_DAY}[Tt ]{_HOURS}{_OFFSET}$",
+    "date-time-local": f"^{_DAY}[Tt ]{_HOURS}$",
+    "iso-time": f"^{_HOURS}{_OFFSET}$",
+    "partial-time": f"^{_HOURS}$",
+    "iso-duration": f"^[-+]?P(?:[0-9]{{1,8}}D(?:{_CLOCK})?|{_CLOCK})$",
+    "decimal": "^[-+]?(?:(?:[0-9]+[.]?[0-9]*|[.][0-9]+)(?:[eE][-+]?[0-9]{1,9})?|NaN|Infinity)$",
+}
+"""The texts of formats that are not those of JSON Schema."""
 SHARED = "#/components/schemas/"
 LARGEST_EXAMPLE = 20_000
 """Parts and characters of the goal that is an example."""
@@ -123,6 +140,8 @@ class _Parts:
             reference = self._reference(part.pop("$ref"))
             if reference:
                 part["$ref"] = reference
+        if part.get("format") == "duration":  # of JSON Schema: without a sign and fractions
+            part["format"] = "iso-duration"
         discriminator = part.get("discriminator")
         if is_map(discriminator) and is_map(mapping := discriminator.get("mapping")):
             found = {key: self._reference(value) for key, value in mapping.items()}
@@ -207,4 +226,6 @@ def _limited(part: Json) -> Json:
             part.setdefault("maximum", 2**64 - 1)
     if part.get("contentEncoding") == "base64":
         part.setdefault("pattern", BASE64)
+    if (pattern := PATTERNS.get(str(part.get("format")))) is not None:
+        part.setdefault("pattern", pattern)
     return part
