@@ -76,7 +76,7 @@ END: Outcome[bytes] = Outcome(GoalStatus.SUCCEEDED, b"\x01")
 
 def followed(most_kept: int = 100) -> tuple[Scripted, AgentGoal[Any]]:
     stream = Scripted()
-    return stream, AgentGoal(cast("Any", None), stream, own=True, most_kept=most_kept)
+    return stream, AgentGoal(cast("Any", None), stream, owner="", most_kept=most_kept)
 
 
 async def numbers(goal: AgentGoal[Any], after: Position = START) -> list[Any]:

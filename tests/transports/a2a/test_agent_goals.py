@@ -174,5 +174,5 @@ async def test_a_goal_whose_agent_stops_waiting_while_it_is_sent_first_is_cancel
     if is_known:  # from an earlier request
         goals._goals[goal_id] = SimpleNamespace(ended=anyio.Event())
     with anyio.CancelScope() as scope:
-        await goals.send(skill, goal_id, b"")
+        await goals.send(skill, goal_id, b"", owner="")
     assert skill.endpoint.canceled == (None if is_known else goal_id)

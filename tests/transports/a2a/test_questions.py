@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from a2a.utils.errors import InvalidParamsError, TaskNotFoundError
+from a2a.utils.errors import InvalidParamsError, TaskNotCancelableError, TaskNotFoundError
 
 from fibaction_transports._agents import open_questions
 from fibaction_transports.a2a.documents import Document
@@ -89,6 +89,22 @@ async def test_a_question_is_of_the_client_that_asked_and_of_the_goal_that_was_s
         assert (await alice.send(made=made)).id == task.id
         await alice.send(text="yes", task=task.id)
         assert robot.sent == [Drive(3)]
+
+
+async def test_another_client_cannot_cancel_a_goal_even_if_it_sends_it_again() -> None:
+    async with (
+        robot_and_talk(unasked=[], tokens={"b-b-b-b-b-b": "bob"}) as (robot, alice),
+        talking(alice.url, "b-b-b-b-b-b") as bob,
+    ):
+        made = message({"meters": 100}, skill="arm-drive")
+        task = await alice.send(made=made)
+        await alice.send(text="yes", task=task.id, at_once=True)
+        assert (await bob.send(made=made)).id == task.id  # a question to bob, who agrees
+        await bob.send(text="yes", task=task.id, at_once=True)
+        with pytest.raises(TaskNotCancelableError, match="another client has sent the goal"):
+            await bob.cancel(task.id)
+        assert state_of(await alice.cancel(task.id)) == "CANCELED"
+        assert len(robot.sent) == 1
 
 
 async def test_a_goal_that_the_user_cannot_be_shown_is_not_sent() -> None:

@@ -111,7 +111,7 @@ async def test_the_user_is_asked_before_the_goal_of_another_is_canceled(mode: Mo
         assert (await made.data("cancel_goal", goal_id=str(other.goal_id)))["status"] == "CANCELED"
         (question,) = made.asked
         assert question == (
-            f"Cancel the goal {other.goal_id} of the action arm/drive, which another program has"
+            f"Cancel the goal {other.goal_id} of the action arm/drive, which another client has"
             f" sent?"
         )
         assert robot.stopped.is_set()

@@ -200,10 +200,10 @@ def sending(monkeypatch: pytest.MonkeyPatch) -> tuple[anyio.Event, anyio.Event]:
     """Hold each goal that the bridge sends: one event is set then, and the other lets it go on."""
     began, go_on, send = anyio.Event(), anyio.Event(), AgentGoals.send
 
-    async def held(*arguments: Any) -> AgentGoal[Any]:
+    async def held(*arguments: Any, **settings: Any) -> AgentGoal[Any]:
         began.set()
         await go_on.wait()
-        return await send(*arguments)
+        return await send(*arguments, **settings)
 
     monkeypatch.setattr(AgentGoals, "send", held)
     return began, go_on
@@ -318,7 +318,7 @@ class Lost:
 def lost(error: ActionError) -> AgentGoal[Any]:
     goal: Any = Lost()
     action: Any = None
-    made = AgentGoal(action, goal, own=True)
+    made = AgentGoal(action, goal, owner="")
     made.error = error
     return made
 

@@ -97,6 +97,22 @@ async def test_the_answer_of_another_client_does_not_send_a_goal() -> None:
         assert robot.sent == []
 
 
+@both
+async def test_a_user_is_asked_before_the_goal_of_another_client_is_canceled(mode: Mode) -> None:
+    other = "b-b-b-b-b-b-b-b"
+    async with (
+        served(tokens={other: "bob"}) as (robot, url),
+        talking(url, mode) as alice,
+        talking(url, mode, other) as bob,
+    ):
+        sent = await alice.data("send_goal", tool="arm-drive", goal={"meters": 100})
+        await robot.waits.wait()
+
+        await bob.data("cancel_goal", goal_id=sent["goal_id"])
+
+        assert [question[:15] for question in bob.asked] == ["Cancel the goal"]
+
+
 def modern(
     method: str, named: str, params: dict[str, Any], **capabilities: Any
 ) -> tuple[bytes, dict[str, str]]:

@@ -87,7 +87,7 @@ class AgentGoal(Generic[ActionT]):
         action: ActionT,
         stream: GoalStream,
         *,
-        own: bool,
+        owner: str | None,
         context_id: str = "",
         most_kept: int = MOST_KEPT,
         on_change: Callable[[AgentGoal[ActionT]], None] = lambda _: None,
@@ -95,8 +95,8 @@ class AgentGoal(Generic[ActionT]):
         """Keep so many updates, and call `on_change` after each change."""
         self.action = action
         self.stream = stream
-        self.own = own
-        """True if it was sent here."""
+        self.owner = owner
+        """The client that has sent it here; None if it was sent elsewhere."""
         self.context_id = context_id or str(stream.goal_id)
         """The context that the agent gave, else the ID of the goal."""
         self.newest: FeedbackItem | None = None
@@ -295,9 +295,16 @@ class AgentGoals(Generic[ActionT]):
         return self._goals.get(goal_id)
 
     async def send(
-        self, action: ActionT, goal_id: GoalID, payload: bytes, context_id: str = ""
+        self,
+        action: ActionT,
+        goal_id: GoalID,
+        payload: bytes,
+        *,
+        owner: str,
+        context_id: str = "",
     ) -> AgentGoal[ActionT]:
-        """Send a goal, and follow it; also one that is sent again.
+        """Send a goal of a client, and follow it; also one that is sent again, whose owner is the
+        client that was the first.
 
         Raises:
             GoalRejected: It was not accepted.
@@ -317,7 +324,10 @@ class AgentGoals(Generic[ActionT]):
             if goal_id not in self._goals:
                 await cancel_left(action.endpoint, goal_id)
             raise
-        return self._add(action, stream, own=True, context_id=context_id)
+        known = self._goals.get(goal_id)
+        if known is not None and known.owner is not None:
+            owner = known.owner
+        return self._add(action, stream, owner=owner, context_id=context_id)
 
     async def find(self, goal_id: GoalID) -> AgentGoal[ActionT]:
         """Return a goal that is followed already, or follow a goal of the actions from now on.
@@ -333,12 +343,12 @@ class AgentGoals(Generic[ActionT]):
         for action, infos in (await self.listed()).items():
             for info in infos:
                 if info.goal_id == goal_id:
-                    own = known is not None and known.own
+                    owner = None if known is None else known.owner
                     context_id = "" if known is None else known.context_id
                     stream = await action.endpoint.feedback(
-                        goal_id, after=0, own=own, attempt=info.attempt
+                        goal_id, after=0, own=owner is not None, attempt=info.attempt
                     )
-                    goal = self._add(action, stream, own=own, context_id=context_id)
+                    goal = self._add(action, stream, owner=owner, context_id=context_id)
                     await goal.catch_up(info)
                     return goal
         if not self._actions.are_all_reached:
@@ -360,12 +370,12 @@ class AgentGoals(Generic[ActionT]):
         return found
 
     def _add(
-        self, action: ActionT, stream: GoalStream, *, own: bool, context_id: str
+        self, action: ActionT, stream: GoalStream, *, owner: str | None, context_id: str
     ) -> AgentGoal[ActionT]:
         goal = AgentGoal(
             action,
             stream,
-            own=own,
+            owner=owner,
             context_id=context_id,
             most_kept=self._most_kept,
             on_change=self._on_change,

@@ -213,12 +213,12 @@ class GoalRequests(RequestHandler):
             text = question_about(skill, goal)
         except HiddenGoal as exc:
             raise InvalidParamsError(str(exc)) from exc
-        client = asked_request().client
-        return _asking(self._questions.ask(goal_id, skill, goal, message.context_id, text, client))
+        context_id = message.context_id
+        return _asking(self._questions.ask(goal_id, skill, goal, context_id, text, _client()))
 
     def _question(self, goal_id: GoalID) -> Question | None:
         """Return the question about a goal that the asking client may answer; None without one."""
-        return self._questions.find(goal_id, asked_request().client)
+        return self._questions.find(goal_id, _client())
 
     async def _answer(self, params: SendMessageRequest) -> AgentGoal[Skill] | Task:
         """Take the answer to a question."""
@@ -244,7 +244,9 @@ class GoalRequests(RequestHandler):
     ) -> AgentGoal[Skill] | Task:
         payload = msgspec.msgpack.encode(goal)
         try:
-            return await self._goals.send(skill, goal_id, payload, context_id)
+            return await self._goals.send(
+                skill, goal_id, payload, owner=_client(), context_id=context_id
+            )
         except GoalRejected as exc:
             status = status_of(TaskState.TASK_STATE_REJECTED, time(), exc.reason)
             task = Task(id=str(goal_id), context_id=context_id or str(goal_id), status=status)
@@ -283,11 +285,16 @@ class GoalRequests(RequestHandler):
             raise TaskNotCancelableError("the task has ended")
         if self._policy.read_only:
             raise TaskNotCancelableError("this server is read-only: nothing can be canceled")
-        if not goal.own and self._policy.asks(skill.server, skill.info.name):
+        if goal.owner != _client() and self._policy.asks(skill.server, skill.info.name):
             raise TaskNotCancelableError(
-                "another program has sent the goal, or this server before a restart, and a user"
+                "another client has sent the goal, or this server before a restart, and a user"
                 " would have to agree: cancel it there"
             )
+
+
+def _client() -> str:
+    """Return the name of the client that asks."""
+    return asked_request().client or ""
 
 
 def _goal_id(task_id: str) -> GoalID:

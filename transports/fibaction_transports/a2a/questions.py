@@ -33,7 +33,7 @@ class Question(NamedTuple):
     context_id: str
     text: str
     """The question, for the user."""
-    client: str | None
+    client: str
     """The client whose user is asked."""
 
 
@@ -50,7 +50,7 @@ class Questions:
         goal: Any,
         context_id: str,
         text: str,
-        client: str | None,
+        client: str,
     ) -> Question:
         """Begin to wait for an answer; a question that is asked again goes on.
 
@@ -66,7 +66,7 @@ class Questions:
         self._open.add(str(goal_id), question)
         return question
 
-    def find(self, goal_id: GoalID, client: str | None) -> Question | None:
+    def find(self, goal_id: GoalID, client: str) -> Question | None:
         """Return the question of a client about a goal; None if there is none, or it was asked too
         long ago.
         """

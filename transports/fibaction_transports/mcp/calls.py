@@ -27,7 +27,7 @@ from fibaction_transports.mcp.answers import (
     message_in,
     overview,
 )
-from fibaction_transports.mcp.arguments import with_arguments
+from fibaction_transports.mcp.arguments import client_of, with_arguments
 from fibaction_transports.mcp.consent import AskedTasks, Consents, check_can_ask
 from fibaction_transports.mcp.goal_tasks import asked_task, created, wants_task
 from fibaction_transports.mcp.tool_list import (
@@ -85,11 +85,11 @@ class ToolCalls:
         message = await _message(action, params.arguments or {})
         if wants_task(context) and (question := self._question(action, message)):
             check_can_ask(context)
-            send = partial(self._send_goal, action, message)
+            send = partial(self._send_goal, client_of(context), action, message)
             return asked_task(self.asked.ask(context, question, send))
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
-        goal = await self._send_goal(action, message)
+        goal = await self._send_goal(client_of(context), action, message)
         if wants_task(context):
             return created(goal)
         try:
@@ -108,7 +108,7 @@ class ToolCalls:
         message = await _message(action, given[GOAL])
         if (asked := await self._ask_to_send(context, params, action, message)) is not None:
             return asked
-        return goal_answer(await self._send_goal(action, message))
+        return goal_answer(await self._send_goal(client_of(context), action, message))
 
     async def _status(
         self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
@@ -130,10 +130,10 @@ class ToolCalls:
         given = await self._input(params)
         goal = await find_goal(self._goals, given["goal_id"])
         action = goal.action
-        if not goal.own and self._policy.asks(action.server, action.info.name):
+        if goal.owner != client_of(context) and self._policy.asks(action.server, action.info.name):
             question = (
                 f"Cancel the goal {goal.goal_id} of the action {action.title}, which another"
-                f" program has sent?"
+                f" client has sent?"
             )
             if (asked := await self._consents.ask(context, params, question)) is not None:
                 return asked
@@ -222,16 +222,17 @@ class ToolCalls:
         raise ToolError(text)
 
     async def _send_goal(
-        self, action: ToolAction, message: Any, goal_id: GoalID | None = None
+        self, owner: str, action: ToolAction, message: Any, goal_id: GoalID | None = None
     ) -> AgentGoal[ToolAction]:
-        """Send a goal.
+        """Send a goal of a client.
 
         Raises:
             ToolError: It was not accepted, or may not have been.
         """
         try:
             payload = msgspec.msgpack.encode(message)
-            return await self._goals.send(action, goal_id or GoalID.random(), payload)
+            goal_id = goal_id or GoalID.random()
+            return await self._goals.send(action, goal_id, payload, owner=owner)
         except GoalRejected as exc:
             reason = exc.reason or "the server gave no reason"
             advice = ". You may try again later." if exc.code.is_temporary else ""

@@ -60,6 +60,7 @@ from fibaction_transports.mcp.answers import (
     goal_answer,
     message_in,
 )
+from fibaction_transports.mcp.arguments import client_of
 from fibaction_transports.mcp.consent import (
     AskedTask,
     AskedTasks,
@@ -138,10 +139,10 @@ class GoalTasks:
         action = goal.action
         if self._policy.read_only:
             raise MCPError(INVALID_PARAMS, "this bridge is read-only: nothing can be canceled")
-        if not goal.own and self._policy.asks(action.server, action.info.name):
+        if goal.owner != client_of(context) and self._policy.asks(action.server, action.info.name):
             raise MCPError(
                 INVALID_PARAMS,
-                f"another program has sent the goal {goal.goal_id}, or this one before a restart:"
+                f"another client has sent the goal {goal.goal_id}, or this one before a restart:"
                 f" the tool {CANCEL} asks the user",
             )
         try:
