@@ -20,6 +20,7 @@ import msgspec
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.endpoints import (
+    Absence,
     Endpoint,
     ForwardingEndpoint,
     GoalRequest,
@@ -35,6 +36,7 @@ from fibaction.words.goals import ActionPeers, GoalID, WorkerInfo
 from fibaction.words.meta import Meta
 
 __all__ = [
+    "Absence",
     "Connection",
     "Diagnosis",
     "Endpoint",

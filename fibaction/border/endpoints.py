@@ -68,6 +68,15 @@ class GoalRequest(msgspec.Struct, frozen=True):
     version. False to have such a goal rejected: the field is likely misspelled."""
 
 
+class Absence(msgspec.Struct, frozen=True):
+    """The time in which the server of an action cannot be reached."""
+
+    since: float
+    """Its begin, in seconds since 1970."""
+    reason: str
+    """The newest error."""
+
+
 class Endpoint(ABC):
     """An action server as its clients see it, in this process or behind a transport."""
 
@@ -199,6 +208,15 @@ class Endpoint(ABC):
                 request.
         """
 
+    @property
+    def absence(self) -> Absence | None:
+        """The absence of the server; None if it can be reached, or if that is not known here.
+
+        The server half of a transport rejects requests during an absence if its clients are better
+        served by an answer at once than by one after a long time.
+        """
+        return None
+
     def owner_of(self, goal_id: GoalID) -> bytes:
         """Return the owner of a goal, as in `Sender.owner`; empty if it is not known.
 
@@ -300,6 +318,10 @@ class ForwardingEndpoint(Endpoint):
 
     async def wait_for_server(self) -> None:
         await self.inner.wait_for_server()
+
+    @property
+    def absence(self) -> Absence | None:
+        return self.inner.absence
 
     def owner_of(self, goal_id: GoalID) -> bytes:
         return self.inner.owner_of(goal_id)

@@ -233,6 +233,7 @@ class FeedbackCursor(GoalStream):
         "latest",
         "news",
         "own",
+        "past_goal",
         "reads",
         "stamp",
     )
@@ -257,6 +258,8 @@ class FeedbackCursor(GoalStream):
         self._dropped = 0
         self._statuses_told = len(log.statuses)
         self._error: ActionError | None = None
+        self.past_goal: bytes | None = None
+        """The payload of the goal, where a history has it and the log does not."""
 
     @property
     def status(self) -> GoalStatus:
@@ -270,7 +273,7 @@ class FeedbackCursor(GoalStream):
 
     @property
     def goal(self) -> bytes | None:
-        return self._log.payload
+        return self.past_goal if self._log.payload is None else self._log.payload
 
     @property
     def info(self) -> GoalInfo:

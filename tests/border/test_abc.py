@@ -319,7 +319,7 @@ def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> No
     interfaces = [
         value for name, value in vars(abc).items() if inspect.isclass(value) and name in abc.__all__
     ]
-    assert len(interfaces) == 13
+    assert len(interfaces) == 14
     for interface in interfaces:
         assert inspect.getdoc(interface)
         for name, member in vars(interface).items():
@@ -361,6 +361,7 @@ async def test_the_goals_that_there_were_are_the_first_that_come(
 async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
     server = ActionServer(FIBONACCI, fibonacci)
     wrapper = ForwardingEndpoint(ForwardingEndpoint(server))
+    assert wrapper.absence is None
     assert isinstance(wrapper, Startable)
     assert wrapper.info == server.info
     assert not wrapper.is_running

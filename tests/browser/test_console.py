@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import struct
@@ -96,6 +97,7 @@ def test_the_form_has_every_kind_of_field_and_sends_what_was_entered(
     page: Page, robot: RobotProcess
 ) -> None:
     open_action(page, robot, "arm/drive")
+    expect(page.get_by_label("New goal")).to_contain_text("Where to drive, and how.")
     target = page.get_by_role("group", name="target")
     target.get_by_label("x m").fill("4.5")
     page.get_by_label("gear").select_option("fast")
@@ -178,6 +180,8 @@ def test_a_field_that_is_wrong_is_named_and_nothing_is_sent(
     page.get_by_role("button", name="Send goal").click()
     expect(page.get_by_role("alert")).to_contain_text(told)
     assert page.evaluate("document.activeElement.labels[0].textContent") == field
+    expect(page.locator(".field").filter(has=page.locator(":focus"))).to_contain_text(told)
+    expect(page.locator(":focus")).to_have_attribute("aria-invalid", "true")
     expect(goal(page)).to_have_count(0)
 
 
@@ -515,7 +519,8 @@ def test_a_goal_is_canceled_after_a_question(page: Page, robot: RobotProcess) ->
     open_action(page, robot)
     goal_id = send(page, order=LONG)
     goal(page).get_by_role("button", name="Cancel goal").click()
-    page.get_by_role("button", name="Keep it").click()
+    expect(page.get_by_role("button", name="Keep it")).to_be_focused()
+    page.keyboard.press("Enter")
     expect(goal(page).locator(".badge")).to_have_text("▶ executing")
     row(page, goal_id).get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Cancel the goal").click()
@@ -539,6 +544,7 @@ def test_goals_that_wait_show_their_places_and_all_can_be_canceled_at_once(
     expect(row(page, ids[2]).locator(".badge")).to_have_text("◷ waiting, 2 of 2")
     page.get_by_role("button", name="Cancel all").click()
     expect(page.get_by_role("dialog")).to_contain_text("3 active goals")
+    expect(page.get_by_role("button", name="Keep them")).to_be_focused()
     page.get_by_role("dialog").get_by_role("button", name="Cancel all").click()
     for goal_id in ids:
         expect(row(page, goal_id).locator(".badge")).to_have_text("⊘ canceled")
@@ -886,3 +892,111 @@ def test_the_theme_can_be_chosen_and_is_remembered(page: Page, robot: RobotProce
     expect(button).to_have_text("Theme: dark")
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert ground == "rgb(14, 19, 27)"
+
+
+COUNT_CLOCKS = """
+    window.clocks = 0;
+    const { get } = Object.getOwnPropertyDescriptor(Intl.DateTimeFormat.prototype, "format");
+    Object.defineProperty(Intl.DateTimeFormat.prototype, "format", {
+      get() { window.clocks += 1; return get.call(this); },
+    });
+    const { toLocaleTimeString } = Date.prototype;
+    Date.prototype.toLocaleTimeString = function (...given) {
+      window.clocks += 1;
+      return toLocaleTimeString.apply(this, given);
+    };
+"""
+FRAMES = """
+    () => new Promise((done) => {
+      let left = 30;
+      const next = () => (left-- ? requestAnimationFrame(next) : done(window.clocks));
+      next();
+    })
+"""
+
+
+def test_a_hundred_active_goals_need_no_clock_for_each_row_and_frame(
+    page: Page, new_robot: NewRobot
+) -> None:
+    robot = new_robot()
+    page.add_init_script(COUNT_CLOCKS)
+    open_action(page, robot)
+    page.evaluate(
+        """(body) => {
+            const headers = { "Content-Type": "application/json" };
+            const send = () => fetch("actions/fibonacci/goals", { method: "POST", headers, body });
+            return Promise.all(Array.from({ length: 100 }, send));
+        }""",
+        f'{{"order": {LONG}}}',
+    )
+    expect(page.get_by_text("executing").locator("visible=true")).to_have_count(100)
+    before = page.evaluate("window.clocks")
+    assert page.evaluate(FRAMES) - before < 30
+
+
+# A robot that is away
+
+
+def test_a_robot_that_is_away_does_not_look_alive_and_comes_back_by_itself(
+    page: Page, new_robot: NewRobot
+) -> None:
+    robot = new_robot()
+    with BridgeProcess(robot) as bridge:
+        open_action(page, bridge)
+        running = send(page, order=LONG)
+        expect(row(page, running).locator(".badge")).to_have_text("▶ executing")
+
+        robot.kill()
+        expect(row(page, running).locator(".badge")).to_have_text("▶ was executing")
+        expect(action(page, "fibonacci")).to_contain_text("away")
+        expect(page.locator("#connection")).to_have_text("connected, servers are away")
+        expect(page.get_by_text("The server of fibonacci is away since")).to_be_visible()
+        page.get_by_role("button", name="Send goal").click()
+        expect(page.get_by_role("alert")).to_contain_text("nothing was sent", timeout=3000)
+
+        robot.start()
+        expect(row(page, running).locator(".badge")).to_have_text("? unknown")
+        expect(page.locator("#connection")).to_have_text("connected")
+        expect(page.get_by_text("and is tried again")).to_be_hidden()
+        send(page, order="3")
+        expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+
+def test_a_goal_whose_robot_was_frozen_goes_on_where_it_was(
+    page: Page, new_robot: NewRobot
+) -> None:
+    robot = new_robot()
+    with BridgeProcess(robot) as bridge:
+        open_action(page, bridge)
+        running = send(page, order=LONG)
+        os.kill(robot.pid, signal.SIGSTOP)
+        expect(row(page, running).locator(".badge")).to_have_text("▶ was executing")
+        os.kill(robot.pid, signal.SIGCONT)
+        expect(row(page, running).locator(".badge")).to_have_text("▶ executing")
+        expect(goal(page).locator(".reason")).to_be_hidden()
+
+
+def test_a_goal_that_is_left_and_shown_again_has_its_feedback_once(
+    context: BrowserContext, robot: RobotProcess
+) -> None:
+    other, page = context.new_page(), context.new_page()
+    open_action(other, robot)
+    running = send(other, order=LONG)
+    open_action(page, robot)
+    for _ in range(3):
+        row(page, running).get_by_role("link", name=running, exact=True).click()
+        expect(goal(page)).to_contain_text(re.compile("Feedback: [1-9]"))
+        action(page, "break").click()
+        expect(page.get_by_role("heading", name="break", exact=True)).to_be_visible()
+        action(page, "fibonacci").click()
+    row(page, running).get_by_role("link", name=running, exact=True).click()
+    goal(page).get_by_text("Messages", exact=True).click()
+    other.get_by_role("button", name="Cancel goal").click()
+    other.get_by_role("button", name="Cancel the goal").click()
+    expect(goal(page).locator(".badge")).to_have_text("⊘ canceled")
+    expect(goal(page).locator(".reason")).not_to_contain_text("left")
+    lines = goal(page).locator("details pre").inner_text().splitlines()
+    lengths = [line.count(",") for line in lines]
+    assert lengths == sorted(set(lengths), reverse=True)
+    times = [float(line.split(" s")[0]) for line in lines]
+    assert times == sorted(times, reverse=True)

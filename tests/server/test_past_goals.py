@@ -77,6 +77,17 @@ async def test_a_goal_that_is_forgotten_is_listed_and_has_its_result(tmp_path: P
         assert (await server.feedback(goal_ids[0])).goal == PAINT.goal.encode(3)
 
 
+async def test_a_goal_that_is_remembered_is_told_with_what_was_sent(tmp_path: Path) -> None:
+    store = SqliteStore(tmp_path / "goals.db", history=GoalHistory())
+    with anyio.fail_after(30):
+        async with ActionServer(PAINT, paint, store=store, result_timeout=60) as server:
+            goal_id = await ran(ActionClient(server, PAINT), 3)
+            stream = await server.feedback(goal_id, after=1)
+            assert stream.goal == PAINT.goal.encode(3)
+            assert len(stream.take(5)) == 2
+            assert (await server.feedback(goal_id)).goal is None  # who wants the result only
+
+
 async def test_the_feedback_of_a_goal_of_the_past_counts_as_dropped(tmp_path: Path) -> None:
     async with painting(tmp_path) as server:
         goal_id = await ran(client := ActionClient(server, PAINT), 3)

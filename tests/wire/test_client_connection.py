@@ -212,8 +212,12 @@ async def test_attempts_are_made_for_as_long_as_it_takes_and_not_too_often() -> 
             await anyio.sleep(3600)
             assert 1800 <= network.dialed <= 3700
             assert not waiting.is_done
+            absence = endpoint_of(connection).absence
+            assert absence is not None
+            assert absence.reason == str(AWAY)
             network.refusal = None
             await answer_the_wait(network, waiting)
+        assert endpoint_of(connection).absence is None
         await settled()
         async with Running(connection.actions) as asking:
             assert not asking.is_done

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from fibaction._runtime.log import clean_logger
 from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.border.goal_store import StoredGoal
@@ -43,7 +45,8 @@ class PastGoals:
         self, goal_id: GoalID, *, own: bool, after: int | None, attempt: int
     ) -> FeedbackCursor:
         """Return a stream of a goal that the server remembers, or else of one of the past, which
-        begins with its outcome.
+        begins with its outcome. Who reads a goal from its beginning after its end gets its payload,
+        too, if the history has it.
 
         Raises:
             UnknownGoal: It is neither.
@@ -51,7 +54,12 @@ class PastGoals:
             ServerFailed: The history cannot be read.
         """
         try:
-            return self._logs.follow(goal_id, own=own, after=after, attempt=attempt)
+            cursor = self._logs.follow(goal_id, own=own, after=after, attempt=attempt)
+            if cursor.goal is None and after is not None and not self._budget.is_over:
+                with suppress(ServerFailed):  # the rest of the goal is remembered
+                    past = await self._find(goal_id)
+                    cursor.past_goal = None if past is None else past.goal
+            return cursor
         except UnknownGoal:
             past = await self._find(goal_id)
             if past is None:

@@ -39,7 +39,7 @@ from typing import Any
 import anyio
 
 from fibaction._runtime.text import shortened
-from fibaction.border.abc import Connection, Endpoint, GoalRequest
+from fibaction.border.abc import Absence, Connection, Endpoint, GoalRequest
 from fibaction.border.event_loop import Background
 from fibaction.types.action import Action, ActionInfo
 from fibaction.wire.channel import Line
@@ -281,6 +281,10 @@ class RemoteEndpoint(Endpoint):
 
     async def past_goals(self, page: PastPage) -> list[GoalInfo]:
         return await self._calls.past_goals(self._info.name, page)
+
+    @property
+    def absence(self) -> Absence | None:
+        return self._reconnector.absence
 
     async def wait_for_server(self) -> None:
         while True:

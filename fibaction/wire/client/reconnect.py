@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import random
+import time
 from collections.abc import Awaitable, Callable
 
 import anyio
@@ -22,6 +23,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
+from fibaction.border.endpoints import Absence
 from fibaction.wire.link import naming
 from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import (
@@ -65,6 +67,8 @@ class Reconnector:
         self._changed = Notifier()
         self.is_open = False
         """True if the server has let this client in, and the connection has not ended."""
+        self.absence: Absence | None = None
+        """The time since the connection was lost; None while there is one."""
         self.changes = 0
         """Count of connections that were opened or given up: see `changed`."""
 
@@ -101,6 +105,7 @@ class Reconnector:
     def opened(self) -> None:
         """Note that the server has let this client in."""
         self.is_open = True
+        self.absence = None
         self._absent = None
         self._end_patience()
         self._tell()
@@ -115,6 +120,8 @@ class Reconnector:
         pause = FIRST_PAUSE
         while True:
             error = self._last_error = await self._attempt()
+            since = self.absence.since if self.absence else time.time()
+            self.absence = Absence(since, str(error))
             if self.is_open:
                 self.is_open, pause = False, FIRST_PAUSE
                 self._patience = CancelScope()

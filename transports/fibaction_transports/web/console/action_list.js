@@ -33,10 +33,10 @@ export class ActionList {
     const shownItems = names.map((name) => {
       const item = this.items.get(name) ?? this.item(name, name);
       this.items.set(name, item);
-      this.mark(item, name === shown.action, active.get(name) ?? 0);
+      this.mark(item, name === shown.action, this.store.awayOf(name) ? "away" : active.get(name));
       return item.element;
     });
-    this.mark(this.all, !shown.action, 0);
+    this.mark(this.all, !shown.action);
     arrange(this.list, [this.all.element, ...shownItems]);
     this.names = names;
     show(this.note, names.length === 0);
@@ -52,9 +52,11 @@ export class ActionList {
     }
   }
 
-  mark(item, isShown, count) {
+  /** Show whether the server of an action is away, or else how many of its goals are active. */
+  mark(item, isShown, state) {
     markCurrent(item.link, isShown, "page");
-    show(item.count, count > 0);
-    setText(item.count, count ? `${count} active` : "");
+    show(item.count, Boolean(state));
+    item.count.classList.toggle("away", state === "away");
+    setText(item.count, typeof state === "number" ? `${state} active` : (state ?? ""));
   }
 }

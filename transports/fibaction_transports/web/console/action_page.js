@@ -1,10 +1,10 @@
 /** The page of one action, or of all of them: form, goals, timeline, and the goal that is shown. */
 
-import { announce, errorPlace, h, show, tellError } from "./dom.js";
+import { announce, errorPlace, h, setText, show, tellError } from "./dom.js";
 import { confirmed } from "./dialogs.js";
 import { GoalForm } from "./form.js";
 import { GoalList } from "./goal_list.js";
-import { counted, linkTo, openLink, shortId, stateOf } from "./goal_text.js";
+import { counted, linkTo, openLink, shortId, stateOf, timeOf } from "./goal_text.js";
 import { GoalView } from "./goal_view.js";
 import { PastGoals } from "./past_goals.js";
 import { descriptionOf } from "./schema.js";
@@ -34,6 +34,7 @@ export class ActionPage {
       },
     });
     this.missing = h("p", { class: "error", role: "status", hidden: true });
+    this.away = h("p", { class: "error", role: "status", hidden: true });
     this.error = errorPlace();
     this.place = h("div", { class: "goal-place" });
     this.form = info && !store.isRecording ? new GoalForm(info, (goal) => this.send(goal)) : null;
@@ -44,7 +45,7 @@ export class ActionPage {
     const parts = [h("h2", {}, "New goal"), about ? h("p", { class: "about" }, about) : null, this.form?.element];
     const form = this.form && h("section", { class: "card", "aria-label": "New goal" }, ...parts);
     const left = h("div", { class: "left" }, form, this.timeline.element);
-    this.element = h("div", { class: "page" }, head, this.missing, this.error, h("div", { class: "halves" }, left, this.place), this.list.element);
+    this.element = h("div", { class: "page" }, head, this.missing, this.away, this.error, h("div", { class: "halves" }, left, this.place), this.list.element);
   }
 
   /** Show what there is now. */
@@ -68,7 +69,20 @@ export class ActionPage {
     this.view?.update(record);
     this.list.update(goals, record?.key, this.past.text);
     this.timeline.update(goals, record?.key);
+    this.tellAway();
     this.tellEnds(goals);
+  }
+
+  /** Say which servers are away. */
+  tellAway() {
+    const names = this.info ? [this.info.name] : [...this.store.actions.keys()];
+    const away = names.filter((name) => this.store.awayOf(name));
+    show(this.away, away.length > 0);
+    if (away.length) {
+      const { since, reason } = this.store.awayOf(away[0]);
+      setText(this.away, `The server of ${away.join(", ")} is away since ${timeOf(since)}, and is tried again. Its goals are shown as they were then.`);
+      this.away.title = reason;
+    }
   }
 
   /** Tell a screen reader how the goals of this page go. */

@@ -43,8 +43,7 @@ export function bytesField({ schema, name, value }) {
   };
   set(value);
   const fail = (text) => {
-    input.focus();
-    throw new FieldError(`${name}: ${text}`);
+    throw new FieldError(`${name}: ${text}`, input);
   };
   const read = () => {
     if (isReading) {

@@ -22,7 +22,7 @@ export function confirmed(title, text, yes, no) {
       "div",
       { class: "buttons" },
       button(yes, answer(true), { class: "danger" }),
-      button(no, answer(false)),
+      button(no, answer(false), { autofocus: true }),
     );
     const dialog = open(title, h("p", {}, text), buttons);
     dialog.addEventListener("cancel", () => resolve(false));

@@ -5,8 +5,13 @@ import { rangeOf, unitOf } from "./schema.js";
 
 let lastId = 0;
 
-/** A value that is not valid, and the field that it is in. */
-export class FieldError extends Error {}
+/** A value that is not valid, and the input that it is in. */
+export class FieldError extends Error {
+  constructor(text, input) {
+    super(text);
+    this.input = input;
+  }
+}
 
 /** Return an input with its label, and with the description and the limits of its schema. */
 export function labelled(schema, name, input, ...more) {

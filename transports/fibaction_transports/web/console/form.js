@@ -56,8 +56,7 @@ function inputField({ schema, kind, name, value }) {
     try {
       return readInput(kind, input);
     } catch (error) {
-      input.focus();
-      throw new FieldError(`${name}: ${error.message}`);
+      throw new FieldError(`${name}: ${error.message}`, input);
     }
   };
   return { element: labelled(schema, name, input), read, set };
@@ -209,8 +208,7 @@ function jsonField({ schema, of = schema, name, value, resolve }) {
       try {
         return make();
       } catch (error) {
-        area.focus();
-        throw new FieldError(`${name}: ${what}${error.message}`);
+        throw new FieldError(`${name}: ${what}${error.message}`, area);
       }
     };
     const given = tried("this is not JSON: ", () => parsed(area.value));
@@ -232,8 +230,9 @@ export class GoalForm {
     this.toggle = button("Edit as JSON", () => this.switch(), { class: "quiet", "aria-pressed": "false" });
     this.button = h("button", { type: "submit", class: "main" }, "Send goal");
     this.error = errorPlace();
+    this.end = h("div", {}, this.error);
     show(this.json.element, false);
-    const parts = [this.field.element, this.json.element, this.error];
+    const parts = [this.field.element, this.json.element, this.end];
     const buttons = h("div", { class: "buttons" }, this.button, this.toggle);
     this.element = h("form", { class: "goal-form", novalidate: true }, ...parts, buttons);
     this.element.addEventListener("submit", (event) => {
@@ -258,7 +257,7 @@ export class GoalForm {
       const [from, to] = this.isJson ? [this.json, this.field] : [this.field, this.json];
       to.set(from.read());
     } catch (error) {
-      this.fail(error.message);
+      this.fail(error.message, error.input);
       return;
     }
     this.isJson = !this.isJson;
@@ -268,8 +267,14 @@ export class GoalForm {
     this.fail("");
   }
 
-  fail(text) {
+  /** Tell an error at the input that it is about, else at the end; none if the text is empty. */
+  fail(text, input) {
+    this.wrong?.removeAttribute("aria-invalid");
+    this.wrong = input;
+    (input?.closest(".field") ?? input?.parentElement ?? this.end).append(this.error);
     tellError(this.error, text);
+    input?.setAttribute("aria-invalid", "true");
+    input?.focus();
   }
 
   async send() {
@@ -279,7 +284,7 @@ export class GoalForm {
       const goal = (this.isJson ? this.json : this.field).read();
       await this.onsend(goal);
     } catch (error) {
-      this.fail(error.reason ? `Rejected: ${error.reason}` : error.message);
+      this.fail(error.reason ? `Rejected: ${error.reason}` : error.message, error.input);
     } finally {
       this.button.disabled = false;
     }

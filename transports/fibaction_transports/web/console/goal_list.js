@@ -60,7 +60,11 @@ class Row {
     show(this.labels, labels.length > 0);
     setText(this.labels, labels.join(" "));
     setText(this.client, record.isMine ? "this page" : record.client);
-    setText(this.time, [timeOf(record.sentAt), durationOf(record.seconds())].filter(Boolean).join(", "));
+    if (this.sentAt !== record.sentAt) {
+      this.sentAt = record.sentAt;
+      this.clock = timeOf(record.sentAt);
+    }
+    setText(this.time, [this.clock, durationOf(record.seconds())].filter(Boolean).join(", "));
     show(this.cancel, record.isActive && record.status !== "CANCELING");
     this.element.classList.toggle("current", isShown);
     markCurrent(this.link, isShown);

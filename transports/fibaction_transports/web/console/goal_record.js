@@ -44,6 +44,9 @@ export class GoalRecord {
     this.feedback = undefined;
     this.feedbackCount = 0;
     this.feedbackDropped = 0;
+    this.number = 0; // of the newest feedback that was read, in this attempt
+    this.attempt = 1;
+    this.awayAt = 0; // the time since which its server is away
     this.progress = null;
     this.recent = [];
     this.handle = null;
@@ -69,7 +72,7 @@ export class GoalRecord {
 
   /** Return the seconds that it has taken, so far or in all; null if its end is not known. */
   seconds(now = Date.now()) {
-    const end = this.isActive ? now : this.endedAt;
+    const end = this.isActive ? this.awayAt || now : this.endedAt;
     return end ? Math.max(0, (end - this.sentAt) / 1000) : null;
   }
 
@@ -106,6 +109,7 @@ export class GoalRecord {
     this.isThin = false;
     this.feedback = feedback;
     this.feedbackCount = number;
+    Object.assign(this, { number, attempt: attempt ?? 1 });
     this.progress = this.readProgress(feedback) ?? this.progress;
     this.recent.push([now, feedback]);
     if (this.recent.length > 2 * this.mostLines) {

@@ -19,8 +19,11 @@ export function wordOf(status) {
   return (WORDS[status] ?? WORDS.UNKNOWN)[0];
 }
 
-/** Return the word for the state of a goal, with its place if it waits. */
+/** Return the word for the state of a goal, with its place if it waits, or as it was last known. */
 export function stateOf(record) {
+  if (record.awayAt && record.isActive) {
+    return `was ${wordOf(record.status)}`;
+  }
   if (record.status === "ACCEPTED" && record.place) {
     return `waiting, ${record.place} of ${record.queueLength}`;
   }
@@ -32,7 +35,7 @@ export function showBadge(badge, record) {
   const icon = (WORDS[record.status] ?? WORDS.UNKNOWN)[1];
   const text = `${icon} ${stateOf(record)}`;
   if (badge.textContent !== text) {
-    badge.className = `badge ${record.status.toLowerCase()}`;
+    badge.className = `badge ${record.awayAt && record.isActive ? "away" : record.status.toLowerCase()}`;
     badge.replaceChildren(h("span", { "aria-hidden": "true" }, icon), ` ${stateOf(record)}`);
   }
 }
@@ -53,10 +56,13 @@ export function durationOf(seconds) {
   return minutes < 60 ? `${minutes}:${rest} min` : `${(minutes / 60).toFixed(1)} h`;
 }
 
+// One for all, since it takes longer to make one than to use it.
+const CLOCK = new Intl.DateTimeFormat([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+
 /** Return a time of the day, and the day if it is not today. */
 export function timeOf(stamp) {
   const time = new Date(stamp);
-  const clock = time.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+  const clock = CLOCK.format(time);
   return time.toDateString() === new Date().toDateString() ? clock : `${time.toLocaleDateString()} ${clock}`;
 }
 

@@ -57,7 +57,7 @@ class Console {
     const address = serverAddress();
     this.token = token;
     this.connection = new Connection(address, { token, onstate: (state) => this.takeState(state) });
-    this.use(new Store(this.connection, new History(address)));
+    this.use(new Store(this.connection, new History(address), token));
   }
 
   /** Show what a store has from now on. */
@@ -191,8 +191,10 @@ class Console {
   update() {
     this.route();
     const words = { ready: "connected", lost: "connection lost, trying again" };
-    setText(this.status, words[this.store.state] ?? this.store.state);
-    this.status.dataset.state = this.store.state;
+    const { state, away } = this.store;
+    const more = state === "ready" && away.size ? `, ${away.size === 1 ? "a server is" : "servers are"} away` : "";
+    setText(this.status, (words[state] ?? state) + more);
+    this.status.dataset.state = more ? "lost" : state;
     this.actions.update();
     this.page.update();
     this.page.tellMissing(this.missing());

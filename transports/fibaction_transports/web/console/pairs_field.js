@@ -40,8 +40,8 @@ export function pairsField({ schema, name, value, resolve, level, fieldFor }) {
     return Object.fromEntries(rows.map(({ input, field }) => {
       const key = input.value;
       if (!key || seen.has(key)) {
-        input.focus();
-        throw new FieldError(`${name}: ${key ? `the key ${JSON.stringify(key)} is there twice` : "enter a key"}`);
+        const problem = key ? `the key ${JSON.stringify(key)} is there twice` : "enter a key";
+        throw new FieldError(`${name}: ${problem}`, input);
       }
       seen.add(key);
       return [key, field.read()];

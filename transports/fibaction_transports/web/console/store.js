@@ -5,9 +5,13 @@
  * its feedback and its result, a goal must be followed. That costs the server and the page work, so
  * only these are: goals that this page has sent, the one that is shown, and the newest active goals
  * of the action that is shown. Changes are collected, and listeners are told once for each frame.
+ *
+ * A server that is away, behind a bridge or because the connection is lost, is told by REST and by
+ * the state of the connection. What is known of its active goals is from the time before.
  */
 
 import { ACTIVE, GoalRecord } from "./goal_record.js";
+import { timeOf } from "./goal_text.js";
 import { stored } from "./values.js";
 
 const MOST_FOLLOWED = 20;
@@ -34,9 +38,10 @@ function sameOr(before, info) {
 }
 
 export class Store {
-  constructor(connection, history) {
+  constructor(connection, history, token = "") {
     this.connection = connection;
     this.history = history;
+    this.token = token;
     this.actions = new Map();
     this.isDescribed = false;
     this.goals = new Map();
@@ -45,6 +50,8 @@ export class Store {
     this.shown = { action: "", goal: "" };
     this.basis = ""; // the key of the goal that others are compared with
     this.state = "connecting";
+    this.lost = undefined; // the connection, since then
+    this.away = new Map(); // servers of actions behind a bridge, since then
     this.onchange = () => {};
     this.frame = 0;
   }
@@ -68,13 +75,51 @@ export class Store {
     if (now !== before) {
       this.takeActions(infos);
     }
+    await this.askAway();
     setTimeout(() => this.askActions(now), ASK_AGAIN);
   }
 
   /** Take the new state of the connection. */
   takeState(state) {
     this.state = state;
+    this.lost = state === "lost" ? { since: Date.now(), reason: "the connection is lost" } : undefined;
+    this.markAway();
+  }
+
+  /** Ask which servers are away. */
+  async askAway() {
+    const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
+    try {
+      const answer = await fetch("actions", { headers });
+      const infos = answer.ok ? await answer.json() : [];
+      const away = infos.filter((info) => info.away);
+      this.away = new Map(away.map(({ name, away: { since, reason } }) => [name, { since: since * 1000, reason }]));
+    } catch {
+      // The connection is lost, too.
+    }
+    this.markAway();
+  }
+
+  /** Return since when the server of an action is away, and why; undefined if it is not. */
+  awayOf(action) {
+    return this.lost ?? this.away.get(action);
+  }
+
+  /** Note of active goals since when nothing is known of them. */
+  markAway() {
+    for (const record of this.goals.values()) {
+      record.awayAt = record.isActive ? (this.awayOf(record.action)?.since ?? 0) : 0;
+    }
     this.change();
+  }
+
+  /** Check that the server of an action is there, so that an answer need not be waited for. */
+  async checkIsThere(action, what) {
+    await this.askAway();
+    const away = this.awayOf(action);
+    if (away) {
+      throw new Error(`The server of ${action} is away since ${timeOf(away.since)}: ${what}`);
+    }
   }
 
   /** Tell the listener at the next frame. */
@@ -292,7 +337,8 @@ export class Store {
     }
     record.isAsking = true;
     try {
-      const handle = await this.connection.attach(record.action, record.id, { after: 0, observe: true });
+      const { number, attempt } = record;
+      const handle = await this.connection.attach(record.action, record.id, { after: number, attempt, observe: true });
       await this.read(record, handle);
     } catch (error) {
       record.isPast = !record.isActive;
@@ -320,7 +366,9 @@ export class Store {
         this.end(record, outcome);
       }
     } catch (error) {
-      if (record.isActive) {
+      if (record.handle !== handle || ["ConnectionLost", "ServerNotFound"].includes(error.name)) {
+        // It was left here, or its server is away: it is followed again later.
+      } else if (record.isActive) {
         record.reason = error.message;
       } else if (error.name === "ProtocolError") { // its server may be of another version by now
         record.reason = `its result cannot be read: ${error.message}`;
@@ -373,6 +421,7 @@ export class Store {
 
   /** Send a goal, and return its record; a rejection is an error with its reason. */
   async send(info, goal, labels = null) {
+    await this.checkIsThere(info.name, "nothing was sent");
     const id = newId();
     const key = `${info.name}/${id}`;
     this.sending.add(key); // its status may come before the answer
@@ -391,6 +440,7 @@ export class Store {
 
   /** Ask for the cancel of a goal. */
   async cancel(record) {
+    await this.checkIsThere(record.action, "the goal may continue");
     await this.connection.cancel(record.action, { id: record.id });
   }
 
@@ -398,7 +448,10 @@ export class Store {
   async cancelAll(action) {
     const active = this.goalsOf(action).filter((goal) => goal.isActive);
     const names = [...new Set(active.map((goal) => goal.action))];
-    const answers = await Promise.allSettled(names.map((name) => this.connection.cancel(name)));
+    const answers = await Promise.allSettled(names.map(async (name) => {
+      await this.checkIsThere(name, "its goals may continue");
+      await this.connection.cancel(name);
+    }));
     return answers.filter(({ status }) => status === "rejected").map(({ reason }) => reason.message);
   }
 

@@ -59,8 +59,7 @@ function dateField(schema, name, value) {
   set(value);
   const read = () => {
     if (!input.checkValidity()) {
-      input.focus();
-      throw new FieldError(`${name}: enter a date`);
+      throw new FieldError(`${name}: enter a date`, input);
     }
     return input.value;
   };

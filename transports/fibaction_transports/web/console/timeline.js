@@ -45,7 +45,7 @@ export class Timeline {
 }
 
 function endOf(goal, now) {
-  return goal.isActive ? now : goal.endedAt || goal.startedAt || goal.sentAt;
+  return goal.isActive ? goal.awayAt || now : goal.endedAt || goal.startedAt || goal.sentAt;
 }
 
 function rowOf(goal, index, { start, scale, now, shown, label, name }) {

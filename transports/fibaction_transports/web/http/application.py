@@ -93,7 +93,11 @@ class WebApplication(HttpApplication):
         self.guest = guest
         self._rest = RestInterface(server)
         self._plain = PlainPaths(
-            self._rest.admit, console=console, metrics=metrics, recording=recording
+            self._rest.admit,
+            server.endpoints,
+            console=console,
+            metrics=metrics,
+            recording=recording,
         )
         self._sockets: set[CancelScope] = set()
         server.tasks.start_soon(self._hold)

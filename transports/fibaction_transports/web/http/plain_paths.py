@@ -1,25 +1,28 @@
 """`PlainPaths`: the paths that are only read: the files of the pages, and those for operators.
 
 `/healthz` and `/readyz` say that the server answers; they need no token, as the probes of an
-orchestrator have none. `/metrics` and `/recording` are there if the server has some, for clients
-that are let in. The console shows the recording.
+orchestrator have none. While the servers of its actions are away, a bridge is alive and not ready.
+`/metrics` and `/recording` are there if the server has some, for clients that are let in.
+The console shows the recording.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from os import PathLike
 from typing import TypeAlias
 
 import anyio
 
+from fibaction.border.abc import Endpoint
 from fibaction.border.http_access import Refused
 from fibaction.observe.metrics import Metrics
 from fibaction_transports._http.exchange import Exchange
+from fibaction_transports._http.problems import RETRY
 from fibaction_transports.web.http.assets import CLIENT, PAGE, Asset, all_assets
 
-ALIVE = ("/healthz", "/readyz")
+ALIVE, READY = "/healthz", "/readyz"
 METRICS = "/metrics"
 RECORDING = "/recording"
 RECORDING_TYPE = "application/jsonl"
@@ -39,6 +42,7 @@ class PlainPaths:
     def __init__(
         self,
         admit: Callable[[Exchange], object],
+        endpoints: Mapping[str, Endpoint],
         *,
         console: bool,
         metrics: Metrics | None,
@@ -48,6 +52,7 @@ class PlainPaths:
         wanted; `admit` lets in a client, or raises `Refused`.
         """
         self._admit = admit
+        self._endpoints = endpoints
         self._metrics = metrics
         self._recording = recording
         self._assets = {
@@ -81,13 +86,24 @@ class PlainPaths:
             return _answer_elsewhere
         if path in self._assets:
             return partial(_answer_with, self._assets[path])
-        if path in ALIVE:
-            return _answer_alive
+        if path in (ALIVE, READY):
+            return self._answer_probe
         if path == METRICS and self._metrics is not None:
             return partial(self._answer_metrics, self._metrics)
         if path == RECORDING and self._recording is not None:
             return partial(self._answer_recording, self._recording)
         return None
+
+    async def _answer_probe(self, exchange: Exchange) -> None:
+        # Without the names and the reasons, since anyone may ask.
+        there, text = [one.absence is None for one in self._endpoints.values()], "ok"
+        if not all(there):
+            text = f"the servers of {there.count(False)} of {len(there)} actions are away"
+        status = 200 if all(there) or exchange.path == ALIVE else 503
+        retry = () if status == 200 else (RETRY,)
+        await exchange.answer(
+            status, f"{text}\n".encode(), *retry, kind="text/plain; charset=utf-8"
+        )
 
     async def _answer_metrics(self, metrics: Metrics, exchange: Exchange) -> None:
         self._admit(exchange)
@@ -110,10 +126,6 @@ class PlainPaths:
 async def _answer_elsewhere(exchange: Exchange) -> None:
     # The addresses in the page are relative to its own.
     await exchange.answer(308, b"", ("Location", f"{exchange.root}/"))
-
-
-async def _answer_alive(exchange: Exchange) -> None:
-    await exchange.answer(200, b"ok\n", kind="text/plain; charset=utf-8")
 
 
 async def _answer_with(asset: Asset, exchange: Exchange) -> None:

@@ -15,9 +15,11 @@ posted with a key keeps running, since the client can come back with the key, as
 from __future__ import annotations
 
 import secrets
+from datetime import UTC, datetime
 from functools import partial
 from hashlib import blake2b
 from time import time_ns
+from typing import Any
 
 import anyio
 import msgspec
@@ -142,11 +144,16 @@ class RestInterface:
         Raises:
             AuthenticationFailed: It does not have it.
             Refused: The action is not served here.
+            ServerNotFound: Its server is away.
         """
         try:
-            return await client.endpoint(route.action, permission)
+            endpoint = await client.endpoint(route.action, permission)
         except ServerNotFound as exc:
             raise Refused(404, str(exc)) from None
+        if (absence := endpoint.absence) is not None and route.resource is not Resource.ACTION:
+            since = datetime.fromtimestamp(absence.since, UTC).isoformat(timespec="seconds")
+            raise ServerNotFound(f"the server is away since {since}: {absence.reason}")
+        return endpoint
 
     async def _own_or_observed(self, client: SessionClient, route: Route) -> Endpoint:
         """Return the endpoint of a goal that the client may follow."""
@@ -164,12 +171,12 @@ class RestInterface:
     async def _list_actions(
         self, exchange: Exchange, _client: SessionClient, _route: Route
     ) -> None:
-        infos = [endpoint.info for endpoint in self._endpoints.values()]
-        await exchange.answer(200, msgspec.json.encode(infos))
+        described = [_described(endpoint) for endpoint in self._endpoints.values()]
+        await exchange.answer(200, msgspec.json.encode(described))
 
     async def _get_action(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
-        await exchange.answer(200, msgspec.json.encode(endpoint.info))
+        await exchange.answer(200, msgspec.json.encode(_described(endpoint)))
 
     # Goals
 
@@ -332,6 +339,12 @@ class RestInterface:
             "reason": answer.reason,
         }
         await exchange.answer(202, msgspec.json.encode(members))
+
+
+def _described(endpoint: Endpoint) -> dict[str, Any]:
+    """Return the description of an action, with `away` while its server is."""
+    described: dict[str, Any] = msgspec.structs.asdict(endpoint.info)
+    return described if endpoint.absence is None else {**described, "away": endpoint.absence}
 
 
 def _events_of(endpoint: Endpoint) -> GoalEvents:

@@ -67,6 +67,15 @@ _SHARED_SCHEMAS: Json = {
             "feedback": _SCHEMA,
             "result": _SCHEMA,
         },
+        {
+            "away": _object(
+                "Only while the server of the action cannot be reached.",
+                {
+                    "since": {"type": "number", "description": "Seconds since 1970."},
+                    "reason": _text("The newest error."),
+                },
+            )
+        },
     ),
     "Goal": _object(
         "A goal, and how far it is.",
