@@ -62,7 +62,7 @@ from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.goal_record import Ending, EndKind
-from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.types.action import Action, Codec, FeedbackT, GoalT, ResultT
 from fibaction.words.goals import CurrentGoal, current_goal
 from fibaction.words.returned import Return
 
@@ -342,6 +342,15 @@ class Execution(RunningGoal, Generic[GoalT, FeedbackT, ResultT]):
 
     def append(self, payload: bytes) -> bool:
         steps, is_full = self._steps, self._log.append(payload)
+        return is_full or steps.pending or perf_counter() >= steps.slice_end
+
+    def send(self, feedback: object) -> bool:
+        # `encode` and `append` in one, since each message of most functions is here.
+        codec: Codec[Any] = self._action.feedback
+        steps = self._steps
+        if not isinstance(feedback, codec.classes):
+            return self.append(self.encode(feedback))
+        is_full = self._log.append(codec.encode(feedback))
         return is_full or steps.pending or perf_counter() >= steps.slice_end
 
     async def pause(self) -> None:

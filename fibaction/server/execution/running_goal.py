@@ -66,6 +66,14 @@ class RunningGoal(ABC):
         """Append feedback to the goal's log, as a `yield` does; return whether to `pause` then."""
 
     @abstractmethod
+    def send(self, feedback: object) -> bool:
+        """Append feedback that is not encoded yet; return whether to `pause` then.
+
+        Raises:
+            TypeError: As for `encode`.
+        """
+
+    @abstractmethod
     async def pause(self) -> None:
         """Let others run, and wait for room, as a `yield` does."""
 

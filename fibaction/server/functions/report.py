@@ -69,14 +69,15 @@ class Report(Generic[FeedbackT_contra]):
             assert running.home is not None
             running.home.run(partial(self._in_thread, feedback))
             return DONE
+        if not self._takers and not self._late:
+            return _Turn(self) if running.send(feedback) else DONE
         payload = running.encode(feedback)
         if self._takers:
             self._late.append(payload)
             if len(self._late) > MOST_LATE:
                 running.append(self._late.popleft())
             return _Turn(self)
-        if self._late:
-            self._append_late(running)
+        self._append_late(running)
         return _Turn(self) if running.append(payload) else DONE
 
     def close(self) -> None:

@@ -5,6 +5,7 @@ set -e
 tests/tools/get.sh nats
 tests/tools/get.sh redis
 .venv/bin/python -m tests.tools.benchmarks all --scale "$1"
+.venv/bin/python -m tests.tools.benchmarks.functions --write
 .venv/bin/python -m tests.tools.benchmarks.durable
 .venv/bin/python -m tests.tools.benchmarks.fleet
 .venv/bin/python -m tests.tools.benchmarks.pythons --write

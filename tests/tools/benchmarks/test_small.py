@@ -18,6 +18,7 @@ import pytest
 
 from tests.support.nats_server import IS_LEFT_OUT
 from tests.tools.benchmarks import growing, pages, rounds, starting, suite, versions
+from tests.tools.benchmarks.functions import ADDRESSES, KINDS
 from tests.tools.benchmarks.pictures import picture
 from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.ways import WAYS
@@ -30,6 +31,11 @@ SMALL: Mapping[str, tuple[list[str], Mapping[str, object], list[str]]] = {
         ["--rounds", "1", "--folder", "{folder}"],
         {"GOALS": {1: 2, 100: 100, 500: 500}, "KEPT": 10},
         ["inproc", "tcp", "start with 10 goals that are ended", "goals that are active"],
+    ),
+    "functions": (
+        ["--rounds", "1"],
+        {"GOALS": 1, "AT_ONCE": 2, "MESSAGES": 3, "WARM_UP": 0},
+        [f"| {where}, {kind} |" for where in ADDRESSES for kind in KINDS],
     ),
     "many_participants": (
         ["4", "--processes", "2"],
