@@ -34,8 +34,6 @@ from tests.support.fibonacci import Feedback, Goal, Result
 from tests.support.ports import free_port
 from tests.support.zenoh_router import start_router
 
-pytestmark = pytest.mark.anyio
-
 Client: TypeAlias = ActionClient[Goal, Feedback, Result]
 
 WHERE = "zenoh:///ours"
@@ -44,6 +42,8 @@ MANY = int(os.environ.get("FIBACTION_ZENOH_GOALS", "300"))
 """Goals one by one: 10,000 show the longest pause of released servers."""
 SECONDS = float(os.environ.get("FIBACTION_ZENOH_SECONDS", "5"))
 """Seconds in which participants come and go."""
+pytestmark = [pytest.mark.anyio, pytest.mark.timeout(PATIENCE + SECONDS + MANY / 20)]
+
 RATED = 2_000
 SUCCEEDED = int(GoalStatus.SUCCEEDED)
 EXECUTING = int(GoalStatus.EXECUTING)

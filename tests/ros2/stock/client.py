@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Coroutine
 from threading import Event, Thread
+from time import perf_counter
 from typing import Any
 
 import numpy
@@ -125,6 +126,16 @@ class Client:
         results = [handle.get_result_async() for handle in handles if handle.accepted]
         answers = [await result for result in results]
         return [{"status": a.status, "sequence": list(a.result.sequence)} for a in answers]
+
+    async def one_by_one(self, action: str, count: int) -> float:
+        """Run so many short goals one after another, and return the seconds of each."""
+        client = self._action_client(action)
+        began = perf_counter()
+        for _ in range(count):
+            handle = await client.send_goal_async(Fibonacci.Goal(order=1))
+            answer = await handle.get_result_async()
+            assert list(answer.result.sequence) == [0, 1]
+        return (perf_counter() - began) / count
 
     async def request_result(self, goal: str) -> None:
         """Request a result, for which `result` will wait."""

@@ -461,3 +461,10 @@ os.waitpid(child, 0)
     )
     assert "cannot be used in a process that was forked" in done.stdout
     assert 'multiprocessing with "spawn"' in done.stdout
+
+
+async def test_a_session_of_another_process_is_not_joined(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "_OPENERS", {os.getpid() - 1})
+    with pytest.raises(TransportError, match="forked from one that has used it"):
+        async with connect("zenoh://"):
+            pass  # pragma: no cover

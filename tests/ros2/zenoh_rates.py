@@ -1,0 +1,101 @@
+"""Goals each second over Zenoh, with fibaction and rclpy at either end, in turns.
+
+    FIBACTION_ZENOH_PEER=PREFIX .venv-ros/bin/python -m tests.ros2.zenoh_rates
+
+The rate of a pair is the best of its rounds: a machine that does other things slows some of them.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import defaultdict
+from pathlib import Path
+from time import perf_counter
+
+import anyio
+
+from fibaction import ActionClient, connect, serve
+from tests.ros2.stock.ours import Behaviour, action
+from tests.ros2.stock.process import peer
+from tests.ros2.stock.telling import say
+from tests.ros2.zenoh_peer import middleware, router_for
+from tests.support.fibonacci import Feedback, Goal, Result
+
+GOALS = 50
+AT_ONCE = 200
+ROUNDS = 8
+PAIRS = {"stock": "stock", "ours": "ours"}
+
+
+async def serve_ours() -> None:
+    """Serve until standard input ends."""
+    async with serve(Behaviour().server("ours"), "zenoh:///ours"):
+        say("ready")
+        await anyio.wait_readable(sys.stdin.fileno())
+
+
+async def one_by_one(client: ActionClient[Goal, Feedback, Result]) -> float:
+    began = perf_counter()
+    for _ in range(GOALS):
+        assert await client.call(Goal(1)) == Result([0, 1])
+    return (perf_counter() - began) / GOALS
+
+
+async def at_once(client: ActionClient[Goal, Feedback, Result]) -> float:
+    began = perf_counter()
+    async with anyio.create_task_group() as tasks:
+        for _ in range(AT_ONCE):
+            tasks.start_soon(client.call, Goal(1))
+    return (perf_counter() - began) / AT_ONCE
+
+
+async def measure() -> None:
+    """Measure all pairs in turns, and print their rates and multiples of the stock pair."""
+    found = defaultdict[str, list[float]](list)
+    stock_node = middleware("zenoh")
+    with router_for("zenoh"):
+        async with (
+            peer("server", **stock_node),
+            peer("tests.ros2.zenoh_rates", "serve"),
+            peer("client", **stock_node) as stock,
+            connect("zenoh:///client") as connection,
+        ):
+            for _ in range(ROUNDS):
+                for name in PAIRS:
+                    client = connection.client(action(name))
+                    await client.wait_for_server(20)
+                    try:
+                        seconds = await stock.ask("one_by_one", action=name, count=GOALS)
+                        found[f"stock -> {name}"].append(seconds)
+                    except AssertionError:  # a request was forgotten for ten seconds
+                        print(f"a turn of stock -> {name} was too long")
+                    found[f"ours -> {name}"].append(await one_by_one(client))
+                    found[f"ours -> {name}, {AT_ONCE} at once"].append(await at_once(client))
+    usual = min(found["stock -> stock"])
+    for name, seconds in found.items():
+        best = min(seconds)
+        print(f"{name:28} {1 / best:7.0f}/s {usual / best:6.1f} times the stock pair")
+
+
+def threads_and_memory() -> tuple[int, int]:
+    """Return the number of threads of this process, and its memory in kilobytes."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    values = dict(line.split(":") for line in lines)
+    return int(values["Threads"]), int(values["VmRSS"].split()[0])
+
+
+async def memory() -> None:
+    """Print the memory that a session in mode `client` adds to a process."""
+    with router_for("zenoh"):
+        async with connect("zenoh:///first?mode=client"):
+            before = threads_and_memory()
+            async with connect("zenoh:///second?mode=client&config=queries_default_timeout=500000"):
+                after = threads_and_memory()
+    print(f"another session: {after[1] - before[1]} kB, {after[0] - before[0]} threads")
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("ROS_DOMAIN_ID", "93")
+    way = {"serve": serve_ours, "memory": memory}.get(sys.argv[-1], measure)
+    anyio.run(way)
