@@ -36,12 +36,12 @@ Examples:
     "--port", type=click.IntRange(1, 65535), default=PORT, show_default=True, help="The port."
 )
 def router_command(host: str, port: int) -> None:
-    """Run a router of Zenoh, as nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp need one.
+    """Run a router of Zenoh, which nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp need.
 
-    Use it for tests and a first try without ROS. Whoever reaches it can serve and call every
-    action.
+    Use it for tests and a first try without ROS. Everyone who can reach it can serve and
+    call every action.
 
-    Ctrl-C or SIGTERM stops it. Peers that know each other go on without it.
+    Ctrl-C or SIGTERM stops it. Peers that know each other continue without it.
     """
     if find_spec("zenoh") is None:
         raise Failure("fibaction router needs zenoh: pip install 'fibaction[zenoh]'")

@@ -90,8 +90,8 @@ def mcp_command(
     and stdout. With --http it runs by itself, and clients need the token that it prints, or the one
     in FIBACTION_MCP_TOKEN.
 
-    The user is asked before each goal. A client that cannot ask its user cannot send goals, but
-    those of the actions in --unasked.
+    The user is asked before each goal. A client that cannot ask its user can
+    send goals of the actions in --unasked only.
 
     Ctrl-C, SIGTERM or the end of stdin ends it. Goals that a tool waits for are canceled, all
     others continue at their server. A second signal ends it at once.

@@ -45,8 +45,8 @@ Examples:
 def backup_command(file: str, target: str | None) -> None:
     """Copy the store in FILE to the new file TARGET, also while its server runs.
 
-    TARGET has the goals of one moment, and needs no other file beside it. Without it, the copy is
-    beside FILE, with the time in its name.
+    TARGET has the goals of one moment, and needs no other file. Without TARGET, the copy is next
+    to FILE, with the time in its name.
     """
     from fibaction.stores._copy import back_up  # sqlite3 would slow down --help
 
