@@ -8,7 +8,7 @@ import logging
 import re
 import socket
 import struct
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ import anyio
 import msgspec
 import pytest
 from anyio.abc import SocketAttribute
+from anyio.lowlevel import checkpoint
 
 from fibaction import Action, ActionServer, GoalHandle, GoalID, GoalRejected, RejectionCode
 from fibaction.cli.output import render
@@ -36,8 +37,9 @@ RULES = {
     " traceback in the log",
     "documents": "a costly document keeps no other client waiting",
     "unknown fields": "a field that the goal does not have is refused, with the one that was meant",
-    "busy": "a goal for which there is no room now, and one that comes while the server stops, has"
-    " a code that says so, or the word 'later'",
+    "busy": "a goal for which there is no room now has a code that says so, or the word 'later'",
+    "later": "such a goal runs when it is sent again, with the same ID where clients give IDs",
+    "stopping": "a goal that comes while the server stops is told so in the same ways",
     "same ID": "a goal that is sent again with its ID runs once, and another goal is refused",
     "others' goals": "a client cancels the goals of others only if it may",
     "unread feedback": "a client that reads nothing costs a bounded amount, and delays nobody",
@@ -71,6 +73,13 @@ dds, zenoh, ros2: test_the_limit_is_one_for_all_arrays_of_a_payload
 dds, zenoh, ros2: the fields of a message of ROS are fixed by its type
 
 [busy]
+dds, zenoh, ros2: a response of SendGoal has one bit
+
+[later]
+dds, zenoh, ros2: a client of ROS gives each goal an ID of its own
+
+[stopping]
+nats: test_a_worker_whose_server_has_stopped_is_left_for_another
 dds, zenoh, ros2: a response of SendGoal has one bit
 
 [same ID]
@@ -181,15 +190,20 @@ class Driver:
 
     def __init__(self) -> None:
         self.driven: list[int] = []
+        self.on_goal: Callable[[Drive], GoalRejected | None] = lambda goal: REJECTIONS.get(
+            goal.meters
+        )
+        self.drive: Callable[[], Awaitable[object]] = checkpoint
         self.server = ActionServer(DRIVE, self._drive, on_goal=self._decide)
 
     async def _drive(self, goal: GoalHandle[Drive]) -> AsyncGenerator[int | str, None]:
         self.driven.append(goal.request.meters)
+        await self.drive()
         yield "there"
 
     def _decide(self, goal: Drive) -> None:
-        if goal.meters in REJECTIONS:
-            raise REJECTIONS[goal.meters]
+        if (rejection := self.on_goal(goal)) is not None:
+            raise rejection
 
 
 @pytest.fixture
@@ -277,6 +291,56 @@ async def test_only_a_temporary_rejection_says_so(door: str, driver: Driver) -> 
             assert told.code in (None, rejection.code)
             assert told.is_later in (None, rejection.code.is_temporary)
     assert driver.driven == []
+
+
+@each_door("later")
+async def test_a_goal_that_came_too_early_runs_when_it_is_sent_again(
+    door: str, driver: Driver
+) -> None:
+    goal_id = {} if door in NO_IDS.split(", ") else {"goal_id": GoalID.random()}
+    rejections = [REJECTIONS[BUSY]] * 2
+    driver.on_goal = lambda _: rejections.pop() if rejections else None
+    async with DOORS[door](driver.server) as way:
+        for _ in range(2):
+            assert "the battery is charging" in (await way.send({"meters": 1}, **goal_id)).reason
+        assert (await way.send({"meters": 1}, **goal_id)).result == "there"
+    assert driver.driven == [1]
+
+
+@each_door("stopping", without="nats")
+async def test_a_goal_that_comes_while_the_server_stops_may_come_later(
+    door: str, driver: Driver
+) -> None:
+    begun, stops, cleans_up, goes_on, done = (anyio.Event() for _ in range(5))
+
+    async def run_server() -> None:
+        async with driver.server:
+            begun.set()
+            await stops.wait()
+        done.set()
+
+    async def clean_up() -> None:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            cleans_up.set()
+            await goes_on.wait()
+
+    driver.drive = clean_up
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(run_server)
+        await begun.wait()
+        async with DOORS[door](driver.server) as way:
+            await driver.server.send_goal(GoalID.random(), DRIVE.goal.encode(Drive(9)))
+            await anyio.wait_all_tasks_blocked()
+            stops.set()
+            await cleans_up.wait()
+            told = await way.send({"meters": 1})
+            goes_on.set()
+            await done.wait()
+    assert "the server is stopping" in told.reason
+    assert told.code is RejectionCode.STOPPING or told.is_later
+    assert driver.driven == [9]
 
 
 NO_IDS = "rosbridge, rosbridge client, mcp, mcp http, command"
