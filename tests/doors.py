@@ -127,8 +127,9 @@ async def rosbridge(server: Endpoint) -> AsyncGenerator[Way, None]:
     async with serve(server, "http://127.0.0.1:0") as (url,), socket_client(url) as client:
 
         async def call(goal: Any, goal_id: GoalID | None = None) -> Told:
+            args = goal if isinstance(goal, dict) else {"data": goal}
             await client.say(
-                op="send_action_goal", action=server.info.name, args=goal, id=str(goal_id or 1)
+                op="send_action_goal", action=server.info.name, args=args, id=str(goal_id or 1)
             )
             answer = (await client.hear_until("action_result"))[-1]
             if answer["result"]:
@@ -141,7 +142,7 @@ async def rosbridge(server: Endpoint) -> AsyncGenerator[Way, None]:
 
 def tools_of(agent: Talk, name: str) -> Callable[..., Awaitable[Told]]:
     async def call(goal: Any) -> Told:
-        answer = await agent.call(name, **goal)
+        answer = await agent.call(name, **(goal if isinstance(goal, dict) else {"goal": goal}))
         if not answer.is_error:
             return Told(answer.structured_content["result"])
         return Told(reason=text_of(answer), is_later="try again later" in text_of(answer))

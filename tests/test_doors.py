@@ -58,10 +58,8 @@ dds: test_an_attack_by_datagrams_costs_the_others_little
 ros2, zenoh: the library of the middleware reads the bytes
 
 [documents]
-rest, rosbridge, mcp: test_the_loop_goes_on_while_a_document_is_checked
-sse: the request is read as that of rest
-mcp http: test_a_large_goal_keeps_nobody_waiting
-a2a: test_a_large_document_keeps_nobody_waiting
+rest, sse, rosbridge: test_the_loop_goes_on_while_a_document_is_checked
+mcp, mcp http, a2a: test_the_loop_goes_on_while_a_document_is_checked
 tcp: test_an_attack_costs_the_others_little
 tls, unix, ws, wss, nats: frames are read as those of tcp
 inproc: values of the same process are not documents

@@ -16,7 +16,7 @@ from a2a.utils.errors import ContentTypeNotSupportedError, InvalidParamsError
 
 from fibaction.border.peer_text import excerpt
 from fibaction.schema.payload import PayloadError, to_json
-from fibaction.schema.turns import in_turn, read_json
+from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.words.goals import NO_GOAL, GoalID
 from fibaction.words.plain_data import is_map
 from fibaction_transports.a2a.a2a_values import has_inexact
@@ -43,11 +43,11 @@ async def goal_in(
             "a message has one part with data, or with text, which is the goal"
         )
     goal = documents[-1]  # agents send what was said before a text, too, each in a part
-    return await in_turn(None, lambda _: _goal_in(request, goal, skills.by_label))
+    return await in_turn(None, lambda pause: _goal_in(request, goal, skills.by_label, pause))
 
 
 def _goal_in(
-    request: SendMessageRequest, document: Document, known: dict[str, Skill]
+    request: SendMessageRequest, document: Document, known: dict[str, Skill], pause: Pause | None
 ) -> tuple[Skill, Any]:
     skill = _named_in(request, known)
     given = document.value
@@ -60,7 +60,7 @@ def _goal_in(
     if isinstance(given, str):
         given = _goal_of_text(given, skill)
     try:
-        goal = skill.goals.complete(given)
+        goal = skill.goals.complete(given, pause)
     except PayloadError as exc:
         raise InvalidParamsError(f"the goal was not sent: {exc}") from exc
     if has_inexact(goal):
