@@ -55,6 +55,7 @@ def test_the_server_is_not_given_twice(config: Path, invoke: Invoke) -> None:
     [
         (b"robot1 =", "is not TOML: "),
         (b"\xff", "is not TOML: "),
+        (b"a = " + b"[" * 9_999, "is nested too deeply"),
         (b"addresses = 3", 'has a URL for each name, such as robot = "tcp://robot:7400"'),
         (b"[addresses]\nrobot1 = 3", "has a URL for each name"),
     ],

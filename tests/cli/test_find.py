@@ -10,7 +10,8 @@ def test_find_as_json_has_the_names_that_the_servers_gave(invoke: Invoke, tcp: s
         '{"name":"wait","type":"arm/action/Wait"}\n'
     )
     assert invoke("find", "-c", "arm/action/Wait", url=tcp).output == "1\n"
-    assert invoke("find", "arm/action/Wait", url=tcp).output == "/wait\n"
+    for name in ("arm/action/Wait", "/arm/action/Wait", "arm/Wait", "Wait"):
+        assert invoke("find", name, url=tcp).output == "/wait\n"
 
 
 def test_an_unknown_type_has_no_actions_and_that_is_not_an_error(invoke: Invoke, tcp: str) -> None:

@@ -100,12 +100,13 @@ def test_a_server_that_dies_is_a_lost_connection(
 ) -> None:
     robot = start_robot()
     process = started("send_goal", "wait", "--json", url=f"{robot.tcp}?reconnect_timeout=0.5")
-    lines_until("EXECUTING", process)
+    accepted = json.loads(lines_until("EXECUTING", process)[0])
     robot.process.kill()
     code, _, err = ended(process)
 
     assert code == ExitCode.UNREACHABLE
     assert err.splitlines()[0].startswith("fibaction: tcp://")  # from the log, at once
+    assert f"The goal {accepted['goal_id']} was accepted, and it is not known whether" in err
     assert err.splitlines()[-1].startswith("Error: ")
     assert "Traceback" not in err
 
@@ -232,6 +233,16 @@ def test_the_goal_comes_from_one_place(invoke: Invoke, tcp: str, tmp_path: Path)
         (["fibonacci", "--goal-file", "/nowhere"], "Error: /nowhere: No such file"),
         (["fibonacci", "order: 1", "--detach", "-f"], "--detach does not wait for feedback"),
         (["fibonacci", "order: 1", "-t", "0"], "0 is not in the range"),
+        (["fibonacci", "order: 1", "-t", "nan"], "'nan' is not a number"),
+        (["fibonacci", "/arduinobot_msgs/action/Fibonacci"], "Error: goal.order is missing"),
+        *(
+            (["fibonacci", name, ""], "Error: goal.order is missing")
+            for name in (
+                "/arduinobot_msgs/action/Fibonacci",
+                "Fibonacci",
+                "arduinobot_msgs.Fibonacci",
+            )
+        ),
     ],
 )
 def test_what_cannot_be_sent_is_one_sentence(

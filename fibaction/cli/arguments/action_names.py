@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,15 @@ def action_of(name: str, actions: Collection[ActionInfo]) -> ActionInfo:
         if shown(info.name) == wanted:
             return info
     raise no_action(name, actions)
+
+
+def is_type(given: str, type_name: str) -> bool:
+    """Return whether a user means this type: by its whole name, with a slash in front or not, by
+    package and type, or by the type alone.
+    """
+    known = type_name.split("/")
+    parts = re.split(r"/|\.|::", given.removeprefix("/"))
+    return bool(given) and parts in (known, [known[0], known[-1]], known[-1:])
 
 
 def no_action(name: str, actions: Iterable[ActionInfo]) -> Failure:

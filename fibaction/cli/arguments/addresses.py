@@ -60,6 +60,8 @@ def addresses() -> dict[str, str]:
         raise Failure(f"{path}: {exc.strerror}") from exc
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
         raise Failure(f"{path} is not TOML: {exc}") from exc
+    except RecursionError as exc:
+        raise Failure(f"{path} is nested too deeply") from exc
     found: object = config.get(TABLE, {})
     if not is_map(found) or not all(isinstance(url, str) for url in found.values()):
         raise Failure(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -65,6 +66,21 @@ def url_option(function: FunctionT) -> FunctionT:
         callback=_url_to_reach,
         help="URL of the server.  [as in fibaction --help]",
     )(function)
+
+
+class NumberType(click.FloatRange):
+    """A number that is at least 0, or above it, and not `nan`, which is in no range."""
+
+    def __init__(self, *, min_open: bool = True) -> None:
+        super().__init__(min=0, min_open=min_open)
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        number: float = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value!r} is not a number")
+        return number
 
 
 class TimeType(click.ParamType[int]):

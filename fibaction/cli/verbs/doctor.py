@@ -9,7 +9,7 @@ import click
 
 from fibaction.border.abc import Diagnosis
 from fibaction.border.urls import transport_for, without_settings
-from fibaction.cli.arguments.options import json_option, reject_inproc, url_of
+from fibaction.cli.arguments.options import NumberType, json_option, reject_inproc, url_of
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.lines import say, say_json
 from fibaction.cli.process.exit_codes import ExitCode, run
@@ -32,7 +32,7 @@ Examples:
 @click.option(
     "-s",
     "--seconds",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberType(),
     default=3.0,
     show_default=True,
     help="Time for which it listens.",

@@ -8,7 +8,7 @@ from itertools import groupby
 import click
 
 from fibaction._api import connect
-from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.arguments.action_names import is_type, shown
 from fibaction.cli.arguments.completion import TYPE, namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace, namespace_of
 from fibaction.cli.arguments.options import json_option, url_option
@@ -80,7 +80,7 @@ async def find(url: str, type_name: str, *, count: bool, as_json: bool) -> int:
     """Print the names of the actions of a type, one a line, or their number."""
     async with connect(url) as connection:
         actions = await connection.actions()
-    found = [info for info in actions if info.type_name == type_name]
+    found = [info for info in actions if is_type(type_name, info.type_name)]
     print_actions(found, show_types=False, count=count, as_json=as_json)
     return ExitCode.SUCCEEDED
 

@@ -17,7 +17,7 @@ from fibaction._api import ClientConnection, connect
 from fibaction.border.urls import without_settings
 from fibaction.cli.arguments.action_names import names_of, shown
 from fibaction.cli.arguments.import_target import AnyServer
-from fibaction.cli.arguments.options import reject_inproc, url_of
+from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.lines import say, say_json
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
@@ -82,7 +82,7 @@ Examples:
 @click.argument("urls", metavar="[URL]...", nargs=-1)
 @click.option(
     "--speed",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberType(),
     default=1.0,
     help="2 is twice as fast as in the recording.",
 )

@@ -19,11 +19,17 @@ from fibaction._api import ClientConnection, connect
 from fibaction._runtime.text import printable
 from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.border.event_loop import Background
-from fibaction.cli.arguments.action_names import find_action, shown
+from fibaction.cli.arguments.action_names import find_action, is_type, shown
 from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL, namespace_option
 from fibaction.cli.arguments.goal_input import PAIR, Pairs, read_goal, shell_meta
 from fibaction.cli.arguments.namespaces import Namespace
-from fibaction.cli.arguments.options import full_option, json_option, labels_option, url_option
+from fibaction.cli.arguments.options import (
+    NumberType,
+    full_option,
+    json_option,
+    labels_option,
+    url_option,
+)
 from fibaction.cli.output.goal_table import ordinal
 from fibaction.cli.output.lines import note, say
 from fibaction.cli.output.render import goal_printer, print_goal
@@ -31,12 +37,13 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import SAME_SIGNAL, SignalReceiver
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import Action, ActionInfo
-from fibaction.words.errors import ActionError, GoalRejected
+from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected, ServerNotFound
 from fibaction.words.goal_query import Labels
 from fibaction.words.goals import CancelCode, GoalID
 
 _TYPE_NAME = re.compile(
-    r"(\w+)(/|\.|::)action\2(\w+)|(\w+_(?:msgs|interfaces|actions?))(?:/|\.|::)([A-Z]\w*)", re.ASCII
+    r"/?(\w+)(/|\.|::)action\2(\w+)|(\w+_(?:msgs|interfaces|actions?))(?:/|\.|::)([A-Z]\w*)",
+    re.ASCII,
 )
 
 
@@ -88,7 +95,7 @@ Ctrl-C cancels the goal and waits for its end; a second Ctrl-C leaves at once.""
 @click.option(
     "-t",
     "--timeout",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberType(),
     metavar="SECONDS",
     help="Cancel the goal if it has not ended by then.",
 )
@@ -192,7 +199,7 @@ def goal_for(info: ActionInfo, type_name: str, text: str | Pairs) -> Any:
     """
     if type_name and not info.type_name:
         note(f"the server of {shown(info.name)} does not say its type, so it is not checked")
-    elif type_name and type_name != info.type_name:
+    elif type_name and not is_type(type_name, info.type_name):
         raise Failure(
             f"the action {shown(info.name)} is of the type {info.type_name}, not {type_name}"
         )
@@ -260,6 +267,10 @@ class _GoalSender:
                 if not self._options.as_json:
                     tasks.start_soon(self._tell_place)
                 return await print_goal(stream, action, self._printer, live=live)
+        except (ConnectionLost, ServerNotFound):
+            note(f"The goal {self._goal_id} was accepted, and it is not known whether it goes on:")
+            note(f"when its server is back, `fibaction attach {self._goal_id}` tells its end.")
+            raise
         except OSError:
             with anyio.move_on_after(self._times.cancel):
                 await self._cancel()  # the reader of the output has gone

@@ -19,7 +19,7 @@ from fibaction.border.abc import StatusStream, Transport
 from fibaction.border.urls import transport_for
 from fibaction.cli.arguments.action_names import names_of
 from fibaction.cli.arguments.import_target import AnyServer, import_servers
-from fibaction.cli.arguments.options import reject_inproc, url_of
+from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
@@ -66,13 +66,13 @@ Examples:
 @click.option(
     "--history",
     metavar="DAYS",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberType(),
     help="With --store: keep ended goals for this many days, for `fibaction goals --past`.",
 )
 @click.option(
     "--drain",
     metavar="SECONDS",
-    type=click.FloatRange(min=0),
+    type=NumberType(min_open=False),
     default=0.0,
     help="Before a stop, reject new goals, and give running ones this much time to end.",
 )

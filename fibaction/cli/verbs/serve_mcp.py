@@ -18,7 +18,7 @@ import click
 
 from fibaction.border.gateway import Gateway, GatewayTransport, ServerGroup
 from fibaction.border.urls import transport_for, without_settings
-from fibaction.cli.arguments.options import reject_inproc, url_of
+from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.lines import note, say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.process.last_seconds import LastSeconds
@@ -62,7 +62,7 @@ Examples:
 @click.option("--read-only", is_flag=True, help="Show goals, but do not send or cancel any.")
 @click.option(
     "--patience",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberType(),
     default=50.0,
     show_default=True,
     help="Seconds after which a tool answers that its goal still runs.",

@@ -11,7 +11,7 @@ import click
 from fibaction._api import ClientConnection, connect
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION
-from fibaction.cli.arguments.options import url_option
+from fibaction.cli.arguments.options import NumberType, url_option
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.words.errors import ConnectionLost, ServerNotFound
 
@@ -30,7 +30,7 @@ Examples:
 @click.option(
     "-t",
     "--timeout",
-    type=click.FloatRange(min=0, min_open=True),
+    type=NumberType(),
     metavar="SECONDS",
     help="Give up after that time, with exit code 6.",
 )
