@@ -163,7 +163,8 @@ def _membership() -> Membership:
     return _AlwaysBlocked(MemoryBroker(MemoryBrokers(), "a"), NAMES, "robot", 0.05)
 
 
-def test_a_thread_that_does_not_reach_the_brokers_tells_it_and_tries_again(
+@pytest.mark.anyio
+async def test_a_thread_that_does_not_reach_the_brokers_tells_it_and_tries_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     again = threading.Event()
@@ -177,22 +178,43 @@ def test_a_thread_that_does_not_reach_the_brokers_tells_it_and_tries_again(
         raise BrokerAway("no broker answers")
         yield  # pragma: no cover
 
-    with lease_thread(_membership(), away):
+    async with lease_thread(_membership(), away):
         assert again.wait(10)
     assert "worker 'robot': the lease is not renewed: no broker answers" in caplog.text
     assert caplog.text.count("its event loop is blocked") == 1
 
 
-def test_a_worker_without_threads_says_what_it_has_not(
+@pytest.mark.anyio
+async def test_a_worker_without_threads_says_what_it_has_not(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_self: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", fail)
-    with lease_thread(_membership(), lambda: pytest.fail("it is not needed")):
+    async with lease_thread(_membership(), lambda: pytest.fail("it is not needed")):
         pass
     assert "goals that block worker 'robot' are lost for it: can't start" in caplog.text
+
+
+@pytest.mark.anyio
+async def test_a_thread_that_is_renewing_the_lease_at_the_end_does_not_block_the_event_loop() -> (
+    None
+):
+    renews, may_end = threading.Event(), threading.Event()
+
+    @asynccontextmanager
+    async def slow() -> AsyncGenerator[Broker, None]:
+        renews.set()
+        assert may_end.wait(10)
+        raise BrokerAway("no broker answers")
+        yield  # pragma: no cover
+
+    async with anyio.create_task_group() as tasks:
+        async with lease_thread(_membership(), slow):
+            assert renews.wait(10)
+            tasks.start_soon(anyio.to_thread.run_sync, may_end.set)
+        assert may_end.is_set()
 
 
 def _in_thread(function: Callable[[], object]) -> threading.Thread:

@@ -7,8 +7,8 @@ closed after it: they are needed rarely. What is renewed, and when, is in `Membe
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator
-from contextlib import AbstractAsyncContextManager, contextmanager
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from threading import Event, Thread
 from typing import TypeAlias
 
@@ -43,10 +43,11 @@ class LeaseThread(Thread):
         self._open_broker = open_broker
         self._stopped = Event()
 
-    def stop(self) -> None:
-        """Renew nothing more, and wait for the end of the thread."""
+    async def stop(self) -> None:
+        """Renew nothing more, and wait for the end of the thread, also if canceled."""
         self._stopped.set()
-        self.join(JOIN_TIMEOUT)
+        with anyio.CancelScope(shield=True):
+            await anyio.to_thread.run_sync(self.join, JOIN_TIMEOUT)
 
     def run(self) -> None:
         """Look whether the event loop is blocked, again and again."""
@@ -67,8 +68,10 @@ class LeaseThread(Thread):
                 await self._membership.renew_blocked(broker)
 
 
-@contextmanager
-def lease_thread(membership: Membership, open_broker: OpenBroker) -> Generator[None, None, None]:
+@asynccontextmanager
+async def lease_thread(
+    membership: Membership, open_broker: OpenBroker
+) -> AsyncGenerator[None, None]:
     """Renew the lease of a worker whose event loop is blocked, while the block lasts."""
     thread = LeaseThread(membership, open_broker)
     try:
@@ -80,4 +83,4 @@ def lease_thread(membership: Membership, open_broker: OpenBroker) -> Generator[N
     try:
         yield
     finally:
-        thread.stop()
+        await thread.stop()

@@ -219,7 +219,7 @@ async def open_worker(
             worker = Worker(broker, names, settings, membership, tasks)
             await worker.start()
             if open_broker is not None:
-                stack.enter_context(lease_thread(membership, open_broker))
+                await stack.enter_async_context(lease_thread(membership, open_broker))
             yield worker
     finally:
         with CancelScope(shield=True):
