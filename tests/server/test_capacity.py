@@ -120,12 +120,16 @@ async def test_a_server_that_drains_rejects_new_goals_and_waits_for_the_others(s
 
 
 @pytest.mark.parametrize("store", [None, MemoryStore()], ids=["alone", "store"])
-async def test_a_step_of_an_active_goal_is_accepted_during_a_drain(store: Any) -> None:
+@pytest.mark.parametrize("is_step", [True, False])
+async def test_what_an_active_goal_sends_is_accepted_during_a_drain(
+    store: Any, is_step: bool
+) -> None:
     async def mission(goal: GoalHandle[float]) -> Working:
         await anyio.sleep(goal.request)
         if goal.request > 1:  # the drain has begun
-            await client_of(mine).call(0.5, step=goal.step("near"))
-            await client_of(other).call(1, step=goal.step("far"))
+            near, far = (goal.step(name) if is_step else None for name in ("near", "far"))
+            await client_of(mine).call(0.5, step=near)
+            await client_of(other).call(1, step=far)
         yield "done"
 
     mine, apart = ActionServer(WORK, mission, store=store), ActionServer(WORK, mission)

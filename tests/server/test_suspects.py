@@ -182,6 +182,7 @@ async def test_what_a_suspect_has_sent_runs_beside_it() -> None:
         for number in (2, 3, 5):
             child = await client_of(server).attach(id_of(number))
             await child.outcome()
+        await client_of(server).call(1)
         yield await client_of(server).call(1, step=goal.step("new"))
 
     goals = suspect(1), suspect(2, **by_parent), stored(1, 3, **by_parent), stored(1, 4)

@@ -48,7 +48,7 @@ from fibaction.server.durability.keeper import (
 from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.life import Effect, Event
-from fibaction.server.registry.goal_record import GoalRecord, Offer
+from fibaction.server.registry.goal_record import AnyOffer, GoalRecord, Offer
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.scheduled_goals import Busy
@@ -62,7 +62,7 @@ from fibaction.words.errors import (
     RejectionCode,
     StoreError,
 )
-from fibaction.words.goals import GoalID
+from fibaction.words.goals import GoalID, current_goal
 from fibaction.words.meta import NO_META, parent_in
 
 DRAINING = "busy: the server drains"
@@ -115,15 +115,15 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._is_closed = True
 
     def drain(self, together: Sequence[GoalRegistry]) -> None:
-        """Reject new goals from now on as busy, but for those whose parent is an active goal of
-        this server, or in one of the other registries.
+        """Reject new goals from now on as busy, but for those that an active goal of this server,
+        or in one of the other registries, has sent.
         """
         self._drained = (self._registry, *together)
 
     def _is_drained(self, offer: Offer[GoalT]) -> bool:
         """Return whether a new goal is rejected while the server drains."""
-        parent = parent_in(offer.meta)
-        return parent is None or not any(one.is_active(parent.goal_id) for one in self._drained)
+        sender = _sender_of(offer)
+        return sender is None or not any(one.is_active(sender) for one in self._drained)
 
     # Goals
 
@@ -229,6 +229,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         goal_id, sender = sent.goal_id, sent.sender
         has_turn = self._dispatcher.offer(goal_id, offer.request, sender, sent.deadline)
         offer.is_running = has_turn and not self._runs.suspects.goals
+        if self._runs.suspects.goals:
+            self._runs.suspects.note_sent(goal_id, _sender_of(offer))
         offer.goal = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )
@@ -347,3 +349,13 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         decision = self._decisions.pop(goal_id, None)
         if decision is not None:
             decision.notify()
+
+
+def _sender_of(offer: AnyOffer) -> GoalID | None:
+    """Return the goal whose executor has sent a goal: its parent, or, without one, the goal that
+    runs in this task, as it does for a client in this process.
+    """
+    if (parent := parent_in(offer.meta)) is not None:
+        return parent.goal_id
+    current = current_goal.get()
+    return None if current is None else current.goal_id

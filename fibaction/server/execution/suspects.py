@@ -74,11 +74,14 @@ class Suspects:
         return not self.goals or self._is_sent_by_suspect(goal)
 
     def _is_sent_by_suspect(self, goal: GoalRecord) -> bool:
-        parent = goal.origin.parent
-        is_sent = parent is not None and parent.goal_id in self._on_trial
-        if is_sent:
-            self._on_trial.add(goal.goal_id)
-        return is_sent
+        if (parent := goal.origin.parent) is not None:
+            self.note_sent(goal.goal_id, parent.goal_id)
+        return goal.goal_id in self._on_trial
+
+    def note_sent(self, goal_id: GoalID, sender: GoalID | None) -> None:
+        """Note the goal whose executor has sent a goal: that of a suspect on trial may begin."""
+        if sender in self._on_trial:
+            self._on_trial.add(goal_id)
 
     def add(self, goal: GoalRecord, server: Server) -> None:
         """Let no other goals begin: there is a suspect, which is to `begin`."""
