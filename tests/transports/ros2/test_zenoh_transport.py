@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import uuid
@@ -34,6 +35,7 @@ from fibaction_transports.ros2.on_zenoh import node, session, zenoh_adapter
 from fibaction_transports.ros2.on_zenoh.config import ATTEMPTS, FILE, OVERRIDE
 from fibaction_transports.ros2.on_zenoh.node import NO_ROUTER, ZenohNode, open_node
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.ports import free_port
 from tests.support.zenoh_router import start_router
@@ -468,3 +470,55 @@ async def test_a_session_of_another_process_is_not_joined(monkeypatch: pytest.Mo
     with pytest.raises(TransportError, match="forked from one that has used it"):
         async with connect("zenoh://"):
             pass  # pragma: no cover
+
+
+async def test_a_server_that_stands_still_is_missed_after_its_lease(router: int) -> None:
+    program = """
+import sys
+import anyio
+from fibaction import ActionServer, serve
+from tests.support.certificates import pems
+from tests.support.fibonacci import FIBONACCI, Feedback
+
+async def execute(goal):
+    yield Feedback([0])
+    await anyio.sleep_forever()
+
+async def main():
+    async with serve(ActionServer(FIBONACCI, execute), sys.argv[1]):
+        await anyio.sleep_forever()
+
+anyio.run(main)
+"""
+    where = f"{new_url()}&lease=0.1"
+    with anyio.fail_after(PATIENCE):
+        async with connect(where, FIBONACCI) as client:
+            process = await anyio.open_process([sys.executable, "-c", program, where])
+            try:
+                await client.wait_for_server()
+                goal = await client.send_goal(Goal(1))
+                assert await anext(goal.feedback) == Feedback([0])
+                process.send_signal(signal.SIGSTOP)
+                with anyio.fail_after(5), pytest.raises(ConnectionLost, match="has gone away"):
+                    await goal.result()  # the default would be 10 s
+            finally:
+                process.kill()
+                await process.aclose()
+
+
+async def test_a_router_with_tls_is_reached_by_those_who_have_its_authority() -> None:
+    port, made = free_port(), pems("localhost")
+    listening = {"listen_certificate": made.cert, "listen_private_key": made.cert}
+    tls = {f"transport/link/tls/{key}": path for key, path in listening.items()}
+    router = start_router(port, **{"listen/endpoints": [f"tls/localhost:{port}"], **tls})
+    known = f'transport/link/tls/root_ca_certificate="{made.ca}"'
+    where = f"zenoh://?locators=tls/localhost:{port}&mode=client"
+    try:
+        with anyio.fail_after(PATIENCE):
+            async with connect(where, config=known) as connection:
+                assert await connection.actions() == []
+            with pytest.raises(TransportError, match="cannot open a session of Zenoh"):
+                async with connect(where):
+                    pass  # pragma: no cover
+    finally:
+        await anyio.to_thread.run_sync(router.close)

@@ -60,6 +60,7 @@ class ZenohAdapter(RosAdapter):
             mode=settings.mode,
             locators=settings.locators,
             environ=os.environ,
+            lease=settings.lease,
             values=settings.config,
         )
         given = self._node.domain_id
