@@ -124,9 +124,10 @@ class Configuration(Struct, frozen=True, kw_only=True):
 
     def advice(self, error: Exception) -> str:
         """Return what to do when a session cannot be opened."""
+        reason = str(error).partition(" at /")[0].strip(" !")  # without the place in its source
         return (
-            f"{text_of(error)}; is a router there? `ros2 run rmw_zenoh_cpp rmw_zenohd` starts"
-            " one, and mode=peer needs none"
+            f"{reason}; is a router there? `ros2 run rmw_zenoh_cpp rmw_zenohd` starts one, or"
+            " without ROS `fibaction router`, and mode=peer needs none"
         )
 
 
