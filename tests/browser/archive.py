@@ -48,6 +48,8 @@ class Painted(msgspec.Struct):
 
 
 PAINT = Action("paint", goal=Paint, feedback=int, result=Painted)
+VARNISH = Action("varnish", goal=Paint, feedback=int, result=Painted)
+"""An action whose goals are remembered as well."""
 GOALS = 230
 """Goals of the action `paint`, more than a page of the history has."""
 
@@ -77,7 +79,8 @@ async def main(url: str, file: str) -> None:
     """Fill the history, and serve until the process is ended."""
     store = SqliteStore(file, history=GoalHistory(), sync="normal")
     painting = ActionServer(PAINT, paint, store=store, result_timeout=0.001)
-    async with serve(painting, url) as (where,):
+    varnishing = ActionServer(VARNISH, paint, store=store, result_timeout=600)
+    async with serve([painting, varnishing], url) as (where,):
         await fill(painting)
         print(where, flush=True)
         await anyio.sleep_forever()

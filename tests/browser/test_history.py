@@ -50,6 +50,17 @@ def open_order(page: Page, number: int) -> None:
     expect(goal(page).get_by_label("Goal", exact=True)).to_contain_text(f'"order": {number}')
 
 
+def test_a_goal_that_has_just_ended_is_shown_with_what_was_sent(
+    page: Page, archive: RobotProcess
+) -> None:
+    address = f"{archive.url}/actions/varnish/goals?wait=20"
+    assert page.request.post(address, data={"order": 7}).ok
+    open_action(page, archive, "varnish")
+    rows(page).get_by_role("link").click()
+    expect(goal(page).get_by_label("Goal", exact=True)).to_contain_text('"order": 7')
+    expect(goal(page).get_by_label("Result", exact=True)).to_contain_text('"liters": 1.75')
+
+
 def test_older_goals_come_from_the_history_page_by_page(page: Page, archive: RobotProcess) -> None:
     open_action(page, archive, "paint")
     expect(page.get_by_text("No goal yet.")).to_be_visible()
