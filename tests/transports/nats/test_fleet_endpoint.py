@@ -92,6 +92,18 @@ async def test_goals_are_run_by_all_workers_in_turn(fleet: FakeFleet) -> None:
         assert sorted(fleet.lines.dialed) == ["a", "b"]  # once each
 
 
+async def test_a_fleet_is_absent_while_its_brokers_are_away(fleet: FakeFleet) -> None:
+    async with fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        assert endpoint.absence is None
+        fleet.broker.is_away = True
+        absence = endpoint.absence
+        assert absence is not None
+        assert endpoint.absence == absence  # since the same time
+        fleet.broker.is_away = False
+        assert endpoint.absence is None
+
+
 async def test_a_goal_larger_than_a_record_is_not_sent(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         with pytest.raises(InvalidMessage, match="the goal has 1048576 bytes, and 1044480 are"):

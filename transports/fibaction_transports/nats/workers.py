@@ -6,12 +6,13 @@ lasts as long as the connection.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import anyio
 from anyio.abc import TaskGroup
 
-from fibaction.border.abc import Notifier
+from fibaction.border.abc import Absence, Notifier
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, ProtocolError, ServerNotFound
@@ -43,6 +44,7 @@ class FleetWorkers:
         self._is_watching = False
         self._is_listed = False
         self._is_closed = False
+        self._absence: Absence | None = None
         self.news = Notifier()
         """The notifier of workers that come or go, and of actions that they begin or end to serve.
         """
@@ -67,6 +69,17 @@ class FleetWorkers:
         raise ConnectionLost(
             f"the brokers have not told the workers of the fleet within {self.timeout:g} s"
         )
+
+    @property
+    def absence(self) -> Absence | None:
+        """The absence of the brokers, since this was asked first; None while there is a
+        connection.
+        """
+        if self._broker.is_connected:
+            self._absence = None
+        elif self._absence is None:
+            self._absence = Absence(time.time(), "the connection to the brokers is lost")
+        return self._absence
 
     def check(self) -> None:
         """Raise an error if the connection was closed.

@@ -46,7 +46,7 @@ from typing import TypeAlias, TypeVar
 
 import anyio
 
-from fibaction.border.abc import Endpoint, GoalRequest, StatusStream, cancel_each
+from fibaction.border.abc import Absence, Endpoint, GoalRequest, StatusStream, cancel_each
 from fibaction.border.peer_text import shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
@@ -113,6 +113,10 @@ class FleetEndpoint(Endpoint):
     @property
     def info(self) -> ActionInfo:
         return self._info
+
+    @property
+    def absence(self) -> Absence | None:
+        return self._parts.workers.absence
 
     # To send a goal
 
