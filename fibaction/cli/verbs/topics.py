@@ -16,7 +16,7 @@ import msgspec
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.goal_input import read_goal
 from fibaction.cli.arguments.options import full_option, json_option, url_option
-from fibaction.cli.output.lines import note, say, say_json
+from fibaction.cli.output.lines import say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.process.signals import until_interrupted
@@ -142,8 +142,6 @@ def echo_topic(
 async def _echo(messages: Any, *, full: bool, as_json: bool) -> None:
     async for message in messages:
         show(message, full=full, as_json=as_json)
-    if messages.dropped:
-        note(f"{messages.dropped} messages were not printed in time")
 
 
 async def _subscribed(node: Any, topic: str, qos: str, timeout: float) -> Any:

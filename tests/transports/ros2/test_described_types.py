@@ -7,11 +7,15 @@ from typing import Any
 
 import pytest
 
-from fibaction.interfaces.files import ActionFile, read_action_texts
+from fibaction.interfaces.files import ActionFile, read_action_texts, read_message_texts
 from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_hash
-from fibaction_transports.ros2.without_ros.descriptions.described_types import described_action
+from fibaction_transports.ros2.without_ros.descriptions import described_types
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
+    described_action,
+    described_message,
+)
 from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
@@ -194,3 +198,33 @@ def test_the_hashes_of_an_endpoint_are_read_whatever_else_it_announces(tmp_path:
     assert read_hashes(b"\xff;typehash=RIHS01_12;") == TypeHashes()
     assert FileTypes([tmp_path]).has_file("std_msgs/msg/String")
     assert GET_TYPE_DESCRIPTION.definition.type_name.endswith("/GetTypeDescription")
+
+
+def test_a_message_counts_if_it_has_the_announced_hash(monkeypatch: pytest.MonkeyPatch) -> None:
+    name, texts = "near_msgs/msg/Part", {"near_msgs/msg/Part": "int32 x 5\n"}
+    wanted = type_hash(read_message_texts(name, texts))
+    registry, _ = used()
+    part = registry.answer(DescriptionRequest(ALL, hashes(used()[1]).of_action))
+    # What an action nests is described with it; a message of its own is the first of a response.
+    individual = next(
+        one for one in part.type_description.referenced_type_descriptions if one.type_name == name
+    )
+
+    def told(*sources: TypeSource) -> DescriptionResponse:
+        return DescriptionResponse(
+            successful=True,
+            type_description=TypeDescription(individual),
+            type_sources=list(sources),
+        )
+
+    source = TypeSource(name, "msg", "int32 x 5  # from the left\n")
+    assert described_message(told(source), name, wanted).definition.fields[0].default == 5
+    malformed = TypeSource(name, "msg", "int32\n")
+    assert described_message(told(malformed), name, wanted).type_name == name
+    with pytest.raises(UnusableDescription, match="it has another hash"):
+        described_message(told(), name, wanted[:-1])
+    with pytest.raises(UnusableDescription, match="not in use"):
+        described_message(DescriptionResponse(failure_reason="not in use"), name, wanted)
+    monkeypatch.setattr(described_types, "MOST_VALUES", 1)
+    with pytest.raises(UnusableDescription, match="it has more than 1 values"):
+        described_message(told(), name, wanted)

@@ -11,13 +11,26 @@ import anyio
 import msgspec
 import pytest
 
-from fibaction import ActionServer, InvalidURL, TransportError, connect, serve
+from fibaction import (
+    ActionServer,
+    ConnectionLost,
+    InvalidURL,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.border.event_loop import Background
 from fibaction.interfaces.files import read_message
 from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, open_node
 from fibaction_transports.ros2.messaging import subscription
 from fibaction_transports.ros2.messaging.parameters import written
+from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
+from fibaction_transports.ros2.on_dds.node import DdsNode
+from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.settings import NodeSettings
+from fibaction_transports.ros2.without_ros.messages import file_types
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
@@ -356,3 +369,108 @@ async def test_a_transform_is_waited_for_and_interpolated(
         assert (await planner.transform("base", "map", at=12)).x == 4.0
         assert (await planner.transform("base", "map", at=11)).x == 3.0
         assert (await planner.transform("map", "base")).x == -4.0
+
+
+@asynccontextmanager
+async def bare_node(name: str) -> AsyncGenerator[tuple[Node, DdsNode], None]:
+    """Open a node over DDS, and give also what is below it."""
+    settings = NodeSettings(name, "/bare", None, [])
+    async with DdsAdapter(settings, DdsSettings()).open() as ros, Background() as tasks:
+        yield Node(ros, DdsSettings(), tasks, "dds"), ros
+
+
+async def test_the_loss_of_a_node_ends_what_waits_for_it() -> None:
+    begun = anyio.Event()
+
+    async def never(request: Any) -> None:
+        begun.set()
+        await anyio.sleep_forever()
+
+    lost: list[str] = []
+
+    async def is_lost(waits: Callable[[], Any]) -> None:
+        with pytest.raises(ConnectionLost, match="cut"):
+            await waits()
+        lost.append("once")
+
+    with anyio.fail_after(PATIENCE):
+        async with bare_node("robot") as (robot, _), bare_node("planner") as (planner, below):
+            heard = planner.subscribe("chatter", STRING)
+            publisher = planner.publisher("chatter", STRING)
+            with robot.serve_service("slow", BOOL, never):
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(is_lost, heard.next)
+                    tasks.start_soon(is_lost, lambda: planner.call("slow", BOOL))
+                    tasks.start_soon(is_lost, lambda: planner.call("nowhere", BOOL))
+                    await until(begun.is_set)
+                    below.fail(ConnectionLost("cut"))
+                await is_lost(lambda: publisher.publish({}))
+    assert len(lost) == 4
+
+
+async def test_an_answer_or_a_message_that_cannot_be_read_is_told_and_nothing_else_is_lost(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    wrong = b"\0\1\0\0\xff\xff\xff\xff"
+    with anyio.fail_after(PATIENCE):
+        async with bare_node("robot") as (robot, below), bare_node("planner") as (planner, _):
+            heard = planner.subscribe("chatter", STRING)
+            types = below.types
+            raw = below.publisher("/bare/chatter", types.topic_type(STRING).message, EndQos())
+            await until(raw.reader_count)
+            raw.publish_bytes(wrong)
+            raw.publish(types.topic_type(STRING).message(data="right"))
+            assert (await heard.next()).data == "right"
+            assert "a message on /bare/chatter cannot be read" in caplog.text
+            frames = below.publisher("/tf", types.topic_type(TF).message, EndQos())
+            with pytest.raises(TimeoutError):
+                await planner.transform("base", "map", timeout=0.01)
+            await until(frames.reader_count)
+            frames.publish_bytes(wrong)
+            await until(lambda: "a message of /tf cannot be read" in caplog.text)
+            called = types.called_type(BOOL).service
+            called.Response.codec.encode = lambda response: wrong
+            with (
+                robot.serve_service("reset", BOOL, lambda request: None),
+                pytest.raises(ConnectionLost, match="/bare/reset: "),
+            ):
+                await planner.call("reset", BOOL)
+
+
+async def test_a_type_that_nobody_describes_is_told(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    monkeypatch.setattr(file_types, "MOST_LEARNED", 1)
+    with anyio.fail_after(PATIENCE):
+        async with bare_node("robot") as (robot, below):
+            kept = [robot.publisher(name, PART) for name in ("part", "other")]
+            monkeypatch.setenv("FIBACTION_SEARCH", "")
+            async with bare_node("stranger") as (stranger, _):
+                assert await stranger.type_of(kept[0].topic) == PART
+            monkeypatch.setattr(below.in_use, "_by_hash", {})
+            async with bare_node("stranger") as (stranger, _):
+                await until(lambda: kept[0].topic in stranger.topics())
+                with pytest.raises(TransportError, match=f"{PART} cannot be used"):
+                    await stranger.type_of(kept[0].topic)
+                assert f"/bare/robot describes {PART}: " in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("value", "fields"),
+    [
+        (None, {"type": 0}),
+        (True, {"type": 1, "bool_value": True}),
+        (b"ab", {"type": 5, "byte_array_value": b"ab"}),
+        ([], {"type": 9, "string_array_value": []}),
+        ([0.5], {"type": 8, "double_array_value": [0.5]}),
+    ],
+)
+def test_a_value_is_written_as_the_parameter_that_has_its_type(value: Any, fields: Any) -> None:
+    assert written(value) == fields
+
+
+@pytest.mark.parametrize("value", [{}, [1, True], object()])
+def test_a_value_that_no_parameter_has_is_refused(value: Any) -> None:
+    with pytest.raises(TypeError, match="cannot be a parameter"):
+        written(value)

@@ -84,10 +84,6 @@ class Node(RosTransport):
         """
         return Subscription(*self._end(topic, type_, qos, depth))
 
-    def nodes(self) -> set[str]:
-        """Return the full names of the nodes that are in the graph now."""
-        return self._ros.nodes()
-
     def topics(self) -> dict[str, str]:
         """Return the topics that are in the graph now, and the names of their types."""
         return dict(self._ros.topics())

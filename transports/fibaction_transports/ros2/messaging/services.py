@@ -52,7 +52,7 @@ class CalledService:
         ros.on_loss(self._fail_all)
 
     def _settle(self, number: int, answer: _Answer) -> None:
-        if number in self._answers:
+        if number in self._answers:  # else nobody waits for it any more
             self._answers[number] = answer
             self._news.notify()
 

@@ -152,8 +152,6 @@ class TypeLearner:
             return
         with anyio.move_on_after(ASK_TIME):
             for end in await self._publishers(topic):
-                if not end.type_hash:
-                    continue
                 request = DescriptionRequest(type_name, end.type_hash)
                 response = await ask_node(self._node, end.node, request)
                 try:
