@@ -24,10 +24,11 @@ from fibaction.interfaces.files import read_message
 from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, open_node
-from fibaction_transports.ros2.messaging import subscription
+from fibaction_transports.ros2.messaging import services, subscription
 from fibaction_transports.ros2.messaging.parameters import written
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode
+from fibaction_transports.ros2.on_dds.services import DdsCaller
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.ros2.without_ros.messages import file_types
@@ -157,6 +158,7 @@ async def test_a_closed_end_is_gone_from_the_graph_and_says_so(scheme: str) -> N
                 await heard.next()
                 await until(heard.publisher_count)
             await until(lambda: not heard.publisher_count())
+            publisher.close()
             with pytest.raises(anyio.ClosedResourceError):
                 await publisher.publish({"data": "later"})
         assert [message async for message in heard] == []
@@ -260,12 +262,80 @@ async def test_a_call_that_has_no_answer_says_why(
         assert "a request failed: not a std_srvs/SetBool_Response" in caplog.text
 
 
+async def test_an_answer_that_comes_too_late_is_ignored(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(DdsCaller, "forget", lambda self, number: None)  # as with rclpy
+    late = anyio.Event()
+
+    async def slow(request: Any) -> dict[str, Any]:
+        if request.data:
+            await late.wait()
+        return {"success": not request.data}
+
+    async with two_nodes("dds://") as (robot, planner):
+        with robot.serve_service("slow", BOOL, slow):
+            assert (await planner.call("slow", BOOL)).success
+            with pytest.raises(TimeoutError, match="has not answered"):
+                await planner.call("slow", BOOL, {"data": True}, timeout=0.1)
+            late.set()
+            assert (await planner.call("slow", BOOL)).success
+    assert not caplog.records
+
+
+async def test_a_server_that_may_not_know_its_client_yet_has_a_moment_for_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(DdsNode, "confirms_callers", False)  # as with rclpy
+    monkeypatch.setattr(services, "ACQUAINTED", 0.01)
+    async with two_nodes("dds://") as (robot, planner):
+        with robot.serve_service("reset", BOOL, lambda request: {"success": True}):
+            assert (await planner.call("reset", BOOL)).success
+
+
+async def test_over_zenoh_a_call_ends_with_its_server() -> None:
+    asked = anyio.Event()
+
+    async def never(request: Any) -> None:
+        asked.set()
+        await anyio.sleep_forever()
+
+    async with (
+        open_node("zenoh:///planner", arguments=[]) as planner,
+        anyio.create_task_group() as tasks,
+    ):
+        async with open_node("zenoh:///robot", arguments=[]) as robot:
+            name = f"/s{uuid.uuid4().hex}"
+            with robot.serve_service(name, BOOL, never):
+
+                async def is_told() -> None:
+                    with pytest.raises(ConnectionLost, match="has gone, or has thrown"):
+                        await planner.call(name, BOOL)
+
+                tasks.start_soon(is_told)
+                await asked.wait()
+
+
+async def test_a_reader_learns_that_its_node_was_closed(scheme: str) -> None:
+    async with anyio.create_task_group() as tasks:
+        async with two_nodes(scheme) as (_, planner):
+            heard = planner.subscribe("chatter", STRING)
+
+            async def is_told() -> None:
+                with pytest.raises(ConnectionLost, match="the node was closed here"):
+                    await anext(heard)
+
+            tasks.start_soon(is_told)
+            await anyio.wait_all_tasks_blocked()
+
+
 async def test_parameters_of_another_node_are_listed_read_set_and_refused(scheme: str) -> None:
     async with two_nodes(scheme) as (robot, planner):
         parameters = planner.parameters(robot.name, timeout=PATIENCE)
         assert await parameters.list() == ["use_sim_time"]
         assert await parameters.get() == {"use_sim_time": False}
         assert await parameters.get("nothing") == {"nothing": None}
+        await parameters.set({"use_sim_time": False})
         with pytest.raises(ValueError, match="there is no parameter 'speed'"):
             await parameters.set({"speed": 1.0})
         with pytest.raises(TypeError, match="cannot be a parameter"):
@@ -418,6 +488,10 @@ async def test_an_answer_or_a_message_that_cannot_be_read_is_told_and_nothing_el
             types = below.types
             raw = below.publisher("/bare/chatter", types.topic_type(STRING).message, EndQos())
             await until(raw.reader_count)
+            ours = robot.publisher("chatter", STRING)
+            await ours.wait_for_reader()
+            await ours.publish(types.topic_type(STRING).message(data="ours"))
+            assert (await heard.next()).data == "ours"
             raw.publish_bytes(wrong)
             raw.publish(types.topic_type(STRING).message(data="right"))
             assert (await heard.next()).data == "right"

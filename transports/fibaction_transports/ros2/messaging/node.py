@@ -13,7 +13,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.abc import Notifier
 from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for
-from fibaction.words.errors import InvalidURL
+from fibaction.words.errors import ConnectionLost, InvalidURL
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
 from fibaction_transports.ros2.messaging.parameters import RemoteParameters
@@ -235,7 +235,10 @@ class NodeTransport(RosTransport):
     async def open_node(self) -> AsyncGenerator[Node, None]:
         """Open a node; see the function `open_node`."""
         async with self._adapter.open() as ros, Background() as tasks:
-            yield Node(ros, self._settings, tasks, self.scheme)
+            try:
+                yield Node(ros, self._settings, tasks, self.scheme)
+            finally:
+                ros.fail(ConnectionLost("the node was closed here"))
 
 
 @asynccontextmanager

@@ -89,13 +89,17 @@ class RemoteParameters:
 
     async def watch(self) -> AsyncGenerator[dict[str, ParameterValue], None]:
         """Yield the parameters that change, at each change; those that are removed are None."""
-        with self._node.subscribe(_EVENTS, _EVENT, depth=1000) as events:
-            async for event in events:
+        events = self._node.subscribe(_EVENTS, _EVENT, depth=1000)
+        try:
+            while True:
+                event = await events.next()
                 if event.node != self._of:
                     continue
                 changed = [*event.new_parameters, *event.changed_parameters]
                 found = {one.name: value_of(one.value) for one in changed}
                 yield found | {one.name: None for one in event.deleted_parameters}
+        finally:
+            events.close()
 
 
 def value_of(value: Any) -> ParameterValue:

@@ -15,6 +15,9 @@ from fibaction_transports.ros2.node.ros_node import CalledType, RosNode
 
 LOOK_PAUSE: Final = 0.02
 """Seconds between two looks for a server, of which the graph does not tell."""
+ACQUAINTED: Final = 0.3
+"""Seconds for a server to find a new client, where nothing tells that it has. Servers of Fast DDS
+drop the answer to a client that they have not found within 0.1 s."""
 AT_ONCE: Final = 8
 """Requests of one client that may wait for their answers: the queues of rclpy and rclcpp hold 10.
 """
@@ -39,6 +42,7 @@ class CalledService:
         self._request = MessageForm(called.request, called.request.text)
         self._news = Notifier()
         self._turns = anyio.Semaphore(AT_ONCE, fast_acquire=True)
+        self._is_new = not ros.confirms_callers
         self._answers: dict[int, _Answer | None] = {}
         """The requests that are waited for, with what has become of them."""
         self._part = ros.caller(
@@ -80,6 +84,9 @@ class CalledService:
                     if self._ros.error is not None:
                         raise ConnectionLost(str(self._ros.error))
                     await anyio.sleep(LOOK_PAUSE)
+                if self._is_new:
+                    await anyio.sleep(ACQUAINTED)
+                    self._is_new = False
                 number = self._part.send(message)
                 is_sent = True
                 return await self._answer(number)

@@ -29,9 +29,9 @@ logger = clean_logger("fibaction.ros2")
 class Subscription(Generic[T]):
     """The messages of a topic, in the order in which they arrive.
 
-    It is an async iterator, and ends when it is closed, or with its node. A reader that is slower
-    than the topic gets the newest messages; those that it has missed are counted. If several tasks
-    read one subscription, each message goes to one of them.
+    It is an async iterator, which ends when it is closed, and raises `ConnectionLost` when its node
+    is. A reader that is slower than the topic gets the newest messages; those that it has missed
+    are counted. If several tasks read one subscription, each message goes to one of them.
     """
 
     def __init__(

@@ -234,6 +234,8 @@ class RosNode(NodeLife, RosGraph):
     """The namespace, for example `/robot`; `/` without one."""
     tells_signs: bool
     """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
+    confirms_callers: bool = True
+    """True if an available server is known to have found its client, to which it will answer."""
     last_words: float = 0.25
     """Seconds for messages to arrive that a server has sent before it left the graph."""
 

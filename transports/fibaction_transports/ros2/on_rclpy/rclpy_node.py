@@ -110,6 +110,8 @@ logger = clean_logger("fibaction.ros2")
 class RclpyNode(RosNode):
     """A node of rclpy with a `RosWaitable`, for as long as a block lasts."""
 
+    confirms_callers = False
+
     def __init__(self, node: Any, scout: ScoutOpener = no_scout) -> None:
         super().__init__()
         self.node = node

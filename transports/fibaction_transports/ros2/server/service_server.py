@@ -94,6 +94,7 @@ class ServiceServers:
                 # Most likely, the client has left.
                 logger.info("%s: an answer could not be sent: %s", self._action, exc)
             finally:
+                header = None  # the frames of a cancellation would keep a query of Zenoh open
                 done(request)
                 self._underway -= 1
                 self._awaited -= is_awaited
