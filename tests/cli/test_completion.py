@@ -36,7 +36,7 @@ def offered_by_shell(words: list[str], incomplete: str) -> list[str]:
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
-        ("fibaction se", ["serve", "send_goal"]),
+        ("fibaction se", ["serve", "send_goal", "service"]),
         ("fibaction send_goal --de", ["--detach"]),
         ("fibaction send-goal fib", ["fibonacci"]),
         ("fibaction send_goal /fib", ["/fibonacci"]),
