@@ -9,7 +9,7 @@ from fibaction._api.connections import check_is_action, connect
 from fibaction.border.abc import Transport
 from fibaction.client.options import CALL_OPTIONS, goal_of
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.types.arguments import CalledAction, P, TakesNone, TakesOne
+from fibaction.types.arguments import CalledAction, P, TakesArguments, TakesNone, TakesOne
 
 if TYPE_CHECKING:
     from fibaction.client.options import CallOptions
@@ -29,7 +29,7 @@ OneT = TypeVar("OneT")
 @overload
 async def call(
     where: str | Transport,
-    action: FunctionAction[P, FeedbackT, ResultT, Any],
+    action: TakesArguments[P, FeedbackT, ResultT],
     /,
     *args: P.args,
     **kwargs: P.kwargs,

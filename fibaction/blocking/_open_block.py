@@ -17,7 +17,14 @@ from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
 from fibaction.client.goal_span import GoalTracer
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.types.arguments import Arguments, CalledAction, P, TakesNone, TakesOne
+from fibaction.types.arguments import (
+    Arguments,
+    CalledAction,
+    P,
+    TakesArguments,
+    TakesNone,
+    TakesOne,
+)
 from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
@@ -122,7 +129,7 @@ class _OpenBlock(LoopBlock[ClientConnection, Any]):
 @overload
 def call(
     where: str | Transport,
-    action: FunctionAction[P, FeedbackT, ResultT, Any],
+    action: TakesArguments[P, FeedbackT, ResultT],
     /,
     *args: P.args,
     **kwargs: P.kwargs,

@@ -17,7 +17,7 @@ from fibaction.client.options import goal_of
 from fibaction.server import ActionServer, Executor, FunctionAction, GoalHandle
 from fibaction.server.functions.executor_check import executor_of
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.types.arguments import Arguments, P, TakesNone, TakesOne
+from fibaction.types.arguments import Arguments, P, TakesArguments, TakesNone, TakesOne
 from fibaction.words.errors import GoalRejected, ProtocolError
 from fibaction.words.goals import Outcome
 
@@ -42,7 +42,7 @@ class TrialOptions(TypedDict, total=False):
 
 @overload
 async def run_executor(
-    action: FunctionAction[P, FeedbackT, ResultT, Any], /, *args: P.args, **kwargs: P.kwargs
+    action: TakesArguments[P, FeedbackT, ResultT], /, *args: P.args, **kwargs: P.kwargs
 ) -> Trial[FeedbackT, ResultT]: ...
 @overload
 async def run_executor(

@@ -65,6 +65,18 @@ class CalledAction(Answers[FeedbackT_co, ResultT_co], Protocol[T_contra, Feedbac
         ...
 
 
+class TakesArguments(Answers[FeedbackT_co, ResultT_co], Protocol[P, FeedbackT_co, ResultT_co]):
+    """An action of a function with these parameters.
+
+    Unlike the class, it is covariant in the result: mypy asks for an `object` in `print(...)`.
+    """
+
+    @property
+    def goal(self) -> Decodes[Arguments[P]]:
+        """The codec of the goal."""
+        ...
+
+
 class OneArgument(Protocol[T_contra]):
     """`Arguments` that one argument is enough for."""
 

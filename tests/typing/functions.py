@@ -273,6 +273,8 @@ async def calls() -> None:
     assert_type(await call("inproc://a", Robot.with_handle, x=1), str)
     assert_type(await call("inproc://a", Robot.without_report, x=1), str)
     await call("inproc://a", of_a_part, 3)
+    print(await call("inproc://a", drive, 3, speed=2), await run_executor(drive, 3, speed=2))
+    print(await call("inproc://a", Robot.grip, force=2.0))
     # mypy is wrong here: see docs/howto/types.md.
     await call("inproc://a", turn_to, "left", timeout=3)  # type: ignore[call-arg]
     await call("inproc://a", total, [1, 2], timeout=3)  # type: ignore[call-arg]
