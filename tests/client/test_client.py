@@ -189,6 +189,10 @@ async def test_the_text_of_a_goal_id_does_as_well_as_the_id() -> None:
         assert answer.return_code is not CancelCode.UNKNOWN_GOAL_ID
         with pytest.raises(ValueError, match="32 hexadecimal digits, not 'g1'"):
             await client.attach("g1")
+        with pytest.raises(
+            TypeError, match=r"made by a goal, as `goal\.step\('drive'\)`; 'g1' is not"
+        ):
+            await client.send_goal(Goal(1), step=cast("Any", "g1"))
 
 
 NOTHING = Action("nothing", goal=type(None), feedback=int, result=str)

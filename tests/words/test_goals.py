@@ -54,6 +54,8 @@ def test_other_text_is_no_goal_id(text: str) -> None:
 
 def test_an_id_is_given_as_itself_or_as_text() -> None:
     assert GoalID.of(GOAL_ID) is GOAL_ID
+    with pytest.raises(ValueError, match=r"not 'abc': goal\.goal_id is one, and client\.goals\(\)"):
+        GoalID.of("abc")
     assert GoalID.of(str(GOAL_ID)) == GOAL_ID
     with pytest.raises(TypeError, match="goal_id must be a GoalID, or the text of one, not 7"):
         GoalID.of(7)
