@@ -126,14 +126,14 @@ class GoalLogs:
     def _tell_executing(self, run: AnyRun) -> None:
         if run.goal.status is GoalStatus.ACCEPTED:  # else an earlier attempt has begun
             self._registry.execute(run.goal)
-            run.goal.began_at = time.time_ns()
+            run.goal.began_at = time.monotonic_ns() + run.goal.clock
             self._tell(run, run.goal.status)
 
     def _run_ahead(self, run: AnyRun) -> None:
         # The executor runs already. Nothing of this attempt may be told before it is kept: the next
         # attempt would have the same number.
         self._registry.execute(run.goal)
-        run.goal.began_at = time.time_ns()
+        run.goal.began_at = time.monotonic_ns() + run.goal.clock
         run.log.is_hidden = True
 
     def _tell_take_over(self, run: AnyRun) -> None:

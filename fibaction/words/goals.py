@@ -251,14 +251,16 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     @property
     def waited(self) -> float | None:
         """The seconds from its acceptance to the begin of its first attempt; None if that is not
-        known. It is never negative, even if the server's clock was set back in between.
+        known. A step of the server's clock does not count, but between two starts of the server
+        and in the history; it is never negative.
         """
         return None if self.began_at is None else max(0, self.began_at - self.stamp) / 1e9
 
     @property
     def ran(self) -> float | None:
         """The seconds from the begin of its first attempt to its end; None if one of them is not
-        known. It is never negative, even if the server's clock was set back in between.
+        known. A step of the server's clock does not count, but between two starts of the server
+        and in the history; it is never negative.
         """
         if self.began_at is None or self.ended_at is None:
             return None

@@ -234,6 +234,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         offer.goal = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=sent.deadline
         )
+        offer.goal.clock = offer.goal.stamp - time.monotonic_ns()
         if offer.meta:
             offer.goal.take_origin(offer.meta)
         if offer.context is None:

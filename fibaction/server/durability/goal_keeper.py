@@ -211,7 +211,7 @@ class GoalKeeper(Keeper):
             self.life.step(run, kept)
             return
         stored.is_running, stored.attempt = True, goal.attempt
-        stored.began_at = stored.began_at or time.time_ns()
+        stored.began_at = stored.began_at or time.monotonic_ns() + goal.clock
         self._write(self._journal.begin, goal, stored, partial(self.life.step, run, kept))
 
     def _write_cancel(self, run: AnyRun) -> None:
@@ -270,6 +270,9 @@ class GoalKeeper(Keeper):
     def _note_end(self, stored: StoredGoal, goal: GoalRecord, outcome: Outcome[bytes]) -> None:
         """Bring a stored goal up to date with its end."""
         stored.end(outcome)
+        # The times that are kept are compared with the time of day, which may have made a step.
+        step = time.time_ns() - time.monotonic_ns() - goal.clock
+        stored.ended_at += step if abs(step) > SECOND else 0
         stored.feedback_count = goal.feedback_count
         seconds = self._outcome_time
         if goal.is_given_up and outcome.status is GoalStatus.ABORTED and self._given_up_time:

@@ -186,6 +186,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         if stored.deadline:
             deadline = now + (stored.deadline - wall) / SECOND
         goal = self._registry.restore(stored, deadline=deadline, until=now + LEAST_TIME)
+        goal.clock = wall - time.monotonic_ns()
         context = self._watchers.taken_over(
             stored.goal_id, stored.goal, stored.sender, stored.meta or NO_META
         )

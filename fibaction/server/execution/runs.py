@@ -400,7 +400,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
                 reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
                 ending = Ending(EndKind.CANCELED, ending.result, reason)
             # It never changes again.
-            run.outcome = self._registry.outcome_for(goal, ending, stamp=time.time_ns())
+            stamp = time.monotonic_ns() + goal.clock
+            run.outcome = self._registry.outcome_for(goal, ending, stamp=stamp)
             self._step(run, END)
 
     def _release(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:

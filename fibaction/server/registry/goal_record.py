@@ -42,6 +42,7 @@ class GoalRecord:
         "attempt",
         "began_at",
         "changed",
+        "clock",
         "deadline",
         "digest",
         "ended_at",
@@ -78,6 +79,9 @@ class GoalRecord:
         self.digest = digest
         self.stamp = stamp
         """Time of the acceptance: nanoseconds since 1970, different for each goal."""
+        self.clock = 0
+        """The nanoseconds from the monotonic clock to the times that are told of the goal: so a
+        step of the wall clock does not change how long it has waited and ran."""
         self.sender = sender
         """The client that sent the goal, and owns it."""
         self.origin = UNKNOWN_ORIGIN

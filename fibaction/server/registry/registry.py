@@ -268,7 +268,7 @@ class GoalRegistry:
 
     def outcome_for(self, goal: GoalRecord, ending: Ending, *, stamp: int) -> Outcome[bytes]:
         """Return the outcome of a goal whose executor has ended, without changing the goal.
-        `stamp` is the wall clock's time in nanoseconds.
+        `stamp` is the time of the end by the goal's clock, in nanoseconds.
 
         An end by cancellation is CANCELED for a goal whose cancel was accepted, else ABORTED.
 
