@@ -142,8 +142,9 @@ async def test_a_type_with_other_fields_is_an_error_that_names_them() -> None:
         Codec(msgspec.defstruct("Other", [("x", float)])).encode(Point())
 
 
-async def test_the_package_of_ros_has_its_transports_alone() -> None:
-    assert {"DdsTransport", "Ros2Transport", "ZenohTransport"} == set(ros2.__all__)
+async def test_the_package_of_ros_has_its_transports_and_its_nodes_alone() -> None:
+    transports = {"DdsTransport", "Ros2Transport", "ZenohTransport"}
+    assert transports | {"Node", "Publisher", "Subscription", "open_node"} == set(ros2.__all__)
     assert all(hasattr(ros2, name) for name in ros2.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'RclpyTransport'"):
         _ = ros2.RclpyTransport
