@@ -34,7 +34,7 @@ from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node, users_nod
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
 from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable
-from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.qos import EndQos, of_topic
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.spun import spun_node
@@ -81,6 +81,28 @@ async def test_a_node_that_was_shut_down_from_outside_says_so() -> None:
         ros.lose("it is told once")
     assert [str(error) for error in said] == ["rclpy was shut down"]
     assert threads() == set()
+
+
+async def test_a_part_that_is_gone_already_may_be_removed() -> None:
+    async with own_node(NodeSettings()) as ros:
+        part = ros.publisher("/topic", ros.types.Parameter, EndQos())
+        for _ in range(2):
+            ros.remove(part)
+    assert threads() == set()
+
+
+@pytest.mark.parametrize(
+    ("words", "depth", "text"),
+    [
+        ("reliable", 0, "depth must be at least 1, not 0"),
+        ("quick", 1, "qos: 'quick' is not one of reliable, best_effort, .*, nor one of "),
+    ],
+)
+def test_a_quality_of_service_that_there_is_not_is_an_error(
+    words: str, depth: int, text: str
+) -> None:
+    with pytest.raises(ValueError, match=text):
+        of_topic(words, depth)
 
 
 async def test_an_error_in_the_thread_is_logged_and_told(
