@@ -80,7 +80,13 @@ def settings_of_a_client() -> None:
         ip_versions=(4, 6),
         fragment_size=1400,
     )
-    connect("zenoh://robot", locators=["tcp/robot:7447"], mode="client", search=["interfaces"])
+    connect(
+        "zenoh://robot",
+        locators=["tcp/robot:7447"],
+        mode="client",
+        config="transport/link/tx/lease=2000",
+        search=["interfaces"],
+    )
     connect(
         "nats://broker/fleet",
         worker="robot7",
@@ -150,7 +156,7 @@ def settings_of_a_server(server: ActionServer[Any, Any, Any]) -> None:
         ip_versions=(4,),
         fragment_size=1400,
     )
-    serve(server, "zenoh://robot", locators=["tcp/robot:7447"], mode="peer")
+    serve(server, "zenoh://robot", locators=["tcp/robot:7447"], mode="peer", config="")
     serve(
         server,
         "nats://broker/fleet",
@@ -278,7 +284,9 @@ def settings_of_transports() -> None:
         ip_versions=[4],
         fragment_size=1400,
     )
-    ZenohTransport(**ROS, locators=["tcp/robot:7447"], mode="client", search=["interfaces"])
+    ZenohTransport(
+        **ROS, locators=["tcp/robot:7447"], mode="client", config="", search=["interfaces"]
+    )
     McpStdioTransport(**AGENTS)
     McpHttpTransport(**AGENTS_OVER_HTTP)
     A2aHttpTransport(**AGENTS_OVER_HTTP)
