@@ -54,15 +54,16 @@ async def test_messages_go_both_ways_and_a_removed_end_is_gone(scheme: str) -> N
         reader = stock.create_subscription(String, topic, lambda one: heard.put(one.data), 10)
         with node.publisher("chatter", STRING) as publisher:
             await publisher.wait_for_reader(PATIENCE)
+            await until(reader.get_publisher_count)  # before, it loses what is sent
             await publisher.publish({"data": "ours"})
             await until(heard.qsize)
             assert heard.get() == "ours"
-            await until(reader.get_publisher_count)
         await until(lambda: not reader.get_publisher_count())
         stock.destroy_subscription(reader)
         writer = stock.create_publisher(String, topic, 10)
         with node.subscribe("chatter", String) as messages:
             await until(writer.get_subscription_count)
+            await until(messages.publisher_count)
             writer.publish(String(data="theirs"))
             assert await messages.next() == String(data="theirs")
         await until(lambda: writer.get_subscription_count() == 0)
