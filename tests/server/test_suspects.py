@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -261,3 +262,22 @@ async def test_a_server_that_is_gone_leaves_no_suspects() -> None:
     assert suspects.may_begin(other)
     await suspects.begin(goal, begun.set, lambda: False)
     assert begun.is_set()
+
+
+async def test_the_next_suspect_has_its_turn_if_the_server_of_the_last_one_is_gone() -> None:
+    suspects, gone, server, is_active = Suspects(), NoGoals(), NoGoals(), True
+    first, second = (GoalRecord(id_of(number), b"", 1, UNKNOWN_SENDER) for number in (1, 2))
+    begun: list[GoalRecord] = []
+    async with anyio.create_task_group() as tasks:
+        for goal, its_server in ((first, gone), (second, server)):
+            goal.suspicion = WHY
+            suspects.join(its_server)
+            suspects.add(goal, its_server)
+            tasks.start_soon(suspects.begin, goal, partial(begun.append, goal), lambda: is_active)
+            await anyio.wait_all_tasks_blocked()
+        assert begun == [first]
+        suspects.quit(gone)
+        await anyio.wait_all_tasks_blocked()  # the second one is woken first, by chance
+        is_active = False
+        suspects.left.notify()
+    assert begun == [first, second]

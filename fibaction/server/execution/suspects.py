@@ -123,6 +123,7 @@ class Suspects:
                     await self.left.wait()
         finally:
             self._on_trial.clear()
+            self._turn.notify()  # its server may have left already, and the goal with it
 
     def _discard(self, goal: GoalRecord) -> None:
         if self.goals.pop(goal, None) is not None:
