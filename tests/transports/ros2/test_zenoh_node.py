@@ -6,11 +6,14 @@ import math
 import uuid
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
 import pytest
 import zenoh
+from anyio import to_thread
 
 from fibaction import ActionServer, ConnectionLost, ProtocolError, TransportError, connect, serve
 from fibaction_transports.ros2.node import mailbox
@@ -51,6 +54,36 @@ async def until(look: Callable[[], object], expected: object) -> None:
     """Give the threads of Zenoh their turns until something is seen."""
     while look() != expected:  # noqa: ASYNC110 - what is looked at tells of no change
         await anyio.sleep(0.01)
+
+
+class Cut(BaseException):
+    """The cancellation of a task by asyncio itself, which no scope shields."""
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+async def test_a_session_is_left_if_its_opening_in_a_thread_is_cut_short(
+    is_late: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if the thread begins later."""
+    calls: list[Callable[[], Any]] = []
+
+    async def run_sync(function: Callable[..., Any], *args: Any) -> None:
+        call = partial(function, *args)
+        calls.append(call)
+        if len(calls) == 1:
+            if not is_late:
+                call()
+                assert session._OPEN
+            raise Cut
+        await to_thread.run_sync(call)
+
+    monkeypatch.setattr(session, "to_thread", SimpleNamespace(run_sync=run_sync))
+    with pytest.raises(Cut):
+        async with opened():
+            raise AssertionError  # pragma: no cover
+    if is_late:
+        await to_thread.run_sync(calls[0])
+    assert not session._OPEN
 
 
 def ended(handler: Callable[[], object]) -> zenoh.handlers.Callback[zenoh.Reply]:

@@ -164,6 +164,39 @@ def _leave(configuration: Configuration, shared: SharedSession) -> None:
     shared.close()
 
 
+@asynccontextmanager
+async def _joined(configuration: Configuration) -> AsyncGenerator[SharedSession, None]:
+    """Join a session for as long as the block lasts.
+
+    asyncio can cancel the task itself, which no scope shields, while a thread opens the session. It
+    is left then, too.
+    """
+    lock, found, has_left = Lock(), list[SharedSession](), Event()
+
+    def join() -> None:
+        with lock:
+            if not has_left.is_set():
+                found.append(_join(configuration))
+
+    def leave() -> None:
+        has_left.set()
+        with lock:
+            for shared in found:
+                _leave(configuration, shared)
+
+    try:
+        try:
+            # A thread of its own: without a router, it takes half a second.
+            await to_thread.run_sync(join)
+        except zenoh.ZError as exc:
+            advice = configuration.advice(exc)
+            raise TransportError(f"cannot open a session of Zenoh: {advice}") from exc
+        yield found[0]
+    finally:
+        with anyio.CancelScope(shield=True):
+            await to_thread.run_sync(leave)
+
+
 class ZenohSession:
     """A node's part of a session."""
 
@@ -273,26 +306,16 @@ async def open_session(configuration: Configuration) -> AsyncGenerator[ZenohSess
         TransportError: A configuration is not valid, in mode `client` no router answers, or the
             process was forked from one with a session.
     """
-    try:
-        # A thread of its own: without a router, it takes half a second.
-        shared = await to_thread.run_sync(_join, configuration)
-    except zenoh.ZError as exc:
-        advice = configuration.advice(exc)
-        raise TransportError(f"cannot open a session of Zenoh: {advice}") from exc
-    session = ZenohSession(shared)
-
-    def close() -> None:
-        session.close()
-        _leave(configuration, shared)
-
-    try:
-        async with Background() as tasks:
-            tasks.start_soon(session.mailbox.run, name="zenoh mailbox")
-            try:
-                yield session
-            finally:
-                with anyio.CancelScope(shield=True):
-                    # The event loop runs meanwhile: callbacks may be under way.
-                    await to_thread.run_sync(close)
-    finally:
-        session.mailbox.close()
+    async with _joined(configuration) as shared:
+        session = ZenohSession(shared)
+        try:
+            async with Background() as tasks:
+                tasks.start_soon(session.mailbox.run, name="zenoh mailbox")
+                try:
+                    yield session
+                finally:
+                    with anyio.CancelScope(shield=True):
+                        # The event loop runs meanwhile: callbacks may be under way.
+                        await to_thread.run_sync(session.close)
+        finally:
+            session.mailbox.close()
