@@ -11,6 +11,7 @@ another service of the same node, without effect.
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -131,6 +132,7 @@ class ZenohCaller(ServiceCaller):
         self._number = 0
         self._open: OrderedDict[int, _OpenRequest] = OrderedDict()
         self._sent = Notifier()
+        self._is_closed = False
         self._timeout = LONGEST if end.name.endswith("/_action/get_result") else QUERIES_TIMEOUT
 
     def send(self, request: Any) -> int:
@@ -154,7 +156,9 @@ class ZenohCaller(ServiceCaller):
 
     def close(self) -> None:
         """Wait for no answer any more."""
+        self._is_closed = True
         self._open.clear()
+        self._sent.notify()
 
     def is_available(self) -> bool:
         return self._graph.count_connected(SERVER, self._service, self._hash) > 0
@@ -182,10 +186,10 @@ class ZenohCaller(ServiceCaller):
     # Nudges
 
     async def run(self) -> None:
-        """Nudge servers that do not look at their requests, until canceled."""
-        while True:
-            due = min((one.due for one in self._open.values()), default=None)
-            if due is None or not (servers := self._forgetful()):
+        """Nudge servers that do not look at their requests, until it is closed."""
+        while not self._is_closed:
+            due = min((one.due for one in self._open.values()), default=math.inf)
+            if due == math.inf or not (servers := self._forgetful()):
                 await self._sent.wait()
                 continue
             await anyio.sleep_until(due)
@@ -193,7 +197,7 @@ class ZenohCaller(ServiceCaller):
             late = {number: one for number, one in self._open.items() if one.due <= now}
             for number, one in late.items():
                 pause = FIRST_NUDGE * 2 ** (one.nudges + 1)
-                due = now + pause if one.nudges + 1 < NUDGES else float("inf")
+                due = now + pause if one.nudges + 1 < NUDGES else math.inf
                 self._open[number] = _OpenRequest(due, one.nudges + 1)
             for key in servers if late else ():
                 self._nudge(key)

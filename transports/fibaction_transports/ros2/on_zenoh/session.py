@@ -283,8 +283,9 @@ class ZenohSession:
 
     def remove(self, declared: Any) -> None:
         """Undeclare what was kept, after what was to be sent before."""
-        self._kept.remove(declared)
-        self.sender.send(declared.undeclare, 0)
+        if not self.is_closed:  # else it is undeclared with the session
+            self._kept.remove(declared)
+            self.sender.send(declared.undeclare, 0)
 
     def close(self) -> None:
         """Send what is left, and remove everything in the opposite order. It may take a moment, so
