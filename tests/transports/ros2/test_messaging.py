@@ -130,6 +130,7 @@ async def test_wrong_types_names_and_fields_are_told_in_a_sentence(scheme: str) 
             ({"linear": {"x": "fast"}}, r"Expected `float`, got `str` - at `\$.linear.x`"),
             ({"speed": 1.0}, "unknown field `speed`"),
             (Stray(), "unknown field `a`"),
+            (10**30, "more than 64 bits"),
         ):
             with pytest.raises(ValueError, match=rf"/goal: not a geometry_msgs/Twist: .*{text}"):
                 await publisher.publish(wrong)
@@ -186,6 +187,8 @@ async def test_a_late_reader_gets_what_is_latched(scheme: str) -> None:
         latched = robot.publisher("map", STRING, qos="transient_local", depth=1)
         with planner.subscribe("map", STRING) as early:
             await latched.wait_for_reader(PATIENCE)
+            with pytest.raises(TimeoutError, match="is read with qos='transient_local'"):
+                await early.next(0.01)
             for text in ("old", "new"):
                 await latched.publish({"data": text})
                 assert (await early.next()).data == text
@@ -262,6 +265,34 @@ async def test_a_call_that_has_no_answer_says_why(
         assert "a request failed: not a std_srvs/SetBool_Response" in caplog.text
 
 
+async def test_a_call_ends_when_the_server_that_it_asked_is_gone_or_takes_no_more(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(services, "GONE_PAUSE", 0.01)
+    asked = told = 0
+
+    async def never(request: Any) -> None:
+        nonlocal asked
+        asked += 1
+        await anyio.sleep_forever()
+
+    async def is_told(planner: Node) -> None:
+        with pytest.raises(ConnectionLost, match="has gone, or has thrown"):
+            await planner.call("slow", BOOL)
+        nonlocal told
+        told += 1
+
+    async with two_nodes(scheme) as (robot, planner), anyio.create_task_group() as tasks:
+        with robot.serve_service("slow", BOOL, never):
+            for _ in range(services.AT_ONCE):
+                tasks.start_soon(is_told, planner)
+            await until(lambda: asked == services.AT_ONCE)
+            with pytest.raises(TimeoutError, match="its last 8 requests have no answers"):
+                await planner.call("slow", BOOL, timeout=0.1)
+        with robot.serve_service("slow", BOOL, never):  # it is another one
+            await until(lambda: told == services.AT_ONCE)
+
+
 async def test_an_answer_that_comes_too_late_is_ignored(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -327,6 +358,30 @@ async def test_a_reader_learns_that_its_node_was_closed(scheme: str) -> None:
 
             tasks.start_soon(is_told)
             await anyio.wait_all_tasks_blocked()
+
+
+async def test_nothing_is_begun_or_waited_for_at_a_node_that_was_closed(scheme: str) -> None:
+    async with two_nodes(scheme) as (_, planner):
+        alone = planner.publisher("alone", STRING)
+        heard = planner.subscribe("alone", STRING)
+    heard.close()
+
+    def serves() -> None:
+        with planner.serve_service("reset", BOOL, lambda request: None):
+            pytest.fail("a closed node serves")
+
+    with pytest.raises(ConnectionLost, match="the node was closed here"):
+        serves()
+    with pytest.raises(ConnectionLost, match="the node was closed here"):
+        planner.subscribe("alone", STRING)
+    for waits in (
+        lambda: planner.transform("base", "map"),
+        lambda: planner.type_of("nothing"),
+        lambda: planner.call("nothing", BOOL),
+        alone.wait_for_reader,
+    ):
+        with pytest.raises(ConnectionLost, match="the node was closed here"):
+            await waits()
 
 
 async def test_parameters_of_another_node_are_listed_read_set_and_refused(scheme: str) -> None:
@@ -399,12 +454,14 @@ async def test_the_node_serves_and_calls_actions_and_leaves_them_with_their_bloc
     scheme: str,
 ) -> None:
     async with two_nodes(scheme) as (robot, planner):
+        tasks = len(anyio.get_running_tasks())
         async with serve(ActionServer(FIBONACCI, fibonacci), robot) as url:
             assert url[0].startswith(scheme.rstrip("/"))
             async with connect(planner, FIBONACCI) as client:
                 assert await client.call(Goal(5)) == Result([0, 1, 1, 2, 3, 5])
         feedback = robot.full_name("fibonacci/_action/feedback")
         await until(lambda: feedback not in planner.topics())
+        await until(lambda: len(anyio.get_running_tasks()) <= tasks)
         async with (
             serve(ActionServer(FIBONACCI, fibonacci), robot),
             connect(planner, FIBONACCI) as client,
@@ -418,15 +475,14 @@ async def test_other_addresses_are_no_nodes() -> None:
             pass
 
 
-async def test_a_transform_is_waited_for_and_interpolated(
-    scheme: str,
-) -> None:
-    def told(parent: str, child: str, x: float, second: int) -> dict[str, Any]:
-        header = {"frame_id": parent, "stamp": {"sec": second}}
-        transform = {"translation": {"x": x}, "rotation": {"w": 1.0}}
-        one = {"header": header, "child_frame_id": child, "transform": transform}
-        return {"transforms": [one]}
+def told(parent: str, child: str, x: float, second: int) -> dict[str, Any]:
+    header = {"frame_id": parent, "stamp": {"sec": second}}
+    transform = {"translation": {"x": x}, "rotation": {"w": 1.0}}
+    one = {"header": header, "child_frame_id": child, "transform": transform}
+    return {"transforms": [one]}
 
+
+async def test_a_transform_is_waited_for_and_interpolated(scheme: str) -> None:
     async with two_nodes(scheme) as (robot, planner):
         static = robot.publisher("/tf_static", TF, qos="transient_local")
         moving = robot.publisher("/tf", TF, depth=100)
@@ -447,6 +503,22 @@ async def bare_node(name: str) -> AsyncGenerator[tuple[Node, DdsNode], None]:
     settings = NodeSettings(name, "/bare", None, [])
     async with DdsAdapter(settings, DdsSettings()).open() as ros, Background() as tasks:
         yield Node(ros, DdsSettings(), tasks, "dds"), ros
+
+
+async def test_a_simulation_that_begins_anew_has_new_transforms() -> None:
+    with anyio.fail_after(PATIENCE):
+        async with bare_node("robot") as (robot, _), bare_node("planner") as (planner, below):
+            static = robot.publisher("/tf_static", TF, qos="transient_local")
+            moving = robot.publisher("/tf", TF)
+            await static.publish(told("map", "odom", 1.0, 0))
+            with pytest.raises(TimeoutError):
+                await planner.transform("base", "map", timeout=0.01)
+            await moving.wait_for_reader()
+            await moving.publish(told("odom", "base", 1.0, 100))
+            assert (await planner.transform("base", "map")).x == 2.0
+            below.clock.era += 1  # the time has jumped back
+            await moving.publish(told("odom", "base", 2.0, 1))
+            assert (await planner.transform("base", "map", at=1)).x == 3.0
 
 
 async def test_the_loss_of_a_node_ends_what_waits_for_it() -> None:
@@ -493,6 +565,7 @@ async def test_an_answer_or_a_message_that_cannot_be_read_is_told_and_nothing_el
             await ours.publish(types.topic_type(STRING).message(data="ours"))
             assert (await heard.next()).data == "ours"
             raw.publish_bytes(wrong)
+            await until(lambda: heard.latest is None)
             raw.publish(types.topic_type(STRING).message(data="right"))
             assert (await heard.next()).data == "right"
             assert "a message on /bare/chatter cannot be read" in caplog.text

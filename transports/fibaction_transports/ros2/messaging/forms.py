@@ -67,7 +67,7 @@ class MessageForm:
         codec = _ANYTHING if self._codec is None or isinstance(value, dict) else self._codec
         try:
             return self._ros.to_ros(codec.encode(value))
-        except (ProtocolError, msgspec.MsgspecError, TypeError) as exc:
+        except (ProtocolError, msgspec.MsgspecError, TypeError, OverflowError) as exc:
             raise ValueError(f"not a {self._kind.text}: {excerpt(str(exc))}") from exc
 
     def from_ros(self, message: Any) -> Any:

@@ -48,7 +48,7 @@ class Node(RosTransport):
         self._ros = ros
         self._transforms: TransformReader | None = None
         self._callers: dict[tuple[str, str], CalledService] = {}
-        self._services = ServiceServers(ros, ros.full_name, qos.services(), tasks, Notifier())
+        self._tasks = tasks
 
     @property
     def name(self) -> str:
@@ -81,6 +81,7 @@ class Node(RosTransport):
         Raises:
             TransportError: The type is not known here, or ROS does not allow the name.
             ValueError: The quality of service is not one of ROS.
+            ConnectionLost: The node was closed, or cannot reach ROS any more.
         """
         return Subscription(*self._end(topic, type_, qos, depth))
 
@@ -98,7 +99,8 @@ class Node(RosTransport):
         """
         name = self._ros.resolve(topic)
         with anyio.move_on_after(timeout):
-            while (found := self.topics().get(name)) is None:  # noqa: ASYNC110 - nothing tells of it
+            while (found := self.topics().get(name)) is None:
+                self._ros.raise_if_lost()
                 await anyio.sleep(LOOK_PAUSE)
             await self._ros.learn_topic(name, found)
             self._ros.types.topic_type(found)
@@ -130,6 +132,7 @@ class Node(RosTransport):
         return Publisher(*self._end(topic, type_, qos, depth))
 
     def _end(self, topic: str, type_: str | type[Any], words: str, depth: int) -> Any:
+        self._ros.raise_if_lost()
         found = self._ros.types.topic_type(type_name_of(type_))
         form = MessageForm(found.kind, type_)
         return self._ros, self._ros.resolve(topic), found, form, qos.of_topic(words, depth)
@@ -182,6 +185,7 @@ class Node(RosTransport):
         name = self._ros.resolve(service)
         caller = self._callers.get((name, type_))
         if caller is None:
+            self._ros.raise_if_lost()
             caller = CalledService(self._ros, name, self._ros.types.called_type(type_))
             self._callers[name, type_] = caller
         return await caller.call(request, timeout)
@@ -199,6 +203,7 @@ class Node(RosTransport):
         Raises:
             TransportError: The type is not known here, or ROS does not allow the name.
         """
+        self._ros.raise_if_lost()
         called = self._ros.types.called_type(type_)
         form = MessageForm(called.response, called.response.text)
 
@@ -208,10 +213,13 @@ class Node(RosTransport):
                 response = await response
             return form.to_ros({} if response is None else response)
 
-        part = self._services.serve(self._ros.resolve(service), called.service, answered)
+        name = self._ros.resolve(service)
+        servers = ServiceServers(self._ros, name, qos.services(), self._tasks, Notifier())
+        part = servers.serve(name, called.service, answered)
         try:
             yield
         finally:
+            servers.close()
             self._ros.remove(part)
 
 

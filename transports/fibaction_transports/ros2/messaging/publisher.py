@@ -42,8 +42,7 @@ class Publisher(Generic[T]):
         """
         if self._is_closed:
             raise anyio.ClosedResourceError
-        if self._ros.error is not None:
-            raise type(self._ros.error)(str(self._ros.error))
+        self._ros.raise_if_lost()
         try:
             self._part.publish(self._form.to_ros(message))
         except ValueError as exc:
@@ -59,9 +58,11 @@ class Publisher(Generic[T]):
 
         Raises:
             TimeoutError: There was none in time.
+            ConnectionLost: The node can send nothing any more.
         """
         with anyio.move_on_after(timeout):
-            while not self._part.reader_count():  # noqa: ASYNC110 - nothing tells of it
+            while not self._part.reader_count():
+                self._ros.raise_if_lost()
                 await anyio.sleep(LOOK_PAUSE)
             return
         raise TimeoutError(f"nobody has subscribed to {self.topic} in {timeout:g} s")

@@ -18,6 +18,8 @@ LOOK_PAUSE: Final = 0.02
 ACQUAINTED: Final = 0.3
 """Seconds for a server to find a new client, where nothing tells that it has. Servers of Fast DDS
 drop the answer to a client that they have not found within 0.1 s."""
+GONE_PAUSE: Final = 0.5
+"""Seconds between two looks whether the server that was asked is still there."""
 AT_ONCE: Final = 8
 """Requests of one client that may wait for their answers: the queues of rclpy and rclcpp hold 10.
 """
@@ -77,27 +79,36 @@ class CalledService:
             message = self._request.to_ros({} if request is None else request)
         except ValueError as exc:
             raise ValueError(f"{self._service}: {exc}") from exc
-        is_sent = False
+        missing = f"its last {AT_ONCE} requests have no answers"
         with anyio.move_on_after(timeout):
             async with self._turns:
+                missing = "there is no server"
                 while not self._part.is_available():
-                    if self._ros.error is not None:
-                        raise ConnectionLost(str(self._ros.error))
+                    self._ros.raise_if_lost()
                     await anyio.sleep(LOOK_PAUSE)
                 if self._is_new:
                     await anyio.sleep(ACQUAINTED)
                     self._is_new = False
+                asked = self._servers()
                 number = self._part.send(message)
-                is_sent = True
-                return await self._answer(number)
-        what = "the server has not answered" if is_sent else "there is no server"
-        raise TimeoutError(f"{self._service}: {what} in {timeout:g} s")
+                missing = "the server has not answered"
+                return await self._answer(number, asked)
+        raise TimeoutError(f"{self._service}: {missing} in {timeout:g} s")
 
-    async def _answer(self, number: int) -> Any:
+    def _servers(self) -> set[bytes]:
+        return {end.gid for end in self._ros.request_readers(self._service)}
+
+    async def _answer(self, number: int, asked: set[bytes]) -> Any:
         self._answers[number] = None
         try:
             while (answer := self._answers[number]) is None:
-                await self._news.wait()
+                with anyio.move_on_after(GONE_PAUSE):
+                    await self._news.wait()
+                    continue
+                if asked and asked.isdisjoint(self._servers()):
+                    await anyio.sleep(self._ros.last_words)
+                    gone = _Answer(None, _unanswered(self._service))
+                    self._answers[number] = self._answers[number] or gone
         finally:
             del self._answers[number]
             self._part.forget(number)

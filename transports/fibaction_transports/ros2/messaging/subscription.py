@@ -68,9 +68,12 @@ class Subscription(Generic[T]):
     @property
     def latest(self) -> T | None:
         """The newest message that has arrived, whether it has been read or not; None before the
-        first one.
+        first one, and if it is none of the type.
         """
-        return None if self._newest is None else self._read(self._newest)
+        value = None if self._newest is None else self._read(self._newest)
+        if value is None:
+            self._newest = None  # the log tells of it once
+        return value
 
     def publisher_count(self) -> int:
         """Return the number of publishers that are connected."""
@@ -92,17 +95,12 @@ class Subscription(Generic[T]):
     async def _next(self) -> T:
         while True:
             if self._queue:
-                try:
-                    return self._read(self._queue.popleft())
-                except ProtocolError as exc:
-                    logger.error(
-                        "a message on %s cannot be read: %s", self.topic, excerpt(str(exc))
-                    )
-                    continue
+                if (value := self._read(self._queue.popleft())) is not None:
+                    return value
+                continue
             if self._is_closed:
                 raise anyio.ClosedResourceError
-            if self._ros.error is not None:
-                raise type(self._ros.error)(str(self._ros.error))
+            self._ros.raise_if_lost()
             await self._wait()
 
     async def _wait(self) -> None:
@@ -115,8 +113,13 @@ class Subscription(Generic[T]):
                 self._ros.warn(f"nothing arrives on {self.topic}: {reason}")
         return await self._news.wait()
 
-    def _read(self, message: bytes) -> T:
-        value: T = self._form.from_ros(self._ros.types.decode(message, self._type))
+    def _read(self, message: bytes) -> T | None:
+        """Return a message; None if it cannot be read."""
+        try:
+            value: T = self._form.from_ros(self._ros.types.decode(message, self._type))
+        except ProtocolError as exc:
+            logger.error("a message on %s cannot be read: %s", self.topic, excerpt(str(exc)))
+            return None
         return value
 
     def _explanation(self) -> str:
@@ -139,6 +142,8 @@ class Subscription(Generic[T]):
         theirs = {end.type_hash for end in ends}
         if version is not None and "" not in theirs and version.type_hash not in theirs:
             return f"its publishers have another version of {version.type_name}"
+        if "transient_local" in {end.qos.durability for end in ends} - {self._qos.durability}:
+            return "what was published before is read with qos='transient_local'"
         return ""
 
     def __aiter__(self) -> Self:

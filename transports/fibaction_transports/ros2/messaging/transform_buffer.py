@@ -157,6 +157,10 @@ class TransformBuffer:
             known = self._frames[frame] = _Frame(parent, is_static=is_static)
         known.add(time, whole)
 
+    def forget_moving(self) -> None:
+        """Forget all but static frames, as tf2 does when the time has jumped back."""
+        self._frames = {name: one for name, one in self._frames.items() if one.is_static}
+
     def look_up(self, frame: str, target: str, time: int | None = None) -> Transform:
         """Return the pose of a frame in another one, at a time in nanoseconds; without it, at the
         newest time that is known of all frames between them.

@@ -29,11 +29,15 @@ class TransformReader:
 
         Raises:
             TransportError: The type of the messages is not known here.
+            ConnectionLost: The node was closed.
         """
+        ros.raise_if_lost()
         self._ros = ros
         self._type = ros.types.topic_type(_TYPE).message
         self._buffer = TransformBuffer()
         self._news = Notifier()
+        self._era = ros.clock.era
+        ros.on_loss(lambda error: self._news.notify())
         for topic, durability in (("/tf_static", "transient_local"), ("/tf", "volatile")):
             qos = EndQos(durability=durability, depth=_DEPTH)
             take = partial(self._take, topic == "/tf_static")
@@ -45,6 +49,9 @@ class TransformReader:
         except ProtocolError as exc:
             logger.error("a message of /tf cannot be read: %s", excerpt(str(exc)))
             return
+        if self._era != self._ros.clock.era:  # a simulation began anew
+            self._era = self._ros.clock.era
+            self._buffer.forget_moving()
         for one in message.transforms:
             stamp, moved = one.header.stamp, one.transform.translation
             turned = one.transform.rotation
@@ -69,5 +76,6 @@ class TransformReader:
                     return self._buffer.look_up(frame, target, time)
                 except LookupError as exc:
                     problem = str(exc)
+                self._ros.raise_if_lost()
                 await self._news.wait()
         raise TimeoutError(f"no transform of {frame} to {target} in {timeout:g} s: {problem}")

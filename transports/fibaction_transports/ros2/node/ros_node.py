@@ -206,6 +206,11 @@ class NodeLife:
         """True if ROS can still be used."""
         return self.error is None
 
+    def raise_if_lost(self) -> None:
+        """Raise `ConnectionLost` if nothing more will arrive."""
+        if self.error is not None:
+            raise type(self.error)(str(self.error))
+
     def on_loss(self, call: Callable[[ConnectionLost], None]) -> Callable[[], None]:
         """Call this if nothing more will arrive. The function that is returned takes it back."""
         self._lost.append(call)
