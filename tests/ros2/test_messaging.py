@@ -13,7 +13,7 @@ import pytest
 from rcl_interfaces.srv import ListParameters
 from std_msgs.msg import Float32MultiArray, String
 
-from fibaction import TransportError
+from fibaction import ConnectionLost, TransportError
 from fibaction_transports.ros2 import Node, open_node
 from tests.ros2.spun import spun_node
 
@@ -136,3 +136,10 @@ async def test_what_is_not_installed_is_told() -> None:
         ):
             with pytest.raises(TransportError, match=text):
                 node.subscribe("topic", type_name)
+
+
+async def test_nothing_is_begun_at_a_node_that_was_closed() -> None:
+    async with open_node("ros2://ours", arguments=[]) as node:
+        pass
+    with pytest.raises(ConnectionLost, match="the node was closed here"):
+        node.subscribe("chatter", STRING)
