@@ -13,6 +13,7 @@ from fibaction import (
     Action,
     CancelCode,
     ConnectionLost,
+    GoalHandle,
     GoalID,
     GoalRejected,
     GoalStatus,
@@ -336,6 +337,20 @@ async def test_all_goals_are_canceled_at_all_workers(fleet: FakeFleet) -> None:
         }
         for goal in goals:
             assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_a_cancel_of_all_goals_asks_each_worker_once(fleet: FakeFleet) -> None:
+    asked: list[GoalID] = []
+
+    def refuse(goal: GoalHandle[int]) -> bool:
+        asked.append(goal.goal_id)
+        return False
+
+    async with fleet.worker("a").serve(server(on_cancel=refuse)), fleet.connect() as connection:
+        goal = await client_of(connection).send_goal(-3)
+        answer = await client_of(connection).cancel_goals()
+        assert (answer.return_code, answer.goals_canceling) == (CancelCode.REJECTED, ())
+        assert asked == [goal.goal_id]
 
 
 async def test_a_cancel_of_all_goals_waits_for_those_that_no_worker_has(fleet: FakeFleet) -> None:

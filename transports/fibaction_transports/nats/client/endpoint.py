@@ -244,6 +244,11 @@ class FleetEndpoint(Endpoint):
         if goal_id is not None and any(goal_id) and not stamp:
             return await self._cancel_one(goal_id)
         until = stamp or time.time_ns()
+        asked = {
+            found.goal.goal_id: found.goal.worker
+            for found in await self._parts.routes.active(self._info.name)
+            if found.is_alive
+        }
         answer = await self._cancel_at_all(goal_id, stamp)
         canceled = {info.goal_id for info in answer.goals_canceling}
         left = [
@@ -251,6 +256,8 @@ class FleetEndpoint(Endpoint):
             for found in await self._parts.routes.active(self._info.name)
             if found.goal.status is GoalStatus.ACCEPTED
             and found.goal.goal_id not in canceled
+            # Its worker has decided already, if it had the goal before it was asked.
+            and not (found.is_alive and asked.get(found.goal.goal_id) == found.goal.worker)
             and (found.goal.stamp <= until or not (found.is_alive or stamp))
         ]
         return CancelAnswer.merged([answer, await cancel_each(self, left)])

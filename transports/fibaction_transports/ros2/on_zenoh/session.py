@@ -108,7 +108,7 @@ class SendingThread:
             act, size = item
             try:
                 act()
-            except zenoh.ZError as exc:
+            except Exception as exc:  # whatever the library raises: others wait for this thread
                 logger.info("something could not be sent: %s", text_of(exc))
             finally:
                 self.held.change(-size)
